@@ -83,8 +83,8 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, c
 std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving);
 
 /// Which returns of a scan lie in a box that moves. @return [n] rays
-/// @param min_step_m  boxes that move more than this a frame @param sensor_offset of the sensor that made the scan from the log's own
-std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, double min_step_m, const Pose& sensor_offset = {});
+/// @param sensor_offset of the sensor that made the scan from the log's own
+std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset = {});
 
 /// How close points are, as the strict protocol has it: points/{depth_*,cd_*,f_*}, of the clouds that files hold, whose ranges may be other
 /// than those of the image. @throws DataError as evaluate()
@@ -109,9 +109,8 @@ enum class BoxMotion { stay, follow };   // where the poses put them; or moved w
 ///   p_sensor(t) = sensor_from_world(t) p_world,  t = facing_time(p_sensor)
 /// @param position      of the sweep in sequence.frames; its own scan is not read
 /// @param train         positions of training frames, with their scans
-/// @param min_step_m    boxes that move more than this a frame are moving
 /// @throws DataError where there is no training frame
-Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes, double min_step_m);
+Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes);
 
 /// Bins points into a ray table: each point goes to the ray that passes it at the smallest angle, the nearest point wins a ray.
 /// Points above the highest or below the lowest beam by more than half a beam spacing are left out.

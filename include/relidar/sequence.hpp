@@ -129,7 +129,6 @@ RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std
 
 /// Category of boxes that no dataset labelled (discover_tracks() in scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
-inline constexpr double kMovingStep_m = 0.01;    ///< a box whose mean step is longer moves: 0.1 m/s at ten frames a second
 inline constexpr double kMoverMargin_m = 0.2;    ///< moving boxes are grown by this where their points are left out: labels fit loosely
 
 /// One tracked box. The box frame has x along the length, y along the width, z up, origin at the centre.
@@ -141,13 +140,10 @@ struct BoxTrack {
     std::string size_guess = {}; ///< of a discovered box: what kind of thing its size was filled up for, as one side alone was seen
     std::size_t n_before = 0, n_after = 0;   ///< poses of a labelled box before its first and after its last label: discover_tracks()
 
-    /// Mean motion of the box's centre from one observation to the next, metres: from the mean position in the first half of the track
-    /// to that in the second, so that the jitter of labels on a parked car (9 cm a frame on KITTI) is no motion. 0 for one observation.
-    double mean_step_m() const;
-    bool moves() const { return mean_step_m() > kMovingStep_m; }
-    /// Whether the thing stands still as far as labels and poses can tell: its positions, averaged over a second (half of a shorter track),
-    /// stay within 0.2 m of the first, or within 2 m at less than 0.5 m/s, since a log's poses drift while a parked car is seen.
-    bool is_parked() const;
+    /// Whether the thing moves as far as labels and poses can tell, however often it was labelled. Its positions, averaged over a second
+    /// (half of a shorter track) since labels jitter (by 9 cm on KITTI), come farther than half its longer side and 0.2 m, or than 2 m,
+    /// from the first, or go faster than 0.5 m/s, and 0.2 m, from one average to the next: a log's poses drift while a parked car is seen.
+    bool moves() const;
     /// Whether the box was observed at a time, or half a mean step beside it: a sweep takes that long to either side of its label.
     bool present(double t_s) const;
     /// The same box as the dataset labelled it, without n_before and n_after poses at its ends.
@@ -250,10 +246,10 @@ struct WorldReturn {
 /// @param ray  index of a returned ray of the frame @param number  of a return that it has
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number = 0);
 
-/// Whether a world point lies in any box that moves more than min_step_m a frame, each box grown by margin_m, at time t_s.
+/// Whether a world point lies in any box that moves, each box grown by margin_m, at time t_s.
 /// Boxes are interpolated in time; they are absent before their first and after their last observation, half a step
 /// between observations allowed, for the rays of the sweep in which they were labelled.
-bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m);
+bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double margin_m);
 
 /// How well beams agree on planes that several of them have seen.
 struct LaserCalibration {

@@ -27,7 +27,7 @@ SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Fra
 
 /// The pixels whose return lies in a moving box: binned as the points are, with the answer in the place of the intensity.
 std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
-    const std::vector<bool> moving = moving_returns(sequence, frame, kMovingStep_m, sensor_offset);
+    const std::vector<bool> moving = moving_returns(sequence, frame, sensor_offset);
     Scan flags = frame.scan;
     std::copy(moving.begin(), moving.end(), flags.intensity.begin());
     const RangeImage binned = real_image(config, flags);
@@ -87,7 +87,7 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
 void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence) {
     for (ScoredFrame& frame : frames) {
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
-        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, sweep, kMovingStep_m));
+        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, sweep));
     }
 }
 
@@ -191,7 +191,7 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
     const BoxMotion boxes = find_baseline(name);
     const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = real_frame(config, sequence, frame, {});
-        Scan points = neighbour_points(sequence, position, split.train, boxes, kMovingStep_m);
+        Scan points = neighbour_points(sequence, position, split.train, boxes);
         drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
         result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         return result;

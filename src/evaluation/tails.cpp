@@ -16,10 +16,10 @@ struct Swept {
     glm::dvec3 low{1e30}, high{-1e30};  ///< of the centres
 };
 
-std::vector<Swept> swept_boxes(const Sequence& sequence, double min_step_m) {
+std::vector<Swept> swept_boxes(const Sequence& sequence) {
     std::vector<Swept> swept;
     for (const BoxTrack& box : sequence.boxes) {
-        if (!(box.mean_step_m() > min_step_m)) continue;
+        if (!box.moves()) continue;
         Swept& s = swept.emplace_back();
         s.box = &box;
         for (const Pose& pose : box.world_from_box.pose) {
@@ -59,9 +59,8 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
 
 }  // namespace
 
-MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
-                      double min_step_m) {
-    const std::vector<Swept> swept = swept_boxes(sequence, min_step_m);
+MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const SweepMoment& seen) {
+    const std::vector<Swept> swept = swept_boxes(sequence);
     if (swept.empty()) return {};
     return {{"actors/tail_share", share(rendered, sequence, swept, seen)}, {"actors/tail_share_real", share(real, sequence, swept, seen)}};
 }

@@ -108,11 +108,11 @@ struct Beams {
 
 }  // namespace
 
-Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes, double min_step_m) {
+Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes) {
     const Frame& sweep = sequence.frames.at(std::size_t(position));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
-        if (boxes == BoxMotion::follow && box.mean_step_m() > min_step_m) moving.push_back(&box);
+        if (boxes == BoxMotion::follow && box.moves()) moving.push_back(&box);
     Scan points;
     for (const int neighbour : neighbours_of(sequence, position, train)) {
         const Frame& frame = sequence.frames.at(std::size_t(neighbour));

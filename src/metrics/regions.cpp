@@ -63,17 +63,18 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
             range_band(real, 0.0, 20.0), range_band(real, 20.0, 40.0), range_band(real, 40.0, 80.0)};
 }
 
-std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, double min_step_m, const Pose& sensor_offset) {
+std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
     const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
     for (BoxTrack& box : labelled) box = box.labelled_part();   // whatever was discovered, the same returns are compared
+    std::erase_if(labelled, [](const BoxTrack& box) { return !box.moves(); });   // once, not at each point of a parked car
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
         const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
         const double t_s = frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
-        moving[ray] = in_moving_box(labelled, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, min_step_m, kBoxMargin_m);
+        moving[ray] = in_moving_box(labelled, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, kBoxMargin_m);
     }
     return moving;
 }

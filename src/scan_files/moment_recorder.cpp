@@ -120,7 +120,7 @@ std::vector<RecordedActor> MomentRecorder::actors(double scan_s, double at_s) co
         const auto world_from_box = [&](double t_s) { return box.world_from_box.at(t_s); };
         Pose pose = world_from_box(at_s);
         pose.translation += sensors_.front().world_offset_m;
-        actors.push_back({box.id, box.category, pose, box.size_m, velocity_of(world_from_box, at_s), box.is_parked()});
+        actors.push_back({box.id, box.category, pose, box.size_m, velocity_of(world_from_box, at_s), !box.moves()});
     }
     return actors;
 }

@@ -52,7 +52,7 @@ bool is_plausible(const BoxTrack& box) {
     const bool turns_on_the_spot = longest > kVehicle_m && way.turned_rad > kTurn_rad + kTurnPer_m * way.path_m;
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m && fastest > kSlowest_mps &&
            fastest < kFastest_mps && way.net_m > kWayOfSize * longest && way.net_m > kStraightness * way.path_m && !turns_on_the_spot &&
-           !box.is_parked();   // as a label would be: what is joined around a gap may have jumped in it and nowhere else
+           box.moves();   // as a label would be: what is joined around a gap may have jumped in it and nowhere else
 }
 
 /// The box of a track of which other frames say that it moved, without what they say stayed; nothing where they do not say so.

@@ -54,7 +54,7 @@ std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
         const BoxTrack& box = sequence.boxes[i];
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
-        if (box.moves() && !box.is_parked()) {
+        if (box.moves()) {
             if (box.present(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }

@@ -138,6 +138,7 @@ Sequence without_frames(const Sequence& all) {
             all.conventions,
             all.notes,
             all.test_frames,
+            all.has_poses,
             all.rolling_shutter};
 }
 
@@ -171,36 +172,37 @@ PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
     return track;
 }
 
-double BoxTrack::mean_step_m() const {
-    const std::vector<Pose>& poses = world_from_box.pose;
-    const std::size_t half = poses.size() / 2;
-    if (half == 0) return 0.0;
-    glm::dvec3 start(0.0), end(0.0);
-    for (std::size_t i = 0; i < half; ++i) {
-        start += poses[i].translation;
-        end += poses[poses.size() - 1 - i].translation;
-    }
-    return glm::length(end - start) / double(half) / double(poses.size() - half);
+namespace {
+
+/// Mean position of the observations in a stretch of time; nothing where there is none.
+std::optional<glm::dvec3> mean_place(const PoseTrack& track, double first_s, double last_s) {
+    constexpr double kSame_s = 1e-6;
+    glm::dvec3 sum(0.0);
+    std::size_t n = 0;
+    for (auto i = std::size_t(std::ranges::lower_bound(track.time_s, first_s - kSame_s) - track.time_s.begin());
+         i < track.time_s.size() && track.time_s[i] <= last_s + kSame_s; ++i, ++n)
+        sum += track.pose[i].translation;
+    return n == 0 ? std::nullopt : std::optional(sum / double(n));
 }
 
-bool BoxTrack::is_parked() const {
+}  // namespace
+
+bool BoxTrack::moves() const {
     constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5;
     const std::vector<double>& t = world_from_box.time_s;
-    if (t.size() < 2) return true;
-    const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front()));
-    const auto smoothed = [&](std::size_t first) {
-        glm::dvec3 sum(0.0);
-        std::size_t n = 0;
-        for (std::size_t i = first; i < t.size() && t[i] <= t[first] + window_s; ++i, ++n) sum += world_from_box.pose[i].translation;
-        return sum / double(n);
-    };
-    const glm::dvec3 start = smoothed(0);
-    double farthest_m = 0.0;
-    for (std::size_t i = 1; i < t.size() && t[i] + window_s <= t.back(); ++i) {
-        farthest_m = std::max(farthest_m, glm::length(smoothed(i) - start));
+    if (t.size() < 2) return false;
+    const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front())), last_s = t.back() - window_s;
+    const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
+    const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
+    const auto place = [&](double first_s) { return mean_place(world_from_box, first_s, first_s + window_s); };
+    const std::optional<glm::dvec3> start = place(t.front());
+    for (const double time_s : t) {
+        const double first_s = std::min(time_s, last_s);   // the last window ends with the track
+        const std::optional<glm::dvec3> here = place(first_s), next = place(std::min(first_s + window_s, last_s));
+        if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m)) return true;
+        if (time_s >= last_s) break;
     }
-    const double drift_m = std::min(kDrift_m, kDrift_mps * (t.back() - t.front() - window_s));
-    return farthest_m < std::max(kJitter_m, drift_m);
+    return false;
 }
 
 void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
@@ -312,10 +314,9 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s, surface.intensity};
 }
 
-bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double min_step_m, double margin_m) {
-    return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.mean_step_m() > min_step_m;
-    });
+bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double margin_m) {
+    return std::any_of(boxes.begin(), boxes.end(),
+                       [&](const BoxTrack& box) { return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.moves(); });
 }
 
 }  // namespace relidar

@@ -340,7 +340,7 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
             on_cars += changed;
             if (scan.range_m[i] == 0.0f) continue;
-            ASSERT_EQ(changed, in_moving_box(log.boxes, world, t, 0.1, 0.0)) << f << " " << i;
+            ASSERT_EQ(changed, in_moving_box(log.boxes, world, t, 0.0)) << f << " " << i;
         }
     }
     EXPECT_GT(on_cars, 50u);

@@ -62,7 +62,7 @@ TEST(TwoLidars, ATurnIsHeldOutAsAWhole) {
     const Split split = split_frames(street, 10);
     EXPECT_EQ(split.test, (std::vector<int>{20, 21}));
     EXPECT_EQ(split.train.size(), 22u);
-    EXPECT_GT(neighbour_points(street, 21, split.train, BoxMotion::stay, 0.1).count_returns(), 1000u);
+    EXPECT_GT(neighbour_points(street, 21, split.train, BoxMotion::stay).count_returns(), 1000u);
 }
 
 TEST(TwoLidars, LasersAreCountedThrough) {

@@ -21,7 +21,7 @@ Street street_without_labels() {
     Street street;
     street.log = make_synthetic_street({.n_frames = 24, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     for (const BoxTrack& box : street.log.boxes)
-        if (box.mean_step_m() > 0.05) street.truth.push_back(box);
+        if (box.moves()) street.truth.push_back(box);
     street.log.boxes.clear();
     street.split = split_frames(street.log, 10);
     return street;

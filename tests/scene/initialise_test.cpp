@@ -112,7 +112,7 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
     std::size_t n = 0;
     for (const glm::vec3& p : surfels.mean) {
         bool inside = false;
-        for (const Frame& frame : street.frames) inside = inside || in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, 0.01, -0.1);
+        for (const Frame& frame : street.frames) inside = inside || in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
         n += inside && p.z > surfels.mean[0].z - 1e9f;
     }
     return n;

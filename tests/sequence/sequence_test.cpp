@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <random>
 
 #include <gtest/gtest.h>
 
@@ -97,56 +98,69 @@ TEST(Scan, PointsAndReturns) {
     EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
 }
 
-TEST(MovingBox, JitterIsNoMotion) {
-    BoxTrack parked, driving;
-    for (int i = 0; i < 40; ++i) {
-        const double jitter = i % 2 ? 0.05 : -0.05;
-        parked.world_from_box.time_s.push_back(0.1 * i);
-        parked.world_from_box.pose.push_back(turned(0.0, {jitter, 0, 0}));
-        driving.world_from_box.time_s.push_back(0.1 * i);
-        driving.world_from_box.pose.push_back(turned(0.0, {0.02 * i, jitter, 0}));
-    }
-    EXPECT_LT(parked.mean_step_m(), 0.005);
-    EXPECT_NEAR(driving.mean_step_m(), 0.02, 1e-6);
-    EXPECT_EQ(BoxTrack{}.mean_step_m(), 0.0);
-}
-
-/// A track of n observations 0.1 s apart at a speed, labels jittering by 9 cm, as KITTI's do.
-BoxTrack walked(int n, double speed_mps) {
+/// A car observed n times, step_s apart, at a speed, its labels jittering by 9 cm from one to the next, as KITTI's do.
+BoxTrack driven(int n, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
+    box.size_m = {4.4, 1.8, 1.6};
     for (int i = 0; i < n; ++i) {
-        box.world_from_box.time_s.push_back(0.1 * i);
-        box.world_from_box.pose.push_back(turned(0.0, {0.1 * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
+        box.world_from_box.time_s.push_back(step_s * i);
+        box.world_from_box.pose.push_back(turned(0.0, {step_s * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
     }
     return box;
 }
 
-TEST(MovingBox, ParkedIsWhatDriftsNoFasterThanPosesDo) {
-    EXPECT_TRUE(BoxTrack{}.is_parked());
-    EXPECT_TRUE(walked(1, 0.0).is_parked());
-    EXPECT_TRUE(walked(2, 0.0).is_parked());
-    EXPECT_TRUE(walked(95, 0.0).is_parked());
-    EXPECT_TRUE(walked(95, 0.18).is_parked()) << "1.7 m of drift while it is seen";
-    EXPECT_GT(walked(95, 0.18).mean_step_m(), 0.01) << "which the mean step takes for motion";
-    EXPECT_FALSE(walked(95, 0.3).is_parked()) << "2.5 m are more than drift";
-    EXPECT_FALSE(walked(6, 1.2).is_parked()) << "a pedestrian seen for half a second";
-    EXPECT_FALSE(walked(30, 8.0).is_parked());
-    BoxTrack starts = walked(95, 0.0);   // a car that waits, then goes
-    for (std::size_t i = 80; i < 95; ++i) starts.world_from_box.pose[i].translation.x += 0.3 * double(i - 80);
-    EXPECT_FALSE(starts.is_parked());
+TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
+    EXPECT_FALSE(BoxTrack{}.moves());
+    for (const int n : {1, 2, 95}) EXPECT_FALSE(driven(n, 0.0).moves()) << n;
+    EXPECT_FALSE(driven(95, 0.18).moves()) << "1.7 m of drift while it is seen";
+    EXPECT_TRUE(driven(95, 0.3).moves()) << "2.5 m are more than drift";
+    EXPECT_TRUE(driven(30, 8.0).moves());
+    EXPECT_TRUE(driven(2, 8.0).moves()) << "seen twice";
+    BoxTrack starts = driven(95, 0.0);   // a car that waits, then goes 1.6 m in the last second
+    for (std::size_t i = 85; i < 95; ++i) starts.world_from_box.pose[i].translation.x += 0.02 * double((i - 85) * (i - 85));
+    EXPECT_TRUE(starts.moves());
+    BoxTrack walker = driven(95, 0.1), hurried = driven(6, 1.2);
+    walker.size_m = hurried.size_m = {0.7, 0.6, 1.8};
+    EXPECT_TRUE(walker.moves()) << "0.9 m are more than its size, however slow";
+    EXPECT_TRUE(hurried.moves()) << "for half a second";
+}
+
+/// Labels of two a second that are off by up to a decimetre each, interpolated to sweeps of twenty a second, as those of nuScenes.
+TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
+    std::mt19937 random(3);
+    std::uniform_real_distribution<double> off(-0.1, 0.1);
+    for (int things = 0; things < 200; ++things) {
+        PoseTrack keyframes;
+        const int n = 2 + things % 12;
+        for (int k = 0; k < n; ++k) {
+            keyframes.time_s.push_back(0.5 * k);
+            keyframes.pose.push_back(turned(0.3, {10.0 + off(random), 5.0 + off(random), off(random)}));
+        }
+        BoxTrack parked{"p", "car", {4.4, 1.8, 1.6}, {}}, driving = parked;
+        for (int i = 0; i <= 10 * (n - 1); ++i) {
+            for (BoxTrack* box : {&parked, &driving}) {
+                box->world_from_box.time_s.push_back(0.05 * i);
+                box->world_from_box.pose.push_back(keyframes.at(0.05 * i));
+            }
+            driving.world_from_box.pose.back().translation.x += 2.0 * 0.05 * i;
+        }
+        EXPECT_FALSE(parked.moves()) << n << " keyframes";
+        EXPECT_TRUE(driving.moves()) << n << " keyframes";
+    }
 }
 
 TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     BoxTrack car;
     car.size_m = {4, 2, 1.5};
     car.world_from_box = {{0.0, 0.1, 0.2}, {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
-    EXPECT_NEAR(car.mean_step_m(), 1.0, 1e-12);
-    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.5, 0.0));  // length lies along y: centre 0.5, half 2
-    EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.5, 0.0));
-    EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.5, 0.2));
-    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.5, 0.0}, 0.05, 1.5, 0.0));  // too slow
-    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.5, 0.0));  // the sweep of the first label
-    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.5, 0.0));
+    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));  // length lies along y: centre 0.5, half 2
+    EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.0));
+    EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.2));
+    BoxTrack parked = car;
+    for (Pose& pose : parked.world_from_box.pose) pose.translation = {};
+    EXPECT_FALSE(in_moving_box({parked}, {0.0, 0.5, 0.0}, 0.05, 0.0));
+    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.0));  // the sweep of the first label
+    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
 }
 
 /// Rays of a head that turns evenly, from an azimuth and a time on, half a turn or more.

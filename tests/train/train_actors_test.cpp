@@ -76,7 +76,7 @@ protected:
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const WorldReturn at = world_return(run.sequence, frame, i);
-            if (!in_moving_box(run.sequence.boxes, at.point_m, at.time_s, 0.01, -0.05)) continue;
+            if (!in_moving_box(run.sequence.boxes, at.point_m, at.time_s, -0.05)) continue;
             errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
         EXPECT_GT(errors.size(), 20u) << "the cars must be seen";

@@ -208,7 +208,7 @@ TEST_F(Train, ActorsBeatMasking) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const WorldRay w = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 p = w.origin_m + double(frame.scan.range_m[i]) * w.direction;
-            if (in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], 0.01, -0.05))
+            if (in_moving_box(street.boxes, p, frame.time_s + frame.scan.rays.time_offset_s[i], -0.05))
                 errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
         ASSERT_GT(errors.size(), 20u);
@@ -230,7 +230,7 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
         for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!(targets[i].range_m > 0.0f)) continue;
             const glm::dvec3 p = glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            const bool car = in_moving_box(street.boxes, p, frame.time_s, 0.01, 0.0);
+            const bool car = in_moving_box(street.boxes, p, frame.time_s, 0.0);
             (car ? cars : rest) += 1;
             (car ? masked_cars : masked_rest) += targets[i].weight == 0.0f;
         }
@@ -258,7 +258,7 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
         double n = 0.0, n_masked = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const glm::dvec3 p = glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.01, 0.0)) continue;
+            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.0)) continue;
             n += 1.0;
             n_masked += targets[i].weight == 0.0f;
         }

@@ -37,19 +37,17 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
 }
 
 /// Tracks of actors that were not there before, or elsewhere.
-std::vector<std::string> placed_tracks(const DrivingScene& driving, const std::vector<BoxTrack>& before) {
+std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
-        const auto is_it = [&](const BoxTrack& box) { return box.id == instance.track; };
-        const auto now = std::ranges::find_if(driving.sequence.boxes, is_it), then = std::ranges::find_if(before, is_it);
-        if (now == driving.sequence.boxes.end()) continue;
-        if (then == before.end() || !is_same(now->world_from_box, then->world_from_box)) placed.push_back(instance.track);
+        const BoxTrack *now = find_box(driving.sequence, instance.track), *then = find_box(before, instance.track);
+        if (now && (!then || !is_same(now->world_from_box, then->world_from_box))) placed.push_back(instance.track);
     }
     return placed;
 }
 
 /// Which of the actors that were placed are too coarse for where they stand, a line each.
-std::string sparse_actors(const DrivingScene& driving, const std::vector<BoxTrack>& before) {
+std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;
     for (const std::string& track : placed_tracks(driving, before)) {
         const ActorDetail detail = actor_detail(driving, track);
@@ -71,7 +69,7 @@ void run_edit(const EditOptions& options) {
     Run run = load_run(options.run, note);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
-    const std::vector<BoxTrack> before = driving.sequence.boxes;
+    const Sequence before = without_frames(driving.sequence);
     std::string text;
     for (const TypedEdit& edit : options.edits) {
         AppliedEdit applied = apply(std::move(driving), edit);

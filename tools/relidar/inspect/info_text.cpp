@@ -57,7 +57,7 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
     for (const BoxSummary& b : boxes) {
         rows.push_back({b.id, class_text(b), fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y),
                         fmt::format("{:.2f} m", b.size_m.z), b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
-                        fmt::format("{:.1f} m", b.path_m), b.parked ? "parked" : fmt::format("{:.1f} m/s", b.mean_speed_mps),
+                        fmt::format("{:.1f} m", b.path_m), b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
                         fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
         if (of_run)
             rows.back().insert(rows.back().end(),
@@ -76,7 +76,6 @@ Json json_of(const BoxSummary& b) {
                  {"path_m", b.path_m},
                  {"mean_speed_mps", b.mean_speed_mps},
                  {"moving", b.moves},
-                 {"parked", b.parked},
                  {"start_m", {b.start_m.x, b.start_m.y, b.start_m.z}},
                  {"start_yaw_deg", b.start_yaw_deg},
                  {"instance", nullptr},
@@ -138,7 +137,6 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
     summary.moves = box.moves();
-    summary.parked = box.is_parked();
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
     summary.start_m = track.pose.front().translation + sequence.world_offset_m;
     summary.start_yaw_deg = std::atan2(forward.y, forward.x) * 180.0 / kPi;
@@ -182,9 +180,8 @@ std::string text_of(const LogSummary& log, bool of_run) {
     text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame,
                                        log.seconds, log.path_m));
     if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
-    const auto parked = std::count_if(log.boxes.begin(), log.boxes.end(), [](const BoxSummary& b) { return b.parked; });
-    text += line("boxes",
-                 fmt::format("{}: {} moving, {} parked", log.boxes.size(), static_cast<std::ptrdiff_t>(log.boxes.size()) - parked, parked));
+    const auto n_moving = std::ranges::count_if(log.boxes, &BoxSummary::moves);
+    text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving, std::ssize(log.boxes) - n_moving));
     text += line("masked", log.masked);
     return text + box_table(log.boxes, of_run);
 }

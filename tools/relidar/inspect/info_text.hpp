@@ -19,7 +19,6 @@ struct BoxSummary {
     int first_frame = 0, last_frame = 0;
     double path_m = 0.0, mean_speed_mps = 0.0;
     bool moves = false;    ///< see BoxTrack::moves()
-    bool parked = false;
     glm::dvec3 start_m{0.0};                ///< box centre when it first appears, the dataset's world
     double start_yaw_deg = 0.0;
     std::optional<std::size_t> instance;    ///< of a run: its number in rendered labels; none where it has no surfels of its own
