@@ -94,7 +94,7 @@ class Viewer:
 
     def end(self):
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(timeout=5) == 0, self.process.returncode
+        assert self.process.wait(timeout=PATIENCE_S) == 0, self.process.returncode   # a busy tab may take all of the viewer's goodbye
 
     def kill(self):
         self.process.kill()
