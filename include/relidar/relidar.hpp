@@ -22,6 +22,7 @@
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
 #include <relidar/scan_files.hpp>
+#include <relidar/scatter.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sensor.hpp>
 #include <relidar/sensor_files.hpp>

@@ -14,6 +14,7 @@
 #include <relidar/gpu.hpp>
 #include <relidar/metrics.hpp>
 #include <relidar/refine.hpp>
+#include <relidar/scatter.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 
@@ -63,10 +64,14 @@ DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& c
 /// Where a log's vehicle was first, in the dataset's world. @return [3] metres
 glm::dvec3 first_origin(const Sequence& sequence);
 
+/// What a sensor's intensities scatter about: those of a scan, and what of it they depend on.
+RenderedIntensities rendered_intensities(const RenderedScan& scan);
+
 /// Draws one scan from what a rendering says is likely: a ray returns with probability 1 - drop_prob, independently of the others, its
-/// range off by the noise at its range and angle of incidence (from neighbouring pixels). Afterwards drop_prob is 0 or 1, and image.range_m
-/// is the dominant surface's, as median_range_m. The same for the same seed and time, whatever the device.
-void sample_returns(RenderedScan& scan, const RangeNoise& noise, std::uint64_t seed);
+/// range off by the noise at its range and angle of incidence (from neighbouring pixels), its intensity as the LiDAR's scatter. Afterwards
+/// drop_prob is 0 or 1, and image.range_m is the dominant surface's, as median_range_m. Second returns keep their likeliest intensities.
+/// The same for the same seed and time, whatever the device. @param scatter  an empty one: intensities stay the likeliest
+void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter, std::uint64_t seed);
 
 /// The sensor whose scan is wanted.
 struct SensorChoice {
@@ -118,7 +123,7 @@ class ScanRenderer {
 public:
     /// @throws UsageError for unknown channels, and for those of 3D Gaussians that are made of normals, which they do not have
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Uses the run's coverage, and its ray-drop network where it has one and config.refine.enabled says so.
+    /// Uses the run's coverage, how its intensities scatter, and its ray-drop network where it has one and config.refine.enabled says so.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
@@ -132,6 +137,10 @@ public:
     void want_channels(const std::string& names);
     /// Says of every scan from now on what of it the log has seen (RenderedScan::unseen_share); an empty one: no longer.
     void compare_with(const Coverage& coverage);
+    /// How intensities scatter, of each LiDAR of the log, from the next scan on: sampled scans draw them, the likeliest have them in the
+    /// log's steps.
+    /// @param scatter [lidars] none, or an empty one: intensities are as the scene has them
+    void scatter_intensities(const std::vector<IntensityScatter>& scatter);
     /// Whether scans of a sensor are refined.
     bool refines(const SensorChoice& sensor) const;
     /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)

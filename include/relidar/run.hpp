@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // A run folder is self-describing: config.toml, model.safetensors, drop_network.safetensors (where one was trained), sweeps.safetensors
-// (where heads did not turn evenly), coverage.safetensors (where the log has looked), scene.json (sensor, frames, poses, boxes, split,
+// (where heads did not turn evenly), coverage.safetensors (where the log has looked), intensity_scatter.safetensors (how intensities
+// scatter), scene.json (sensor, frames, poses, boxes, split,
 // units, conventions), log.jsonl, report.html. It renders without the dataset.
 #pragma once
 
@@ -13,6 +14,7 @@
 #include <relidar/config.hpp>
 #include <relidar/coverage.hpp>
 #include <relidar/refine.hpp>
+#include <relidar/scatter.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 
@@ -37,6 +39,7 @@ struct Run {
     std::vector<RunEdit> edits{};   ///< oldest first; empty for a run as it was trained
     DropNetwork drop_network{};     ///< corrects ray-drop; empty: there is none
     Coverage coverage{};            ///< where training scans have looked; empty: not known, as of runs made before it was kept
+    std::vector<IntensityScatter> intensity_scatter{};   ///< [lidars] empty: not known, as of runs made before it was kept
     std::string refined_poses{};    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
 
     /// The scene with the tracks of its actors, as edits take it and give it back: run.replace(remove_track(run.driving(), "0")).
@@ -47,8 +50,8 @@ struct Run {
     }
 };
 
-/// Writes config.toml, scene.json, model.safetensors, drop_network.safetensors, sweeps.safetensors and coverage.safetensors, each
-/// atomically. The folder is made where missing.
+/// Writes config.toml, scene.json, model.safetensors, drop_network.safetensors, sweeps.safetensors, coverage.safetensors and
+/// intensity_scatter.safetensors, each atomically. The folder is made where missing.
 /// Blocks of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
 /// @throws DataError where the folder cannot be made or written, or where an option that is no setting is not as the program has it
 void save_run(const Run& run);

@@ -17,6 +17,7 @@
 #include <relidar/loss.hpp>
 #include <relidar/progress.hpp>
 #include <relidar/refine.hpp>
+#include <relidar/scatter.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
 #include <relidar/process_group.hpp>
@@ -151,6 +152,16 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run);
 /// Gives a config those settings as a network's checkpoint has them. @throws UsageError for one that this version does not know
 void take_refine_settings(const Checkpoint& checkpoint, Config& config);
+
+/// How it is learnt how intensities scatter.
+struct ScatterSession {
+    Progress progress = {};
+    std::function<bool()> stop = {};   ///< asked before each frame; true ends it
+};
+
+/// How the intensities of each LiDAR scatter about those that the scene of a run, whose sequence has its scans, renders for some of its
+/// training frames. @return [lidars] an empty one where a LiDAR has too few returns; none where stopped
+std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, const ScatterSession& session = {});
 
 /// How actors are trained on.
 struct ActorSession {

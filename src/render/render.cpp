@@ -135,6 +135,7 @@ struct ScanRenderer::Impl {
     Device& device;
     std::optional<DropRefiner> refiner = {};
     Coverage coverage = {};
+    std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
 
     /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
     SweepMoment moment(const SensorChoice& sensor, double time_s) {
@@ -170,6 +171,7 @@ struct ScanRenderer::Impl {
     };
     bool refines(const ImageOf& image) const;
     void refine(RenderedScan& scan);
+    void measure(RenderedScan& scan, int lidar, std::optional<std::uint64_t> sample) const;
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
@@ -184,6 +186,7 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
 ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
     compare_with(run.coverage);
+    scatter_intensities(run.intensity_scatter);
 }
 ScanRenderer::~ScanRenderer() = default;
 
@@ -209,6 +212,11 @@ void ScanRenderer::want_channels(const std::string& names) {
 }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->coverage = coverage; }
+
+void ScanRenderer::scatter_intensities(const std::vector<IntensityScatter>& scatter) {
+    impl_->scatter = scatter;
+    impl_->scatter.resize(impl_->sweep.lidars.size());
+}
 
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
     const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
@@ -313,6 +321,16 @@ void ScanRenderer::Impl::refine(RenderedScan& scan) {
     scan.image.drop_prob = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin_m));
 }
 
+/// What a sensor makes of a scan in the end: a sample of what is likely, or intensities in the steps that it has.
+void ScanRenderer::Impl::measure(RenderedScan& scan, int lidar, std::optional<std::uint64_t> sample) const {
+    const IntensityScatter& own = scatter[std::size_t(lidar)];
+    if (sample) sample_returns(scan, sweep.lidars[std::size_t(lidar)].range_noise, own, *sample);
+    else
+        for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);
+    for (SecondReturn& echo : scan.second_returns)
+        for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
+}
+
 /// @param placed  instances at their moments; those that are not shown are left out
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
@@ -343,7 +361,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
         scan = project_scan(scan, *sensor.grid);
         s.refine(scan);
     }
-    if (sample) sample_returns(scan, s.sweep.lidars[std::size_t(sensor.lidar)].range_noise, *sample);
+    s.measure(scan, sensor.lidar, sample);
     return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
 }
 

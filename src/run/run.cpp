@@ -14,6 +14,7 @@
 
 #include "core/files.hpp"
 #include "run/coverage_file.hpp"
+#include "run/scatter_file.hpp"
 #include "run/scene_json.hpp"
 #include "run/sweeps_file.hpp"
 #include <relidar/error.hpp>
@@ -29,6 +30,7 @@ constexpr const char* kSceneFile = "scene.json";
 constexpr const char* kDropNetworkFile = "drop_network.safetensors";
 constexpr const char* kSweepsFile = "sweeps.safetensors";
 constexpr const char* kCoverageFile = "coverage.safetensors";
+constexpr const char* kScatterFile = "intensity_scatter.safetensors";
 
 void make_folder(const fs::path& folder) {
     std::error_code failed;
@@ -103,6 +105,7 @@ void save_run(const Run& run) {
     else fs::remove(run.folder / kDropNetworkFile);
     run_detail::save_sweeps(run.folder / kSweepsFile, run.sequence);
     run_detail::save_coverage(run.folder / kCoverageFile, run.coverage);
+    run_detail::save_scatter(run.folder / kScatterFile, run.intensity_scatter);
     write_text(run.folder / kSceneFile, scene_json);
 }
 
@@ -128,6 +131,8 @@ Run load_run(const fs::path& folder, const std::function<void(const std::string&
                 fmt::format("{}: no such file, expected it in a run of {} blocks", block.file.string(), run.scene.blocks.size()));
     if (path_exists(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
     if (path_exists(folder / kCoverageFile)) run.coverage = run_detail::load_coverage(folder / kCoverageFile);
+    if (path_exists(folder / kScatterFile))
+        run.intensity_scatter = run_detail::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
     if (path_exists(folder / kDropNetworkFile)) run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,

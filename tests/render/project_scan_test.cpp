@@ -83,9 +83,9 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     const RangeNoise noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
     RenderedScan scan = likely, again = likely, other = likely;
     for (float& mean_m : scan.mean_range_m) mean_m += 0.5f;
-    sample_returns(scan, noise, 7);
-    sample_returns(again, noise, 7);
-    sample_returns(other, noise, 8);
+    sample_returns(scan, noise, {}, 7);
+    sample_returns(again, noise, {}, 7);
+    sample_returns(other, noise, {}, 8);
     EXPECT_EQ(scan.image.range_m, again.image.range_m);
     EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
     const std::vector<float> spread_m = range_spread(scan);
@@ -111,7 +111,7 @@ TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
     RenderedScan scan = half_dropped_wall();
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i) scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
     const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
-    sample_returns(scan, {}, 3);
+    sample_returns(scan, {}, {}, 3);
     EXPECT_EQ(scan.image.drop_prob, before);
     EXPECT_EQ(scan.image.range_m, ranges_m) << "no noise is known";
 }

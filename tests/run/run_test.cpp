@@ -99,6 +99,54 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
     EXPECT_THAT(load_error(), ::testing::HasSubstr("array parameters: entry 7 is nan, expected finite numbers"));
 }
 
+std::vector<IntensityScatter> example_scatter() {
+    IntensityScatter scatter;
+    scatter.nodes = {{3, -1.0f / 3.0f, 1, 0, 5}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 3}};
+    scatter.values = {0.1f, 0.2f, 0.3f, 0.5f, 0.7f};
+    scatter.step = 0.1;
+    return {scatter};
+}
+
+TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
+    EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty()) << "as of runs made before it was kept";
+    run.intensity_scatter = example_scatter();
+    save_run(run);
+    const std::vector<IntensityScatter> read = load_run(run.folder).intensity_scatter;
+    ASSERT_EQ(read.size(), run.sequence.lidars.size());
+    const IntensityScatter &a = read[0], &b = run.intensity_scatter[0];
+    ASSERT_EQ(a.nodes.size(), b.nodes.size());
+    for (std::size_t i = 0; i < a.nodes.size(); ++i) {
+        EXPECT_EQ(a.nodes[i].feature, b.nodes[i].feature);
+        EXPECT_EQ(a.nodes[i].at, b.nodes[i].at);
+        EXPECT_EQ(a.nodes[i].child, b.nodes[i].child);
+        EXPECT_EQ(a.nodes[i].first, b.nodes[i].first);
+        EXPECT_EQ(a.nodes[i].count, b.nodes[i].count);
+    }
+    EXPECT_EQ(a.values, b.values);
+    EXPECT_EQ(a.step, b.step);
+    run.intensity_scatter.clear();
+    save_run(run);
+    EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty()) << "that of the run before stays";
+}
+
+TEST_F(RunFolder, RefusesWhatIsNoTree) {
+    const auto error_of = [&](const auto& damage) {
+        run.intensity_scatter = example_scatter();
+        damage(run.intensity_scatter[0]);
+        save_run(run);
+        return load_error();
+    };
+    const auto is_no_tree = ::testing::HasSubstr("intensity_scatter.safetensors: LiDAR 0: node");
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 2; }), is_no_tree) << "its second child is not there";
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 0; }), is_no_tree) << "it would never end";
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].feature = 10000; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[2].count = 4; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[1].count = 0; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.step = -1.0; }), ::testing::HasSubstr("array 0.step: found -1, expected 0 or more"));
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
+                ::testing::HasSubstr("array 0.values: found a number that is not finite"));
+}
+
 TEST_F(RunFolder, IsTheSameInEveryLocale) {
     const auto files = [&] {
         return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") + contents(run.folder / "model.safetensors");

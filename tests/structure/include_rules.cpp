@@ -18,6 +18,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"gpu", {}},
         {"sensor", {}},
         {"sequence", {"sensor"}},
+        {"scatter", {}},
         {"coverage", {"sequence", "sensor"}},
         {"reader", {"sequence", "sensor"}},                                       // what all readers of datasets share
         {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
@@ -40,10 +41,10 @@ const std::map<std::string, Stages>& layer_table() {
         {"config",
          {"channels", "traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "refine", "scene", "sequence", "sensor",
           "gpu"}},
-        {"run", {"config", "coverage", "export", "refine", "scene", "sequence", "sensor"}},  // a run's folder; export: safetensors
+        {"run", {"config", "coverage", "export", "refine", "scatter", "scene", "sequence", "sensor"}},  // export: safetensors
         {"sensor_files", {"sensor", "export"}},                                  // export: npz
         {"render",
-         {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scene",
+         {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scatter", "scene",
           "sequence", "sensor", "gpu"}},
         {"assets", {"render", "run", "edit", "export", "config", "scene", "sequence", "sensor", "gpu"}},   // export: write_text
         {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
@@ -53,7 +54,8 @@ const std::map<std::string, Stages>& layer_table() {
                    "backward",   "forward",  "traversal", "densify",
                    "checkpoint", "accel",    "optimizer", "loss",
                    "metrics",    "refine",   "dataset",   "registration",
-                   "scene",      "sequence", "sensor",    "gpu",       "coverage"}},
+                   "scene",      "sequence", "sensor",    "gpu",       "coverage",
+                   "scatter"}},
     };
     return table;
 }

@@ -75,6 +75,13 @@ void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     python.raise_again();
 }
 
+/// How intensities scatter.
+void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
+    const DeviceUse use(open);
+    run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});
+    python.raise_again();
+}
+
 /// The ray-drop network. A log that has nothing to teach it is no error, and a checkpoint of another network none either.
 void refined(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
@@ -118,6 +125,7 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const AskedTraining& asked)
     python.raise_again();
     take_result(run, result);
     if (!result.interrupted) placed(*device, run, python);
+    if (!result.interrupted) scatter_learnt(*device, run, python);
     if (config.refine.enabled && !result.interrupted) refined(*device, run, asked, python);
     for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);

@@ -13,21 +13,17 @@
 #include <relidar/run.hpp>
 #include <relidar/train.hpp>
 
-#include "train/frames/frame_data.hpp"
 #include "train/drops/refine_keeper.hpp"
+#include "train/frames/measured_frame.hpp"
 
 namespace relidar {
 namespace {
 
 bool looks_at_grid(const Config& config) { return config.refine.image == "grid" && config.sensor.grid != "native"; }
 
-/// Rays of a frame's LiDAR, the nominal ones where they are in the order of its scan; with refine.image = grid, binned.
+/// Rays of a frame's LiDAR; with refine.image = grid, binned.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    if (looks_at_grid(config)) return configured_sensor(config, sequence, frame.lidar);
-    SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
-    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
-        sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    return sensor;
+    return looks_at_grid(config) ? configured_sensor(config, sequence, frame.lidar) : nominal_rays_of(config, sequence, frame);
 }
 
 /// Rays between a sensor's own: each turned towards the next column by a share of the way. Surfels have been fitted to the sensor's own
@@ -43,25 +39,7 @@ RayTable turned_rays(RayTable rays, float share) {
     return rays;
 }
 
-Unknown masks_of(const Config& config, const Scene& scene) {
-    Unknown masks{config.init, {}, {}};
-    for (const Instance& instance : scene.instances)
-        if (!instance.track.empty()) masks.actors.push_back(instance.track);
-    return masks;
-}
-
-/// What came back of a frame, 1 dropped, -1 where a moving thing that is not in the scene was or may have been.
-std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
-    std::vector<DeviceRay> rays;
-    std::vector<DeviceTarget> targets;
-    make_targets(sequence, frame, masks, rays, targets);
-    std::vector<float> dropped;
-    for (std::size_t i = 0; i < targets.size(); ++i)
-        dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
-    return dropped;
-}
-
-/// The same of the cells of config.sensor.grid. A cell is not known where something returned that is not.
+/// measured_drops() of the cells of config.sensor.grid. A cell is not known where something returned that is not.
 std::vector<float> measured_cell_drops(const Config& config, const Frame& frame, const std::vector<float>& dropped) {
     std::vector<float> cells = real_image(config, frame.scan).drop_prob;
     const RangeGrid grid = find_grid(config.sensor.grid);
@@ -83,14 +61,6 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
     const auto most = std::max_element(by_shape.begin(), by_shape.end(),
                                        [](const auto& a, const auto& b) { return a.second.size() < b.second.size(); });
     return most == by_shape.end() ? std::vector<int>{} : most->second;
-}
-
-/// At most n of them, spread over all; 0: all.
-std::vector<int> spread(const std::vector<int>& positions, int n) {
-    if (n <= 0 || positions.size() <= std::size_t(n)) return positions;
-    std::vector<int> chosen;
-    for (std::size_t i = 0; i < std::size_t(n); ++i) chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
-    return chosen;
 }
 
 /// What a network sees of the training frames and what came of it. @return nothing where stopped

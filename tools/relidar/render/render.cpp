@@ -366,6 +366,7 @@ void run_render(const RenderOptions& given) {
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
+    if (options.sample && !options.quiet) note_unscattered(run, lidar);
     for (const Wanted& w : wanted)
         if (!options.quiet) note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
@@ -462,8 +463,8 @@ void add_render(CLI::App& app, Call& call) {
         ->allow_extra_args(false);
     command
         ->add_option("--sample", options->sample,
-                     "draw each scan from the likely ones: drops by their probability, ranges with the noise measured on the log (default: "
-                     "the likeliest scan, free of noise)")
+                     "draw each scan from the likely ones: drops by their probability, ranges and intensities with the noise of the log "
+                     "(default: the likeliest scan, free of noise)")
         ->type_name("SEED");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);

@@ -15,6 +15,13 @@ void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorCh
                      sensor.name));
 }
 
+void note_unscattered(const Run& run, int lidar) {
+    const auto at = std::size_t(lidar);
+    if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
+    note(fmt::format("{} does not know how intensities scatter: sampled ones are the likeliest; relidar refine {} learns it",
+                     run.folder.string(), run.folder.string()));
+}
+
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
     std::size_t n_unseen = 0, n_known = 0;
     double worst = 0.0;

@@ -13,6 +13,9 @@ namespace relidar::cli {
 /// Says that the run's network does not fit the scans of a sensor, where it does not.
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
 
+/// Says that sampled intensities are the likeliest, where nothing is known of how those of a LiDAR scatter.
+void note_unscattered(const Run& run, int lidar);
+
 /// Says which scans look where the log has not looked. @param entries  of scans.json
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
 

@@ -327,6 +327,8 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (!in_blocks) take_result(run, result);
     stages.begin("place");
     if (!result.interrupted) place_shown(device, run, options.quiet);
+    stages.begin("scatter");
+    if (!result.interrupted) learn_scatter_shown(device, run, options.quiet);
     stages.begin("save");
     save_run(run);
     if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options, stages);

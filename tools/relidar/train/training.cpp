@@ -106,6 +106,12 @@ void place_shown(Device& device, Run& run, bool quiet) {
     std::fflush(stdout);
 }
 
+void learn_scatter_shown(Device& device, Run& run, bool quiet) {
+    Progress progress(quiet);
+    run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
+    end_progress_line();
+}
+
 void check_network(const Device& device, const Config& config) {
     const DeviceInfo& info = device.info();
     const auto check = [&](const char* key, const std::string& value, const std::string& missing) {

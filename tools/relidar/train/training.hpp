@@ -23,6 +23,9 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 /// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them where they are.
 void place_shown(Device& device, Run& run, bool quiet);
 
+/// learn_scatter() with a progress line. Ctrl-C ends it with nothing known.
+void learn_scatter_shown(Device& device, Run& run, bool quiet);
+
 /// @throws DeviceError where this device or build cannot train the network that a training ends with: before that training
 void check_network(const Device& device, const Config& config);
 

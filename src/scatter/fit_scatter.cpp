@@ -1,0 +1,245 @@
+// SPDX-License-Identifier: Apache-2.0
+// The tree is grown from all returns, layer by layer. A node is parted at the feature and value that lower the entropy of its classes most,
+//   gain = sum n_c ln(n_c / n) of both children - that of the node,   c a class of 24 quantiles of all intensities,
+// as long as that is more than chance gives.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/scatter.hpp>
+
+#include "core/parallel.hpp"
+#include "core/random.hpp"
+#include "scatter/context.hpp"
+
+namespace relidar {
+namespace {
+
+using scatter_detail::Context;
+using scatter_detail::Features;
+using scatter_detail::kFeatures;
+
+constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
+constexpr std::size_t kFewestOfLeaf = 50;
+constexpr double kLeastGain = 20.0;   // twice it is chi-square with 23 degrees of freedom: one in 100 by chance, of the best of all cuts
+constexpr std::size_t kClasses = 24, kBins = 64;
+constexpr std::size_t kQuantileReturns = 100000;   // that quantiles are taken from
+
+/// What is known of the returns: rows of bins, one a feature.
+struct Returns {
+    std::vector<std::array<std::uint8_t, kFeatures>> bins;
+    std::vector<std::uint8_t> of_class;
+    std::vector<float> value;
+    std::array<std::vector<float>, kFeatures> cuts;   ///< upper ends of all bins but the last
+};
+
+/// Where a sorted list is parted into n parts; none twice.
+std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
+    std::sort(values.begin(), values.end());
+    std::vector<float> cuts;
+    for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
+    cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
+    return cuts;
+}
+
+std::uint8_t bin(const std::vector<float>& cuts, float value) {
+    return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
+}
+
+/// A return of the images.
+struct Place {
+    std::uint32_t image, ray;
+};
+
+bool is_return(const MeasuredIntensities& image, std::size_t ray) {
+    return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
+}
+
+/// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are more.
+std::vector<Place> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
+    std::size_t n = 0;
+    for (const MeasuredIntensities& image : images)
+        for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
+    const double share = double(most) / double(std::max<std::size_t>(n, 1));
+    std::vector<Place> places;
+    for (std::size_t k = 0; k < images.size(); ++k)
+        for (std::size_t i = 0; i < images[k].measured.size(); ++i)
+            if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share) places.push_back({std::uint32_t(k), std::uint32_t(i)});
+    return places;
+}
+
+Features features_of(std::span<const MeasuredIntensities> images, Place place) {
+    const MeasuredIntensities& image = images[place.image];
+    const int columns = image.rendered.columns, ray = int(place.ray);
+    return Context(image.rendered, image.measured).of(ray / columns, ray % columns);
+}
+
+Returns read_returns(std::span<const MeasuredIntensities> images, const std::vector<Place>& places) {
+    Returns result;
+    std::array<std::vector<float>, kFeatures> some;
+    const std::size_t stride = places.size() / kQuantileReturns + 1;
+    for (std::size_t i = 0; i < places.size(); i += stride) {
+        const Features features = features_of(images, places[i]);
+        for (std::size_t f = 0; f < kFeatures; ++f) some[f].push_back(features[f]);
+    }
+    for (std::size_t f = 0; f < kFeatures; ++f) result.cuts[f] = quantiles(std::move(some[f]), kBins);
+    for (const Place& place : places) result.value.push_back(images[place.image].measured[place.ray]);
+    const std::vector<float> classes = quantiles(result.value, kClasses);
+    for (const float value : result.value) result.of_class.push_back(bin(classes, value));
+    result.bins.resize(places.size());
+    for_each_block(places.size(), [&](std::size_t i) {
+        const Features features = features_of(images, places[i]);
+        for (std::size_t f = 0; f < kFeatures; ++f) result.bins[i][f] = bin(result.cuts[f], features[f]);
+    });
+    return result;
+}
+
+/// Returns counted by class.
+struct Counts {
+    std::array<std::uint32_t, kClasses> of{};
+    std::uint32_t n = 0;
+
+    void add(const Counts& other) {
+        for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
+        n += other.n;
+    }
+    Counts without(const Counts& other) const {
+        Counts rest = *this;
+        for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
+        rest.n -= other.n;
+        return rest;
+    }
+    /// Sum of n_c ln(n_c / n).
+    double order() const {
+        const auto term = [](double k) { return k > 0.0 ? k * std::log(k) : 0.0; };
+        double sum = -term(double(n));
+        for (const std::uint32_t k : of) sum += term(double(k));
+        return sum;
+    }
+};
+
+/// Where a node is parted: up to the end of a bin of a feature.
+struct Cut {
+    double gain = kLeastGain;
+    int feature = -1;
+    std::size_t bin = 0;
+};
+
+/// @param order  positions in `returns`, those of the node
+Cut find_cut(const Returns& returns, std::span<const std::uint32_t> order) {
+    Cut best;
+    if (order.size() < 2 * kFewestOfLeaf) return best;
+    std::vector<std::array<Counts, kBins>> counts(kFeatures);
+    for (const std::uint32_t i : order)
+        for (std::size_t f = 0; f < kFeatures; ++f) {
+            Counts& of_bin = counts[f][returns.bins[i][f]];
+            ++of_bin.of[returns.of_class[i]];
+            ++of_bin.n;
+        }
+    Counts all;
+    for (const Counts& of_bin : counts[0]) all.add(of_bin);
+    const double before = all.order();
+    for (std::size_t f = 0; f < kFeatures; ++f) {
+        Counts low;
+        for (std::size_t b = 0; b < returns.cuts[f].size(); ++b) {
+            low.add(counts[f][b]);
+            if (low.n < kFewestOfLeaf || all.n - low.n < kFewestOfLeaf) continue;
+            const double gain = low.order() + all.without(low).order() - before;
+            if (gain > best.gain) best = {gain, int(f), b};
+        }
+    }
+    return best;
+}
+
+/// Parts the nodes from `first` on where it pays. @param order  of the returns; those of a node come to lie side by side
+void part_layer(const Returns& returns, std::vector<std::uint32_t>& order, std::vector<IntensityScatter::Node>& nodes, std::size_t first) {
+    const std::size_t end = nodes.size();
+    std::vector<Cut> cuts(end - first);
+    const auto part = [&](std::size_t k) { return std::span(order).subspan(nodes[first + k].first, nodes[first + k].count); };
+    std::vector<std::uint32_t> n_low(end - first, 0);
+    run_parallel(int(end - first), [&](int k) {
+        const Cut& cut = cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)));
+        if (cut.feature < 0) return;
+        const auto own = part(std::size_t(k));
+        const auto is_low = [&](std::uint32_t i) { return returns.bins[i][std::size_t(cut.feature)] <= cut.bin; };
+        n_low[std::size_t(k)] = std::uint32_t(std::stable_partition(own.begin(), own.end(), is_low) - own.begin());
+    });
+    for (std::size_t k = 0; k < cuts.size(); ++k) {
+        if (cuts[k].feature < 0) continue;
+        IntensityScatter::Node& node = nodes[first + k];
+        node.feature = cuts[k].feature;
+        node.at = returns.cuts[std::size_t(cuts[k].feature)][cuts[k].bin];
+        node.child = std::int32_t(nodes.size());
+        const std::uint32_t begin = node.first, count = node.count;
+        nodes.push_back({.first = begin, .count = n_low[k]});
+        nodes.push_back({.first = begin + n_low[k], .count = count - n_low[k]});
+    }
+}
+
+void check_sizes(std::span<const MeasuredIntensities> images) {
+    for (const auto& [r, measured] : images) {
+        const std::size_t n = std::size_t(r.rows) * std::size_t(r.columns);
+        for (const std::size_t size :
+             {r.intensity.size(), r.range_m.size(), r.spread_m.size(), r.cosine.size(), r.elevation_rad.size(), measured.size()})
+            if (size != n)
+                throw DataError(fmt::format("finding how intensities scatter: found an array of {} rays, expected {} x {}", size, r.rows,
+                                            r.columns));
+    }
+}
+
+/// The common divisor of two numbers, but for what is less than `error`.
+double common_divisor(double a, double b, double error) {
+    while (b > error) {
+        const double rest = std::abs(std::remainder(a, b));
+        a = b;
+        b = rest;
+    }
+    return a;
+}
+
+}  // namespace
+
+double find_step(std::vector<float> values) {
+    constexpr double kError = 1e-6, kFinest = 1e-5;   // of the largest value
+    constexpr std::size_t kFewestLevels = 8;
+    std::sort(values.begin(), values.end());
+    values.erase(std::unique(values.begin(), values.end()), values.end());
+    if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
+    const double largest = double(values.back());
+    double step = 0.0;
+    for (const float value : values) {
+        step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
+        if (value > 0.0f && step < kFinest * largest) return 0.0;
+        if (step > 0.0) step = double(value) / std::round(double(value) / step);   // as exact as the largest value so far tells it
+    }
+    const auto is_multiple = [&](float v) { return std::abs(std::remainder(double(v), step)) <= kError * largest; };
+    return std::ranges::all_of(values, is_multiple) ? step : 0.0;
+}
+
+float IntensityScatter::quantised(float intensity) const {
+    return step > 0.0 ? static_cast<float>(std::round(double(intensity) / step) * step) : intensity;
+}
+
+IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
+    check_sizes(images);
+    const std::vector<Place> places = returns_of(images, kMostReturns);
+    IntensityScatter result;
+    if (places.size() < kFewestReturns) return result;
+    const Returns returns = read_returns(images, places);
+    std::vector<std::uint32_t> order(places.size());
+    std::iota(order.begin(), order.end(), 0u);
+    result.nodes = {{.first = 0, .count = std::uint32_t(order.size())}};
+    for (std::size_t first = 0; first < result.nodes.size();) {
+        const std::size_t end = result.nodes.size();
+        part_layer(returns, order, result.nodes, first);
+        first = end;
+    }
+    for (const std::uint32_t i : order) result.values.push_back(returns.value[i]);
+    result.step = find_step(result.values);
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "train/frames/measured_frame.hpp"
+
+#include <cstddef>
+
+namespace relidar {
+
+SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
+    SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
+    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
+        sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    return sensor;
+}
+
+Unknown masks_of(const Config& config, const Scene& scene) {
+    Unknown masks{config.init, {}, {}};
+    for (const Instance& instance : scene.instances)
+        if (!instance.track.empty()) masks.actors.push_back(instance.track);
+    return masks;
+}
+
+std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
+    std::vector<DeviceRay> rays;
+    std::vector<DeviceTarget> targets;
+    make_targets(sequence, frame, masks, rays, targets);
+    std::vector<float> dropped;
+    for (std::size_t i = 0; i < targets.size(); ++i)
+        dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
+    return dropped;
+}
+
+std::vector<int> spread(const std::vector<int>& positions, int n) {
+    if (n <= 0 || positions.size() <= std::size_t(n)) return positions;
+    std::vector<int> chosen;
+    for (std::size_t i = 0; i < std::size_t(n); ++i) chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
+    return chosen;
+}
+
+}  // namespace relidar
