@@ -494,6 +494,7 @@ XOSC
     good edit run --out both --force --insert "removed#1@$start"
     says "note: removed was recorded by another sensor"
     good eval moved --out edited.json
+    bad 3 'moved: realism: found an edited run' eval moved --realism
     says "the street was cast again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
     good eval path --out path.json   # of a name that no car of the street has
