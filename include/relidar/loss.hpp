@@ -12,7 +12,7 @@ namespace relidar {
 /// Weights of the terms (relidar/shared/loss_terms.h), each a mean over its pixels, points or surfels; and what else there is to
 /// choose.
 struct LossWeights {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) float setting = standard;
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     bool normalised_depth = false;   ///< compare D / W instead of D (paper)
@@ -24,14 +24,14 @@ struct LossWeights {
     bool operator==(const LossWeights&) const = default;
 };
 
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) #name,
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) #name,
 inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};   ///< in the order of their places
 #undef RELIDAR_TERM
 inline constexpr int kLossTerms = kLossTermNames.size();
 
 /// Place of each term in a row of terms: loss_term::depth, ...
 namespace loss_term {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) inline constexpr std::size_t name = index;
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) inline constexpr std::size_t name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)   // a constant each
 #undef RELIDAR_TERM
 }  // namespace loss_term

@@ -10,7 +10,7 @@
 RELIDAR_SHARED_BEGIN
 
 // kTerm_depth, ...: places in `terms`, a row of which holds one weighted value a term.
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) const uint kTerm_##name = index;
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
 

@@ -158,7 +158,7 @@ void visit_scene(C& c, Visitor&& f) {
 
 template <class C, class Visitor>
 void visit_losses(C& c, Visitor&& f) {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), expert("the range term compares D / W; false: D, as the paper does"));
@@ -199,8 +199,7 @@ void visit_training(C& c, Visitor&& f) {
       "train also where more than 5 % of the scans did not find their place; false: an error");
     f("train.pose_rate_m", c.train.pose_rate_m, at_least(0),
       expert("learning rate of the sensor's translations at the start, metres; a tenth at the end; its turns have a tenth of it in "
-             "radians, boxes "
-      "ten times as much; without train.pose_register 2e-3 and more follow centimetres"));
+             "radians, boxes ten times as much; without train.pose_register 2e-3 and more follow centimetres"));
 }
 
 /// What training tells and keeps.
@@ -275,8 +274,7 @@ void visit(C& c, Visitor&& f) {
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
       expert("range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the mean of the heaviest "
-             "surface (hits "
-      "nearer to each other than sensor.return_separation_m are one)"));
+             "surface (hits nearer to each other than sensor.return_separation_m are one)"));
     f("render.follow_sweeps", c.render.follow_sweeps, anything(),
       expert("the log's own sensor, rendered at one of its sweeps, has the azimuths of that sweep; false: nominal ones, evenly spaced "
              "(paper)"));
@@ -284,8 +282,7 @@ void visit(C& c, Visitor&& f) {
       "what scans say of each ray beside the basic channels, in all their outputs; `relidar render --help` says what they are");
     f("render.points", c.render.points, one_of({"median", "range"}),
       expert("points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at render.range, which has "
-             "points "
-      "between two surfaces"));
+             "points between two surfaces"));
     f("render.memory_mib", c.render.memory_mib, between(0, kMaxCount),
       "device memory, MiB, for blocks of a long scene that are kept beside those that a scan needs");
     f("eval.lpips_weights", c.eval.lpips_weights, anything(),
@@ -294,8 +291,7 @@ void visit(C& c, Visitor&& f) {
     f("trace.chunk", c.trace.chunk, between(1, 64), expert("hits sorted at a time"));
     f("trace.keep_hits", c.trace.keep_hits, between(0, 4096),
       expert("training: hits kept a ray, 8 bytes each, which need no second search; doubled up to 256 while more than one ray in a "
-             "hundred has "
-      "more; 0: cast all again, as the paper does"));
+             "hundred has more; 0: cast all again, as the paper does"));
 }
 
 }  // namespace relidar::config_detail

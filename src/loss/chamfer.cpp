@@ -6,6 +6,7 @@
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
+#include "loss/losses.hpp"
 #include "shared/loss.h"
 
 namespace relidar {
@@ -133,6 +134,9 @@ struct ChamferLoss::Impl {
 
 ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays) : impl_(new Impl(device, weights, n_rays)) {}
 ChamferLoss::~ChamferLoss() = default;
+std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+    return std::make_unique<ChamferLoss>(device, weights, n_rays);
+}
 
 void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch, const TermRow& terms) {
     Impl& c = *impl_;

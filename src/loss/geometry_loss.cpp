@@ -24,6 +24,9 @@ GeometryLoss::GeometryLoss(Device& device, const LossWeights& weights, std::uint
                      {device, "loss/geometry_loss", accumulating_variant(device)},
                      {device, "loss/normal_vjp"}}) {}
 GeometryLoss::~GeometryLoss() = default;
+std::unique_ptr<Loss> make_geometry_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+    return std::make_unique<GeometryLoss>(device, weights, n_rays);
+}
 
 void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch, const TermRow& terms) {
     const LossWeights& w = impl_->weights;

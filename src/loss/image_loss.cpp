@@ -8,6 +8,7 @@
 
 #include "core/assert.hpp"
 #include "gpu/stream.hpp"
+#include "loss/losses.hpp"
 #include "shared/loss.h"
 
 namespace relidar {
@@ -26,6 +27,9 @@ ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n
                      {device, "loss/ssim_vjp"},
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
 ImageLoss::~ImageLoss() = default;
+std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+    return std::make_unique<ImageLoss>(device, weights, n_rays);
+}
 
 void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch, const TermRow& terms) {
     const Array<shared::RenderedRay>& rendered = *rays.rendered;

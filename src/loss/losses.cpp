@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // The list of losses, and that the list of terms is one.
-#include <relidar/stages/loss.hpp>
+#include <algorithm>
 
-#include "shared/loss.h"
+#include "loss/losses.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr bool are_in_order() {
-#define RELIDAR_TERM(index, name, setting, standard, accepts, meaning) index,
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
     std::size_t next = 0;
@@ -24,11 +24,20 @@ void Loss::compare(Stream&, const RenderedBatch&, const TargetBatch&, const Term
 void Loss::regularise(Stream&, const DeviceScene&, const SurfelGradients&, const TermRow&) {}
 
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+    struct Term {
+        float weight;
+        LossMaker* maker;
+    };
+    const Term terms[] = {
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) {weights.setting, make_##maker##_loss},
+        RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
+    };
+    std::vector<LossMaker*> makers{make_image_loss};   // outputs gradients to which the others add
+    for (const Term& term : terms)
+        if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end()) makers.push_back(term.maker);
     std::vector<std::unique_ptr<Loss>> losses;
-    losses.push_back(std::make_unique<ImageLoss>(device, weights, n_rays));
-    if (weights.uses_geometry() || weights.likelihood > 0.0f) losses.push_back(std::make_unique<GeometryLoss>(device, weights, n_rays));
-    if (weights.chamfer > 0.0f) losses.push_back(std::make_unique<ChamferLoss>(device, weights, n_rays));
-    if (weights.box > 0.0f) losses.push_back(std::make_unique<SurfelLoss>(device, weights));
+    for (LossMaker* make : makers) losses.push_back(make(device, weights, n_rays));
     return losses;
 }
 

@@ -7,6 +7,7 @@
 #include <relidar/stages/scene.hpp>
 
 #include "gpu/stream.hpp"
+#include "loss/losses.hpp"
 #include "shared/loss.h"
 
 namespace relidar {
@@ -25,6 +26,9 @@ struct SurfelLoss::Impl {
 SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
     : impl_(new Impl{weights, {device, "loss/surfel_loss", accumulating_variant(device)}}) {}
 SurfelLoss::~SurfelLoss() = default;
+std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
+    return std::make_unique<SurfelLoss>(device, weights);
+}
 
 void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
     const LossWeights& w = impl_->weights;

@@ -15,7 +15,8 @@ constexpr std::string_view kVehicles[] = {
     "regular_vehicle", "large_vehicle", "box_truck", "truck_cab", "vehicular_trailer", "school_bus",           // Argoverse 2
     "articulated_bus", "message_board_trailer", "railed_vehicle", "traffic_light_trailer",
     "vehicle.car", "vehicle.truck", "vehicle.trailer", "vehicle.construction", "vehicle.bus.bendy",            // nuScenes
-    "vehicle.bus.rigid", "vehicle.emergency.ambulance", "vehicle.emergency.police"};
+    "vehicle.bus.rigid", "vehicle.emergency.ambulance", "vehicle.emergency.police",
+    "vehicle.other", "vehicle.ego_trailer", "vehicle.train", "other_vehicle", "emergency_vehicle"};            // TruckScenes, Lyft
 constexpr std::string_view kCyclists[] = {"cyclist", "bicycle", "motorcycle", "rider", "bicyclist", "motorcyclist", "wheeled_rider",
                                           "vehicle.bicycle", "vehicle.motorcycle"};
 constexpr std::string_view kPersons[] = {"pedestrian", "person", "person (sitting)", "person_sitting", "official_signaler",

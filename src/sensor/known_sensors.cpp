@@ -13,8 +13,11 @@
 
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
+#include <relidar/stages/sensor.hpp>
 
 #include "core/assert.hpp"
+#include "core/csv.hpp"
+#include "core/files.hpp"
 
 namespace relidar {
 
@@ -148,6 +151,23 @@ SensorModel rosette() {
 }
 
 }  // namespace
+
+std::vector<BeamFiring> known_firings(const std::string& name) {
+    std::vector<BeamFiring> firings;
+    std::vector<std::string_view> header;
+    const std::vector<std::string> lines = split_lines(table_of(name));
+    for (const std::string& line : lines) {
+        if (line.starts_with('#')) continue;
+        const std::vector<std::string_view> cells = csv_cells(line);
+        const auto number = [&](std::string_view column) {
+            const auto at = std::size_t(std::ranges::find(header, column) - header.begin());
+            return at < header.size() ? parse_number(cells.at(at)).value_or(0.0) : 0.0;
+        };
+        if (header.empty()) header = cells;
+        else firings.push_back({int(number("channel")), number("firing_offset_us")});
+    }
+    return firings;
+}
 
 std::vector<std::string> sensor_names() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};

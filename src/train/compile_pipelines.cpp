@@ -20,16 +20,12 @@ struct Setting {
     const char* value;
 };
 
-// What is tried on top of the preset `default`, one at a time. A new specialisation constant is a line here.
+// What is tried on top of the preset `default`, one at a time, beside the terms of the loss. A new specialisation constant is a line here.
 constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
                                  {"image.single_drop_logit", "true"},
                                  {"train.deterministic", "true"},
                                  {"train.refine_poses", "sensor,actors"},
-                                 {"loss.distortion", "0.1"},
-                                 {"loss.likelihood", "0.1"},
-                                 {"loss.chamfer", "0.01"},
-                                 {"loss.box", "0.1"},
                                  {"render.range", "mode"},
                                  {"trace.chunk", "16"},
                                  {"trace.chunk", "64"},
@@ -75,6 +71,9 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile(device, street, make_preset(preset));
     }
     std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) settings.push_back({"loss." #setting, "0.1"});
+    RELIDAR_LOSS_TERMS(RELIDAR_TERM)
+#undef RELIDAR_TERM
     for (const PrimitiveKind& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
     for (const Setting& setting : settings) {
         tell(std::string(setting.key) + "=" + setting.value);

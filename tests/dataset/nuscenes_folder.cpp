@@ -36,6 +36,10 @@ std::int64_t time_us(int sweep) {
     return kFirst_us + sweep * 50000;
 }
 
+std::string sample_of(const char* token, const char* scene, int sweep) {
+    return fmt::format("\"token\": \"{}\", \"scene_token\": \"{}\", \"timestamp\": {}", token, scene, time_us(sweep));
+}
+
 /// The turn that ends at a sweep's time: its rays, and the file's bytes.
 std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
     std::string bytes;
@@ -83,8 +87,7 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
     write("scene",
           {"\"token\": \"s0\", \"name\": \"scene-0061\", \"first_sample_token\": \"k9\", \"description\": \"[a] \\\"{quoted}\\\"\"",
            "\"token\": \"s1\", \"name\": \"scene-0103\", \"first_sample_token\": \"k0\""});
-    write("sample", {"\"token\": \"k1\", \"scene_token\": \"s1\"", "\"token\": \"k0\", \"scene_token\": \"s1\"",
-                     "\"token\": \"k9\", \"scene_token\": \"s0\""});
+    write("sample", {sample_of("k1", "s1", 10), sample_of("k0", "s1", 0), sample_of("k9", "s0", 0)});
     write("sensor", {"\"token\": \"c\", \"channel\": \"CAM_FRONT\"", "\"token\": \"l\", \"channel\": \"LIDAR_TOP\""});
     write("calibrated_sensor", {"\"token\": \"mount\", \"sensor_token\": \"l\", " + pose_keys(mounted()),
                                 "\"token\": \"camera\", \"sensor_token\": \"c\", " + pose_keys(Pose{})});

@@ -117,6 +117,45 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     EXPECT_THAT(load(data).notes, testing::Contains("no annotations of this scene: nothing in it is labelled"));
 }
 
+TEST(Nuscenes, KeyframesAlone) {
+    const NuscenesFolder data("keyframes", 40);
+    fs::remove(data.sweep(4));
+    try {
+        load(data);
+        ADD_FAILURE() << "a hole among sweeps is an error";
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), testing::HasSubstr("turn_4.pcd.bin"));
+        EXPECT_THAT(error.what(), testing::HasSubstr("dataset.skip_broken=true leaves such scans out"));
+    }
+    DatasetOptions options;
+    options.skip_broken = true;
+    EXPECT_EQ(load(data, "103", options).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
+    fs::remove_all(data.folder / "sweeps");
+    const Sequence found = load(data);
+    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("its keyframes alone")));
+    ASSERT_EQ(found.frames.size(), 2u);
+    EXPECT_EQ(found.frames[1].index, 10);
+    EXPECT_NEAR(found.frames[1].time_s, 0.5, 1e-9);
+    EXPECT_EQ(found.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, found.frames[1].time_s}));
+    const PoseTrack track = found.world_from_sensor(0);
+    for (const Frame& frame : found.frames) {
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)), ring = 31u - frame.scan.rays.channel[i];
+            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            // a chord of half a second, from where the LiDAR turns about the axle
+            const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0), arc_m = 0.944 * 0.175 * 0.175;
+            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+                      1e-4);
+        }
+    }
+    options.frames = {1, 10};
+    EXPECT_THROW(load(data, "103", options), UsageError);
+}
+
 TEST(Nuscenes, SaysWhichRecordIsWrong) {
     const NuscenesFolder data("tables", 40);
     const auto expect = [&](const std::string& table, const std::string& from, const std::string& to, const std::string& part) {
@@ -135,12 +174,14 @@ TEST(Nuscenes, SaysWhichRecordIsWrong) {
         test::write_text(data.table(table), good);
     };
     expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name': expected text");
-    expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": 1.5, \"was\": 1533", "key 'timestamp': expected an integer");
+    expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533", "key 'timestamp': expected a number");
     expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1", "key 'is_key_frame': expected true or false");
     expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': 'd99' after 5 files");
     expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "expected times that rise");
     expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': 'gone' after 11 files");
-    expect("sensor", "LIDAR_TOP", "LIDAR_LEFT", "key 'channel': no LIDAR_TOP");
+    expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel': no LIDAR_*");
+    expect("sample_data", "turn_0.pcd.bin", "turn_0.las", "a LiDAR's file 'samples/LIDAR_TOP/turn_0.las', expected one that ends in");
+    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733", "whose pose it is, expected at most 0.1 s");
     expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ", "key 'rotation': expected 4 numbers");
     expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7", "key 'rotation': expected a quaternion of length 1");
     expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"", "no 'e5', the pose of sweeps/LIDAR_TOP/turn_5.pcd.bin");

@@ -15,7 +15,8 @@
 
 #include "core/bytes.hpp"
 #include "dataset/bag/messages.hpp"
-#include "dataset/bag/velodyne_packets.hpp"
+#include "dataset/packets/packet_log.hpp"
+#include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -246,31 +247,51 @@ std::vector<std::string> message_seeds(const fs::path&) {
                             .add(std::uint8_t(1))
                             .add(std::uint8_t(1))
                             .take();
-    return {std::string(1, '\0') + cloud(false, kStart_ns), '\1' + cloud(true, kStart_ns), '\2' + transform(false, kStart_ns, 1.0),
-            '\3' + transform(true, kStart_ns, 1.0),         '\4' + packets(kStart_ns),     '\6' + livox};
+    Draft detections(false), objects(false);
+    detections.add_header(kStart_ns, "map").add(std::uint32_t(1)).add_header(kStart_ns, "map").add(std::uint32_t(0));
+    for (const double v : {1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0, 4.0, 2.0, 1.5}) detections.add(v);
+    detections.add_text("7");
+    objects.add_header(kStart_ns, "map").add(std::uint32_t(1));
+    for (int i = 0; i < 16; ++i) objects.add(std::uint8_t(i));
+    objects.add(1.0f).add(std::uint32_t(1)).add(std::uint8_t(1)).add(1.0f);
+    for (int i = 0; i < 7 + 36 + 2 * 42; ++i) objects.add(i == 6 ? 1.0 : 0.0);
+    objects.add(std::uint8_t(2)).add(std::uint8_t(0)).add(std::uint8_t(0)).add(std::uint32_t(0)).add(4.0).add(2.0).add(1.5);
+    return {std::string(1, '\0') + cloud(false, kStart_ns),
+            '\1' + cloud(true, kStart_ns),
+            '\2' + transform(false, kStart_ns, 1.0),
+            '\3' + transform(true, kStart_ns, 1.0),
+            '\4' + packets(kStart_ns),
+            '\6' + livox,
+            '\x12' + detections.take(),
+            '\x14' + objects.take()};
 }
 
 void read_message(std::string_view input, const fs::path&) {
     static constexpr const char* kMessages[] = {"sensor_msgs/PointCloud2",     "tf2_msgs/TFMessage", "velodyne_msgs/VelodyneScan",
                                                 "livox_ros_driver2/CustomMsg", "nav_msgs/Odometry",  "geometry_msgs/PoseStamped",
-                                                "foxglove.PointCloud",       "foxglove.FrameTransforms"};
+                                                "foxglove.PointCloud",         "foxglove.FrameTransforms",
+                                                "foxglove.SceneUpdate",        "vision_msgs/Detection3DArray",
+                                                "autoware_perception_msgs/TrackedObjects", "nebula_msgs/NebulaPackets",
+                                                "pandar_msgs/PandarScan"};
     if (input.empty()) return;
     const unsigned kind = static_cast<unsigned char>(input[0]);
     const std::size_t type = kind / 2 % std::size(kMessages);
-    const bag::Topic topic{"/t", kMessages[type], type >= 6 ? "protobuf" : kind % 2 ? "ros1" : "cdr"};
+    const std::string topic_type = kMessages[type];
+    const bag::Topic topic{"/t", topic_type, topic_type.starts_with("foxglove.") ? "protobuf" : kind % 2 ? "ros1" : "cdr"};
     const std::string_view bytes = input.substr(1);
     if (bag::use_of(topic) == bag::Use::cloud) {
         bag::table_of(bag::read_cloud(topic, bytes));
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
-        bag::PacketLog log;
-        const std::vector<bag::PacketView> views = bag::read_packets(topic, bytes, header);
-        for (int k = 0; k < 2; ++k) log.add(views, 0, {});
+        packets::PacketLog log;
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
+        for (int k = 0; k < 2; ++k) log.add(views, 0, {}, "");
         if (log.empty()) return;
         const SpinningSensor sensor = log.sensor();
-        std::vector<bag::PacketView> twice = views;
-        twice.insert(twice.end(), views.begin(), views.end());
-        for (const bag::PacketTurn& turn : log.turns()) log.scan(turn, twice, sensor, turn.forward_ns);
+        for (const packets::PacketTurn& turn : log.turns())
+            log.scan(turn, std::vector(log.messages(turn).size(), views), sensor, turn.forward_ns);
+    } else if (bag::use_of(topic) == bag::Use::boxes) {
+        bag::read_boxes(topic, bytes);
     } else {
         bag::read_transforms(topic, bytes);
     }

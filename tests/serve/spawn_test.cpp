@@ -283,6 +283,14 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
     EXPECT_EQ(actors.take(1, {{"c", car}})[0].position, 1u);
 }
 
+TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {
+    const std::filesystem::path model = folder / "assets" / "van-1" / "model.safetensors";
+    std::filesystem::resize_file(model, std::filesystem::file_size(model) / 2);
+    start();   // which reads no more of assets than what they say of themselves
+    expect_refused(spawn_request({{"x", "asset van-1"}}), Code::FAILED_PRECONDITION, "van-1");
+    EXPECT_EQ(spawned({{"y", "car"}}).actors_size(), 1) << "the scene is as it was";
+}
+
 TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
     save_asset(plate_asset("van-1"), folder / "others" / "van-1");
     const std::string message =

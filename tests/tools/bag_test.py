@@ -430,11 +430,11 @@ def test_packets():
         text = "\n".join(head["notes"])
         expect(("2 packets are missing" in text) == bool(lost), f"{name}: {text}")
         print(f"{name}: {len(found)} returns as written")
-    packets, _ = packets_of(False, product=0x28, n=5)
+    packets, _ = packets_of(False, product=0xA1, n=5)
     bags.write_mcap(bag, [("/velodyne_packets", "velodyne_msgs/VelodyneScan", T0, {"header": {"stamp": T0, "frame_id": "velodyne"}, "packets": packets})])
-    expect("VLP-32C" in run("info", bag, code=3), "packets of another product")
-    bags.TYPES["pandar_msgs/PandarScan"] = bags.TYPES["std_msgs/String"]
-    bags.write_mcap(bag, [("/pandar_packets", "pandar_msgs/PandarScan", T0, {"data": "x"})])
+    expect("VLS-128" in run("info", bag, code=3), "packets of another product")
+    bags.TYPES["robosense_msgs/RobosenseScan"] = bags.TYPES["std_msgs/String"]
+    bags.write_mcap(bag, [("/packets", "robosense_msgs/RobosenseScan", T0, {"data": "x"})])
     expect("nebula makes clouds of" in run("info", bag, code=3), "packets that are not decoded")
 
 

@@ -56,6 +56,9 @@ class Serial:
         elif isinstance(kind, str):
             self.number(kind, value)
         elif isinstance(kind, tuple):       # a list of fixed length
+            if kind[0] == "B":
+                self.out += bytes(value)
+                return
             for item in value:
                 self.number(kind[0], item)
         elif isinstance(kind[0], list):     # a list of any length

@@ -16,7 +16,6 @@ AssetShelf::AssetShelf(const std::vector<std::string>& folders) {
             if (const Entry* same = find(facts.name))
                 throw UsageError(fmt::format("serving assets of {}: found {} in {} too, expected each name once", folder, facts.name,
                                              same->folder.parent_path().string()));
-            only_track(load_run(entry));
             entries_.push_back({entry, std::move(facts)});
         }
     }

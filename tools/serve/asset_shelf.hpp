@@ -12,6 +12,7 @@ namespace relidar::serve {
 /// Never changes.
 class AssetShelf {
 public:
+    /// Reads what assets say of themselves: many of them are never used. Who puts one into a scene reads the rest.
     /// @param folders  of `relidar assets` @throws DataError where one cannot be read, UsageError for a name that two assets have
     explicit AssetShelf(const std::vector<std::string>& folders);
 

@@ -8,6 +8,8 @@
 
 #include <relidar/error.hpp>
 
+#include "dataset/packets/packet_messages.hpp"
+
 namespace relidar::bag {
 namespace {
 
@@ -31,8 +33,28 @@ std::string BagScans::name(std::size_t frame) const {
 
 ScanPoints BagScans::points(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
+    if (at.entry.parts.empty()) return points_of_cloud(frame, at.entry, at.cloud_s);
+    ScanPoints all;
+    for (const TurnPart& part : at.entry.parts) {
+        const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
+        ScanPoints points = points_of_cloud(frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
+        if (points.time_offset_s.empty())
+            throw DataError(fmt::format("{}: {}, and its points have no times that can be used, expected whole turns, or times",
+                                        name(frame), lidars_[at.lidar].clouds->parts_about));
+        const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
+        append(all.point_m, points.point_m), append(all.intensity, points.intensity), append(all.ring, points.ring);
+        append(all.time_offset_s, points.time_offset_s), append(all.return_number, points.return_number);
+    }
+    if ((!all.ring.empty() && all.ring.size() != all.size()) || (!all.return_number.empty() && all.return_number.size() != all.size()))
+        throw DataError(fmt::format(
+            "{}: some parts of its turn have rings or numbers of returns and some have none, expected the same of all", name(frame)));
+    return all;
+}
+
+ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+    const FrameCloud& at = clouds_[frame];
     const CloudUnits& units = lidars_[at.lidar].units;
-    const std::string bytes = bag_.read(at.entry.place);
+    const std::string bytes = bag_.read(cloud.place);
     folder::PointTable table;
     try {
         table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].clouds->topic], bytes));
@@ -41,8 +63,8 @@ ScanPoints BagScans::points(std::size_t frame) const {
     }
     if (units.zero == TimeZero::none)
         for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"}) table.fields.erase(field);
-    double zero_s = at.time_s - at.cloud_s;  // what counts as 0 s of the frame, in times of points
-    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(at.entry.stamp_ns);
+    double zero_s = at.time_s - cloud_s;  // what counts as 0 s of the frame, in times of points
+    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
     return folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
 }
@@ -50,13 +72,14 @@ ScanPoints BagScans::points(std::size_t frame) const {
 Scan BagScans::rays(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
-    const PacketTurn& turn = clouds.turns[at.entry.turn];
+    const packets::PacketTurn& turn = clouds.turns[at.entry.turn];
+    const std::vector<packets::PacketLog::Source> sources = clouds.packets.messages(turn);
     std::vector<std::string> messages;
-    for (const Place& place : clouds.packets.places(turn)) messages.push_back(bag_.read(place));
-    std::vector<PacketView> packets;
+    for (const auto& source : sources) messages.push_back(bag_.read(source.place));
+    std::vector<std::vector<packets::PacketView>> packets;
     Header header;
-    for (const std::string& bytes : messages)
-        for (const PacketView& packet : read_packets(bag_.topics()[clouds.topic], bytes, header)) packets.push_back(packet);
+    for (std::size_t m = 0; m < messages.size(); ++m)
+        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m], sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
     return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
 }

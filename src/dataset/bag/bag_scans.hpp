@@ -31,8 +31,8 @@ struct LidarTopic {
 class BagScans : public folder::ScanSource {
 public:
     /// @param clouds  [frames]
-    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds)
-        : bag_(bag), lidars_(lidars), clouds_(clouds) {}
+    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds, Clock clock)
+        : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock) {}
 
     std::string name(std::size_t frame) const override;
     bool has_points(std::size_t frame) const override { return lidars_[clouds_[frame].lidar].clouds->packets.empty(); }
@@ -43,6 +43,9 @@ private:
     const Bag& bag_;
     const std::vector<LidarTopic>& lidars_;
     const std::vector<FrameCloud>& clouds_;
+    const Clock clock_;
+
+    ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };
 
 /// What numbers of a topic's points mean, by some of its clouds. @param step_s  from cloud to cloud

@@ -24,6 +24,7 @@ struct PoseChoice {
     Clock clock = Clock::stamps;
     std::int64_t zero_ns = 0;      ///< time of the first cloud, what counts as 0 s
     std::optional<PosePath> path;  ///< world_from_vehicle by seconds; nothing where the recording has no poses
+    std::string world;             ///< frame in which `path` is
     std::string vehicle;           ///< frame of the vehicle: the LiDARs are fixed to it
     std::string about;             ///< what is used, in words
     std::vector<std::string> notes;
@@ -31,5 +32,13 @@ struct PoseChoice {
 /// @param main  the clouds whose times need poses @param wanted  a frame, or a topic of poses; empty: guessed
 /// @throws UsageError where `wanted` is neither
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main, const std::string& wanted);
+
+/// Boxes that are used.
+struct BoxChoice {
+    const BoxTopic* topic = nullptr;  ///< in Survey::boxes; null: none
+    std::vector<std::string> notes;
+};
+/// The topic with the most boxes that have an identity, of equal ones the first by name.
+BoxChoice choose_boxes(const Bag& bag, const Survey& survey);
 
 }  // namespace relidar::bag

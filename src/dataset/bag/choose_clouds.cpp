@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 
@@ -23,18 +24,13 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// Packets that relidar does not decode, and what makes clouds of them.
+/// Messages of packets that relidar does not read, and what makes clouds of them.
 struct PacketDriver {
     const char* package;
     const char* driver;
 };
 constexpr PacketDriver kDrivers[] = {
-    {"pandar_msgs/", "nebula"},
-    {"nebula_msgs/", "nebula"},
     {"hesai_ros_driver/", "hesai_ros_driver"},
-    {"ouster_ros/PacketMsg", "ouster-ros"},
-    {"ouster_msgs/", "ouster-ros"},
-    {"ouster_sensor_msgs/PacketMsg", "ouster-ros"},
     {"rslidar_msg/", "rslidar_sdk"},
     {"robosense_msgs/", "nebula"},
     {"seyond/", "seyond_ros_driver"},
@@ -63,14 +59,34 @@ double rawness(const CloudTopic& clouds) {
     return 100.0 * timed + 50.0 * ringed + 20.0 * numbered + std::log10(1.0 + double(clouds.usual_points()));
 }
 
-/// Clouds in frames of the vehicle or the world are merged, or maps.
-bool is_of_sensor(const CloudTopic& clouds) {
-    static const std::vector<std::string> kOthers = {"map", "odom", "world", "earth", "base_link", "base_footprint"};
-    return std::ranges::find(kOthers, clouds.frame) == kOthers.end();
+constexpr std::array kOfWorld = {"map", "odom", "world", "earth"}, kOfVehicle = {"base_link", "base_footprint", "vehicle", "ego"};
+
+template <std::size_t N>
+bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
+    return std::ranges::find(frames, clouds.frame) != frames.end();
 }
 
+/// Clouds in frames of the vehicle or the world are merged, or maps.
+bool is_of_sensor(const CloudTopic& clouds) {
+    return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle);
+}
+
+/// What is no scan of a LiDAR is refused, or said to be taken for one.
+void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
+    if (is_in(clouds, kOfWorld))
+        throw DataError(fmt::format("{}: clouds in the frame '{}' are maps, or sweeps that were moved there: where the LiDAR was is not in "
+                                    "them, expected clouds in the LiDAR's frame (dataset.lidars)",
+                                    name, clouds.frame));
+    if (is_in(clouds, kOfVehicle))
+        choice.notes.push_back(fmt::format("{}: clouds in the frame '{}' of the vehicle are often those of several LiDARs merged: their "
+                                           "rays are taken as fired from that frame's origin, which is wrong near the vehicle",
+                                           name, clouds.frame));
+}
+
+/// Of sweeps, which may be several messages each.
 double rate_of(const Survey& survey, const CloudTopic& clouds) {
-    return survey.facts[clouds.topic].rate_hz();
+    const TopicFacts& facts = survey.facts[clouds.topic];
+    return facts.rate_hz() * double(clouds.clouds.size()) / double(std::max<std::size_t>(facts.n - clouds.n_empty, 1));
 }
 
 std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted) {
@@ -133,12 +149,14 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
             why = fmt::format("/tf_static does not say where '{}' is mounted beside '{}'", clouds.frame, main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
             why = fmt::format("it has {:.3g} clouds for each of {}", rate, bag.topics()[main.topic].name);
-        if (why.empty())
+        if (why.empty()) {
+            check_frame(name, clouds, choice);
             kept.push_back(c);
-        else if (wanted.empty())
+        } else if (wanted.empty()) {
             choice.notes.push_back(fmt::format("{} is left out: {}; dataset.lidars={} reads it alone", name, why, name));
-        else
+        } else {
             throw DataError(fmt::format("{}: {}, expected topics that are read together (dataset.lidars)", name, why));
+        }
     }
     choice.main = std::size_t(std::ranges::find(kept, choice.lidars[choice.main]) - kept.begin());
     choice.lidars = std::move(kept);

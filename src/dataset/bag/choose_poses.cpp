@@ -14,8 +14,8 @@ namespace {
 
 /// What poses may come from, before a clock is chosen.
 struct PoseSource {
-    std::string outer;                 ///< a frame on the way up from the LiDAR
-    const PoseTopic* topic = nullptr;  ///< or a topic
+    std::string outer;                 ///< a frame on the way up from the LiDAR, or that of the topic
+    const PoseTopic* topic = nullptr;  ///< nothing: of /tf
     std::string vehicle;
     std::string about;
 };
@@ -43,7 +43,7 @@ PoseSource of_frame(const FrameTree& frames, const std::vector<std::string>& way
 
 PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& topic, const std::string& lidar,
                     std::vector<std::string>& notes) {
-    PoseSource source{{}, &topic, topic.child.empty() ? "base_link" : topic.child, {}};
+    PoseSource source{topic.parent, &topic, topic.child.empty() ? "base_link" : topic.child, {}};
     const std::string& name = bag.topics()[topic.topic].name;
     if (!frames.fixed(source.vehicle, lidar)) {
         notes.push_back(
@@ -120,6 +120,7 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
     choice.vehicle = main.frame;
     if (!source) return choice;
     choice.path = path_of(survey, *source, choice.clock, choice.zero_ns);
+    choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
     const std::size_t n = count_covered(main, *choice.path, choice.clock, choice.zero_ns);

@@ -19,8 +19,9 @@ constexpr double kJump_s = 0.5;  // of the stamps against the recorder's clock
 std::string clouds_text(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
         std::size_t n_missing = 0;
-        for (const PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
-        return fmt::format(", frame '{}', packets of a VLP-16: {} whole turns{}", excerpt(clouds.frame), clouds.turns.size(),
+        for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
+        return fmt::format(", frame '{}', packets of a {}: {} whole turns{}", excerpt(clouds.frame), clouds.packets.about(),
+                           clouds.turns.size(),
                            n_missing == 0 ? "" : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing));
     }
     std::vector<std::string> names;
@@ -31,6 +32,11 @@ std::string clouds_text(const CloudTopic& clouds) {
 
 std::string poses_text(const PoseTopic& poses) {
     return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "not said" : excerpt(poses.child), excerpt(poses.parent));
+}
+
+std::string boxes_text(const BoxTopic& boxes) {
+    return fmt::format(", frame '{}', {} boxes, {} with an identity{}", excerpt(boxes.frame), boxes.n_boxes, boxes.n_named,
+                       boxes.n_left_out == 0 ? "" : fmt::format("; {} more have no size or pose", boxes.n_left_out));
 }
 
 }  // namespace
@@ -48,6 +54,8 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
         }
         if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic); poses != survey.poses.end())
             line += poses_text(*poses);
+        if (const auto boxes = std::ranges::find(survey.boxes, t, &BoxTopic::topic); boxes != survey.boxes.end())
+            line += boxes_text(*boxes);
         if (facts.n_broken > 0) line += fmt::format(", {} of them cannot be read (the first: {})", facts.n_broken, facts.broken);
         lines.push_back(line + (used[t] ? ": used" : ""));
     }
@@ -87,16 +95,6 @@ std::string jumps_text(const CloudTopic& clouds) {
         text += fmt::format("{}the clock of the stamps jumps {} times against the recorder's, by {:.2f} s at most",
                             text.empty() ? "" : "; ", n_jumps, largest_s);
     return text;
-}
-
-double usual_step_s(std::vector<double> times_s) {
-    if (times_s.size() < 2) return 0.1;
-    std::ranges::sort(times_s);
-    std::vector<double> steps;
-    for (std::size_t i = 1; i < times_s.size(); ++i) steps.push_back(times_s[i] - times_s[i - 1]);
-    const auto middle = steps.begin() + std::ptrdiff_t(steps.size() / 2);
-    std::ranges::nth_element(steps, middle);
-    return *middle > 1e-3 ? *middle : 0.1;
 }
 
 }  // namespace relidar::bag

@@ -17,7 +17,4 @@ std::string gaps_text(const std::vector<double>& times_s, double step_s);
 /// Jumps of the stamps against the recorder's clock, and stamps that fall, likewise.
 std::string jumps_text(const CloudTopic& clouds);
 
-/// The step from one to the next in the middle; a tenth of a second where there is one alone.
-double usual_step_s(std::vector<double> times_s);
-
 }  // namespace relidar::bag

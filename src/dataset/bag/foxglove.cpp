@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Clouds and transforms by Foxglove's schemas in protobuf, as `relidar render --format mcap` writes them.
+// Clouds, transforms and boxes by Foxglove's schemas in protobuf, as `relidar render --format mcap` writes them.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -160,7 +160,96 @@ Transform transform_of(pbf_reader reader) {
     return transform;
 }
 
+/// Pose and size of a foxglove.CubePrimitive.
+struct Cube {
+    glm::dvec4 position{0.0}, rotation{0.0, 0.0, 0.0, 1.0};
+    glm::dvec3 size_m{0.0};
+};
+
+Cube cube_of(pbf_reader reader) {
+    Cube cube;
+    while (reader.next()) {
+        if (reader.tag_and_type() == tag_and_type(1, kBytes)) {
+            pbf_reader pose = reader.get_message();
+            while (pose.next()) {
+                if (pose.tag_and_type() == tag_and_type(1, kBytes))
+                    cube.position = vector_of(pose.get_message());
+                else if (pose.tag_and_type() == tag_and_type(2, kBytes))
+                    cube.rotation = vector_of(pose.get_message());
+                else
+                    pose.skip();
+            }
+        } else if (reader.tag_and_type() == tag_and_type(2, kBytes)) {
+            cube.size_m = vector_of(reader.get_message());
+        } else {
+            reader.skip();
+        }
+    }
+    return cube;
+}
+
+/// The value of a foxglove.KeyValuePair of this key.
+std::string value_of(pbf_reader reader, std::string_view wanted) {
+    std::string key, value;
+    while (reader.next()) {
+        if (reader.tag_and_type() == tag_and_type(1, kBytes))
+            key = reader.get_string();
+        else if (reader.tag_and_type() == tag_and_type(2, kBytes))
+            value = reader.get_string();
+        else
+            reader.skip();
+    }
+    return key == wanted ? value : "";
+}
+
+/// An entity is a box where it is one cube.
+void add_entity(BoxList& list, pbf_reader reader) {
+    Box box;
+    std::vector<Cube> cubes;
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
+            case tag_and_type(1, kBytes):
+                box.header.stamp_ns = timestamp_of(reader.get_message());
+                break;
+            case tag_and_type(2, kBytes):
+                box.header.frame = reader.get_string();
+                break;
+            case tag_and_type(3, kBytes):
+                box.id = reader.get_string();
+                break;
+            case tag_and_type(6, kBytes):
+                if (const std::string category = value_of(reader.get_message(), "category"); !category.empty()) box.category = category;
+                break;
+            case tag_and_type(8, kBytes):
+                cubes.push_back(cube_of(reader.get_message()));
+                break;
+            default:
+                reader.skip();
+        }
+    }
+    if (list.header.frame.empty()) list.header = box.header;
+    if (cubes.empty()) return;
+    const glm::dvec3& size = cubes.front().size_m;
+    const bool is_box = cubes.size() == 1 && std::isfinite(size.x + size.y + size.z) && size.x > 0.0 && size.y > 0.0 && size.z > 0.0;
+    list.n_left_out += !is_box;
+    if (!is_box) return;
+    box.size_m = size;
+    box.frame_from_box = checked_pose(cubes.front().position, cubes.front().rotation);
+    list.boxes.push_back(std::move(box));
+}
+
 }  // namespace
+
+BoxList read_foxglove_boxes(std::string_view bytes) {
+    try {
+        BoxList list;
+        pbf_reader reader(bytes.data(), bytes.size());
+        while (reader.next(2, protozero::pbf_wire_type::length_delimited)) add_entity(list, reader.get_message());
+        return list;
+    } catch (const protozero::exception& error) {
+        throw DataError(fmt::format("{}, expected foxglove.SceneUpdate in protobuf", error.what()));
+    }
+}
 
 Cloud read_foxglove_cloud(std::string_view bytes) {
     try {

@@ -110,6 +110,13 @@ PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clo
     return path;
 }
 
+std::optional<FramesApart> FrameTree::apart(const std::string& to, const std::string& from, Clock clock, std::int64_t zero_ns) const {
+    const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
+    const auto common = std::ranges::find_first_of(way_from, way_to);
+    if (common == way_from.end()) return std::nullopt;
+    return FramesApart{path(*common, to, clock, zero_ns), path(*common, from, clock, zero_ns)};
+}
+
 std::vector<std::string> FrameTree::disputed() const {
     std::vector<std::string> names;
     for (const auto& [frame, parents] : parents_)

@@ -43,6 +43,14 @@ private:
     std::vector<PoseTrack> links_;  ///< from the outermost frame inwards; one entry: fixed
 };
 
+/// Poses of one frame in another through the nearest frame above both.
+struct FramesApart {
+    PosePath above_from_to, above_from_from;
+
+    Pose at(double t_s) const { return inverse(above_from_to.at(t_s)) * above_from_from.at(t_s); }
+    bool covers(double t_s) const { return above_from_to.covers(t_s) && above_from_from.covers(t_s); }
+};
+
 class FrameTree {
 public:
     void add(const Transform& transform, std::int64_t log_ns, bool is_static);
@@ -55,6 +63,8 @@ public:
     std::optional<Pose> fixed(const std::string& to, const std::string& from) const;
     /// Path outer_from_frame, where `outer` is on the way up.
     PosePath path(const std::string& outer, const std::string& frame, Clock clock, std::int64_t zero_ns) const;
+    /// Poses to_from_from, nothing where no transforms lead from one to the other.
+    std::optional<FramesApart> apart(const std::string& to, const std::string& from, Clock clock, std::int64_t zero_ns) const;
     /// Frames that were seen in more than one parent: the one with the most transforms is taken.
     std::vector<std::string> disputed() const;
 

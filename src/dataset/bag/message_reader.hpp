@@ -64,6 +64,7 @@ public:
         return bytes_.substr(at_ - n, n);
     }
     std::size_t at() const { return at_; }
+    std::size_t left() const { return bytes_.size() - at_; }
 
 private:
     std::string_view bytes_;

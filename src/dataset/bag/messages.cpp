@@ -12,6 +12,7 @@
 
 #include "core/files.hpp"
 #include "dataset/bag/message_reader.hpp"
+#include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -24,16 +25,23 @@ struct TypeUse {
     Use use;
 };
 constexpr TypeUse kTypeUses[] = {
+    {"foxglove.PointCloud", Use::cloud},
+    {"foxglove.FrameTransforms", Use::transforms},
+    {"foxglove.SceneUpdate", Use::boxes},
     {"sensor_msgs/PointCloud2", Use::cloud},
     {"livox_ros_driver/CustomMsg", Use::cloud},
     {"livox_ros_driver2/CustomMsg", Use::cloud},
-    {"velodyne_msgs/VelodyneScan", Use::packets},
     {"tf2_msgs/TFMessage", Use::transforms},
     {"tf/tfMessage", Use::transforms},
     {"nav_msgs/Odometry", Use::pose},
     {"geometry_msgs/PoseStamped", Use::pose},
     {"geometry_msgs/PoseWithCovarianceStamped", Use::pose},
     {"geometry_msgs/TransformStamped", Use::pose},
+    {"vision_msgs/Detection3DArray", Use::boxes},
+    {"autoware_perception_msgs/TrackedObjects", Use::boxes},
+    {"autoware_auto_perception_msgs/TrackedObjects", Use::boxes},
+    {"autoware_perception_msgs/DetectedObjects", Use::nameless_boxes},
+    {"autoware_auto_perception_msgs/DetectedObjects", Use::nameless_boxes},
 };
 
 MessageReader reader_of(const Topic& topic, std::string_view bytes) {
@@ -75,21 +83,6 @@ void check_layout(const Cloud& cloud) {
             fmt::format("{} bytes of points, expected {} x {} of {}", cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
 }
 
-Cloud read_point_cloud(MessageReader& reader) {
-    Cloud cloud;
-    cloud.header = read_header(reader);
-    cloud.height = reader.number<std::uint32_t>();
-    cloud.width = reader.number<std::uint32_t>();
-    const std::size_t n = reader.length(13);
-    for (std::size_t i = 0; i < n; ++i) cloud.fields.push_back(read_field(reader));
-    cloud.is_big_endian = reader.number<std::uint8_t>() != 0;
-    cloud.point_step = reader.number<std::uint32_t>();
-    cloud.row_step = reader.number<std::uint32_t>();
-    cloud.data = reader.take(reader.length(1));
-    check_layout(cloud);
-    return cloud;
-}
-
 /// CustomMsg of both Livox drivers: a point is offset_time uint32 (ns), x y z float32, reflectivity, tag, line uint8. CDR pads all but
 /// the last point to 20 bytes.
 Cloud read_livox(MessageReader& reader) {
@@ -111,22 +104,11 @@ Cloud read_livox(MessageReader& reader) {
     return cloud;
 }
 
-Pose read_pose(MessageReader& reader) {
-    std::array<double, 7> v{};
-    for (double& x : v) x = reader.number<double>();
-    const glm::dquat q(v[6], v[3], v[4], v[5]);  // x y z w on the wire
-    const double length = glm::length(q);
-    if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(v[0] + v[1] + v[2]))
-        throw DataError(
-            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1", v[0], v[1], v[2], length));
-    return {glm::normalize(q), {v[0], v[1], v[2]}};
-}
-
 /// geometry_msgs/TransformStamped; nav_msgs/Odometry begins in the same way.
 Transform read_transform(MessageReader& reader) {
     Transform transform{read_header(reader), std::string(reader.text()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-    transform.parent_from_child = read_pose(reader);
+    transform.parent_from_child = pose_of(read_pose_numbers(reader));
     return transform;
 }
 
@@ -145,10 +127,42 @@ Header read_header(MessageReader& reader) {
     return {stamp_ns, std::move(frame)};
 }
 
+PoseNumbers read_pose_numbers(MessageReader& reader) {
+    PoseNumbers numbers{};
+    for (double& x : numbers) x = reader.number<double>();
+    return numbers;
+}
+
+Pose pose_of(const PoseNumbers& v) {
+    const glm::dquat q(v[6], v[3], v[4], v[5]);
+    const double length = glm::length(q);
+    if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(v[0] + v[1] + v[2]))
+        throw DataError(
+            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1", v[0], v[1], v[2], length));
+    return {glm::normalize(q), {v[0], v[1], v[2]}};
+}
+
+Cloud read_point_cloud(MessageReader& reader) {
+    Cloud cloud;
+    cloud.header = read_header(reader);
+    cloud.height = reader.number<std::uint32_t>();
+    cloud.width = reader.number<std::uint32_t>();
+    const std::size_t n = reader.length(13);
+    for (std::size_t i = 0; i < n; ++i) cloud.fields.push_back(read_field(reader));
+    cloud.is_big_endian = reader.number<std::uint8_t>() != 0;
+    cloud.point_step = reader.number<std::uint32_t>();
+    cloud.row_step = reader.number<std::uint32_t>();
+    cloud.data = reader.take(reader.length(1));
+    check_layout(cloud);
+    return cloud;
+}
+
 Use use_of(const Topic& topic) {
-    if (topic.encoding == "protobuf")
-        return topic.type == "foxglove.PointCloud" ? Use::cloud : topic.type == "foxglove.FrameTransforms" ? Use::transforms : Use::nothing;
-    if (topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
+    const bool is_protobuf = topic.encoding == "protobuf";
+    if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
+    if (is_protobuf != topic.type.starts_with("foxglove.")) return Use::nothing;
+    if (packets::carries_packets(topic.type)) return topic.name.ends_with("imu_packets") ? Use::nothing : Use::packets;
+    if (topic.type == "std_msgs/String" && topic.name.ends_with("metadata")) return Use::calibration;  // as ouster-ros publishes
     const auto known = std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
     return known == std::end(kTypeUses) ? Use::nothing : known->use;
 }
@@ -163,6 +177,10 @@ Cloud read_cloud(const Topic& topic, std::string_view bytes) {
     return topic.type == "sensor_msgs/PointCloud2" ? read_point_cloud(reader) : read_livox(reader);
 }
 
+std::string_view read_text(const Topic& topic, std::string_view bytes) {
+    return reader_of(topic, bytes).text();
+}
+
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_transforms(bytes);
     MessageReader reader = reader_of(topic, bytes);
@@ -174,7 +192,7 @@ std::vector<Transform> read_transforms(const Topic& topic, std::string_view byte
         transforms.push_back(read_transform(reader));
     } else {
         const Header header = read_header(reader);
-        transforms.push_back({header, "", read_pose(reader)});
+        transforms.push_back({header, "", pose_of(read_pose_numbers(reader))});
     }
     return transforms;
 }

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The messages that a log is made of, by their definitions in sensor_msgs, tf2_msgs, nav_msgs, geometry_msgs and the drivers of Livox.
+// The messages that a log is made of, by their definitions in sensor_msgs, tf2_msgs, nav_msgs, geometry_msgs, the drivers of Livox,
+// vision_msgs and Autoware.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <string_view>
@@ -45,19 +47,42 @@ struct Transform {
     Pose parent_from_child;
 };
 
-/// What a topic's messages may be used as.
-enum class Use { nothing, cloud, packets, transforms, pose };
+/// A thing of a list of boxes.
+struct Box {
+    Header header;
+    std::string id;           ///< empty: the message does not say which thing of other messages it is
+    std::string category;     ///< in the words of the message; empty where it has none
+    glm::dvec3 size_m{0.0};   ///< length, width, height, all above 0
+    Pose frame_from_box;      ///< of its centre
+};
+struct BoxList {
+    Header header;
+    std::vector<Box> boxes;
+    std::size_t n_left_out = 0;   ///< without a size or a pose
+};
+
+/// What a topic's messages may be used as. Detections without an identity are not read: they cannot be joined to tracks.
+enum class Use { nothing, cloud, packets, calibration, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
 class MessageReader;
 /// A time of ROS, in nanoseconds.
 std::int64_t read_time(MessageReader& reader);
 Header read_header(MessageReader& reader);
+/// A position, and a quaternion as x y z w.
+using PoseNumbers = std::array<double, 7>;
+PoseNumbers read_pose_numbers(MessageReader& reader);
+/// @throws DataError where the quaternion has no direction or a number is not finite
+Pose pose_of(const PoseNumbers& numbers);
+Cloud read_point_cloud(MessageReader& reader);
 
 /// A cloud. @throws DataError naming the field that is wrong
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
 /// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they stand.
 folder::PointTable table_of(const Cloud& cloud);
+
+/// Text of std_msgs/String.
+std::string_view read_text(const Topic& topic, std::string_view bytes);
 
 /// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of nav_msgs/Odometry, geometry_msgs/PoseStamped and the like.
 /// Quaternions that have no direction are refused.
@@ -66,5 +91,10 @@ std::vector<Transform> read_transforms(const Topic& topic, std::string_view byte
 /// The same of foxglove.PointCloud and foxglove.FrameTransforms; foxglove.cpp. The fields' places are not checked yet.
 Cloud read_foxglove_cloud(std::string_view bytes);
 std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
+
+/// Boxes of vision_msgs/Detection3DArray, of Autoware's TrackedObjects, or of foxglove.SceneUpdate. @throws DataError
+BoxList read_boxes(const Topic& topic, std::string_view bytes);
+/// Of foxglove.SceneUpdate: entities of one cube each. @throws DataError
+BoxList read_foxglove_boxes(std::string_view bytes);
 
 }  // namespace relidar::bag

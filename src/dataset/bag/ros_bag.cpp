@@ -11,10 +11,13 @@
 #include <relidar/error.hpp>
 
 #include "core/files.hpp"
+#include "dataset/bag/bag_boxes.hpp"
 #include "dataset/bag/bag_scans.hpp"
 #include "dataset/bag/choose.hpp"
 #include "dataset/bag/describe.hpp"
+#include "dataset/bag/sweep_poses.hpp"
 #include "dataset/kitti/kitti_files.hpp"
+#include "dataset/sweeps_beside.hpp"
 
 namespace relidar {
 namespace {
@@ -32,7 +35,8 @@ public:
           bag_(path, options.skip_broken),
           survey_(take_survey(bag_, options.progress)),
           clouds_(choose_clouds(bag_, survey_, options.lidars)),
-          poses_(choose_poses(bag_, survey_, main(), options.poses_from)) {
+          poses_(choose_poses(bag_, survey_, main(), options.poses_from)),
+          boxes_(choose_boxes(bag_, survey_)) {
         sequence_.name = path.lexically_normal().filename().empty() ? path.lexically_normal().parent_path().filename().string()
                                                                     : path.lexically_normal().filename().string();
         sequence_.source = path.string();
@@ -54,7 +58,8 @@ public:
         }
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
-        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_), options);
+        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock), options);
+        if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return recentred_pose(t_s); }));
         return std::move(sequence_);
     }
 
@@ -64,6 +69,7 @@ private:
     Survey survey_;
     CloudChoice clouds_;
     PoseChoice poses_;
+    BoxChoice boxes_;
     Sequence sequence_;
     std::vector<LidarTopic> lidars_;  ///< [LiDARs]
     std::vector<FrameCloud> frames_;  ///< [frames]
@@ -71,7 +77,10 @@ private:
 
     const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
     const CloudTopic& main() const { return topic_of(clouds_.main); }
-    const std::string& name_of(const CloudTopic& clouds) const { return bag_.topics()[clouds.topic].name; }
+    template <class AnyTopic>
+    const std::string& name_of(const AnyTopic& any) const {
+        return bag_.topics()[any.topic].name;
+    }
     double seconds(const CloudEntry& entry) const { return 1e-9 * double(entry.time_ns(poses_.clock) - poses_.zero_ns); }
 
     void note(const std::string& text) {
@@ -84,10 +93,12 @@ private:
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && use_of(bag_.topics()[t]) != Use::cloud)
                 used[t] = use_of(bag_.topics()[t]) == Use::transforms || poses_.about.ends_with(" " + bag_.topics()[t].name);
+        if (boxes_.topic) used[boxes_.topic->topic] = true;
         for (const std::string& text : bag_.notes()) note(text);
         for (const std::string& text : topic_lines(bag_, survey_, used)) note(text);
         for (const std::string& text : clouds_.notes) note(text);
         for (const std::string& text : poses_.notes) note(text);
+        for (const std::string& text : boxes_.notes) note(text);
         if (has_poses_) note(poses_.about + "; dataset.poses_from names another frame or topic");
         for (const std::string& frame : survey_.frames.disputed())
             note(fmt::format("/tf has '{}' in several parents: the one with the most transforms is taken", frame));
@@ -122,20 +133,17 @@ private:
     }
 
     void add_beside(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps, std::size_t lidar, double most_s) {
-        std::vector<const CloudEntry*> taken(sweeps.size(), nullptr);
-        std::size_t n_left = 0;
-        const auto distance = [&](const CloudEntry& entry, std::size_t k) { return std::abs(seconds(entry) - sweeps[k].time_s); };
-        for (const CloudEntry& entry : topic_of(lidar).clouds) {
-            const auto after = std::ranges::lower_bound(sweeps, seconds(entry), {}, &FrameCloud::time_s);
-            std::size_t k = std::min(std::size_t(after - sweeps.begin()), sweeps.size() - 1);
-            if (k > 0 && distance(entry, k - 1) < distance(entry, k)) --k;
-            if (distance(entry, k) > most_s || (taken[k] && distance(*taken[k], k) <= distance(entry, k)))
-                ++n_left;
-            else
-                taken[k] = &entry;
+        const std::vector<CloudEntry>& clouds = topic_of(lidar).clouds;
+        std::vector<double> main_s, other_s;
+        for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
+        for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
+        const auto beside = sweeps_beside(main_s, other_s, most_s);
+        std::size_t n_left = clouds.size();
+        for (std::size_t k = 0; k < sweeps.size(); ++k) {
+            if (!beside[k]) continue;
+            all.push_back({sweeps[k].number, main_s[k], other_s[*beside[k]], lidar, clouds[*beside[k]]});
+            --n_left;
         }
-        for (std::size_t k = 0; k < sweeps.size(); ++k)
-            if (taken[k]) all.push_back({sweeps[k].number, sweeps[k].time_s, seconds(*taken[k]), lidar, *taken[k]});
         if (n_left > 0)
             note(fmt::format("{}: {} clouds are left out: {} has no sweep beside them", name_of(topic_of(lidar)), n_left, name_of(main())));
     }
@@ -164,8 +172,10 @@ private:
     void find_units_of(double step_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             const CloudTopic& clouds = topic_of(l);
-            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s)});
+            const std::size_t n_parts = clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
+            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s / double(n_parts))});
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
+            if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty()) note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
         }
     }
@@ -191,6 +201,13 @@ private:
         return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
     }
 
+    std::optional<Pose> recentred_pose(double t_s) const {
+        if (!poses_.path->covers(t_s)) return std::nullopt;
+        Pose pose = own_pose(t_s);
+        pose.translation -= sequence_.world_offset_m;
+        return pose;
+    }
+
     /// Poses of a file, by frame numbers or by the clock of the recording.
     std::vector<Pose> given_poses() const {
         std::vector<folder::HeadFrame> frames;
@@ -198,6 +215,19 @@ private:
         const auto poses = folder::read_poses(options_.poses_file, frames);
         if (!poses) throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", options_.poses_file.string()));
         return *poses;
+    }
+
+    /// Boxes stand where their labels have them as seen from the vehicle, whatever its poses are taken from.
+    void add_boxes() {
+        if (!boxes_.topic) return;
+        BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};
+        places.vehicle = has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : main().frame;
+        places.world_from_vehicle = [&](double t_s) {
+            return has_poses_ ? poses_.path->at(t_s) : sequence_.has_poses ? sequence_.world_from_vehicle.at(t_s) : Pose{};
+        };
+        const BoxTracks tracks = read_tracks(bag_, *boxes_.topic, places, sequence_.world_from_vehicle.time_s);
+        sequence_.boxes = tracks.tracks;
+        for (const std::string& text : tracks.notes) note(name_of(*boxes_.topic) + ": " + text);
     }
 
     void add_frames() {
@@ -218,6 +248,7 @@ private:
             fmt::format("ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds of {}",
                         poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
                         poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
+        add_boxes();
         recentre(sequence_);
     }
 };

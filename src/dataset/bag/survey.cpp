@@ -2,8 +2,14 @@
 #include "dataset/bag/survey.hpp"
 
 #include <algorithm>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
 
 #include <relidar/error.hpp>
+
+#include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -23,8 +29,26 @@ public:
             const Use use = use_of(topic);
             if (use == Use::cloud) add_cloud(topic, message);
             if (use == Use::packets) add_packets(topic, message);
+            if (use == Use::calibration) calibrations_.emplace(topic.name, read_text(topic, message.bytes));
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
+            if (use == Use::boxes) add_boxes(topic, message);
+        } catch (const DataError& error) {
+            if (facts.n_broken++ == 0) facts.broken = error.what();
+        }
+    }
+
+    /// Whether there are packets that were met before what they are decoded with: they are taken in a second pass.
+    bool has_waiting() const { return std::ranges::any_of(survey_.clouds, &CloudTopic::awaits_calibration); }
+    bool is_waiting(const Topic& topic) const {
+        return std::ranges::any_of(
+            survey_.clouds, [&](const CloudTopic& c) { return c.awaits_calibration && bag_.topics()[c.topic].name == topic.name; });
+    }
+    void take_waiting(const Message& message) {
+        is_second_ = true;
+        TopicFacts& facts = survey_.facts[message.topic];
+        try {
+            if (is_waiting(bag_.topics()[message.topic])) add_packets(bag_.topics()[message.topic], message);
         } catch (const DataError& error) {
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
@@ -33,6 +57,8 @@ public:
 private:
     const Bag& bag_;
     Survey& survey_;
+    std::map<std::string, std::string> calibrations_;  ///< of sensors, by their topics
+    bool is_second_ = false;
 
     void add_cloud(const Topic& topic, const Message& message) {
         const Cloud cloud = read_cloud(topic, message.bytes);
@@ -44,14 +70,29 @@ private:
         }
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.place});
+        if (const std::optional<Arc> arc = arc_of(cloud))
+            clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.place, n, *arc});
     }
 
     void add_packets(const Topic& topic, const Message& message) {
         Header header;
-        const std::vector<PacketView> packets = read_packets(topic, message.bytes, header);
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, message.bytes, message.log_ns, header);
         CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
         clouds.frame = header.frame;
-        clouds.packets.add(packets, message.log_ns, message.place);
+        const std::string calibration = calibration_of(topic);
+        if (!is_second_ && clouds.packets.empty() && calibration.empty() && !views.empty()) {
+            const packets::Product* product = packets::find_product(views.front().bytes);
+            clouds.awaits_calibration = clouds.awaits_calibration || (product && product->needs_calibration);
+        }
+        if (is_second_ || !clouds.awaits_calibration) clouds.packets.add(views, message.log_ns, message.place, calibration);
+    }
+
+    /// The calibration beside a topic, or the only one that there is.
+    std::string calibration_of(const Topic& topic) const {
+        const std::string beside = topic.name.substr(0, topic.name.rfind('/') + 1);
+        for (const auto& [name, text] : calibrations_)
+            if (name.substr(0, name.rfind('/') + 1) == beside) return text;
+        return calibrations_.size() == 1 ? calibrations_.begin()->second : std::string();
     }
 
     void add_transforms(const Topic& topic, const Message& message) {
@@ -66,6 +107,17 @@ private:
         poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
     }
 
+    void add_boxes(const Topic& topic, const Message& message) {
+        const BoxList list = read_boxes(topic, message.bytes);
+        BoxTopic& boxes = entry_of(survey_.boxes, message.topic);
+        boxes.n_left_out += list.n_left_out;
+        if (list.boxes.empty()) return;
+        if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
+        boxes.n_boxes += list.boxes.size();
+        boxes.n_named += std::size_t(std::ranges::count_if(list.boxes, [](const Box& box) { return !box.id.empty(); }));
+        boxes.lists.push_back({list.boxes.front().header.stamp_ns, message.log_ns, message.place});
+    }
+
     template <class Entry>
     static Entry& entry_of(std::vector<Entry>& entries, std::size_t topic) {
         const auto known = std::ranges::find(entries, topic, &Entry::topic);
@@ -74,6 +126,22 @@ private:
         return entries.back();
     }
 };
+
+/// Whole turns in the place of their parts. A turn's time is that of the part in its middle: turns begin at the back.
+void join_parts(CloudTopic& topic) {
+    const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
+    if (joined.turns.empty()) return;
+    topic.clouds.clear();
+    for (const std::vector<TurnPart>& turn : joined.turns) {
+        const TurnPart& middle = turn[turn.size() / 2];
+        CloudEntry& entry = topic.clouds.emplace_back(CloudEntry{middle.stamp_ns, middle.log_ns, 0, middle.place, 0, turn});
+        for (const TurnPart& part : turn) entry.n_points += part.n_points;
+    }
+    topic.parts_about = fmt::format("{}: put together into {} whole turns of {}{}", joined.about, joined.turns.size(),
+                                    joined.turns[joined.turns.size() / 2].size(),
+                                    joined.n_left_out == 0 ? "" : fmt::format("; {} of turns that are not whole are left out",
+                                                                              joined.n_left_out));
+}
 
 }  // namespace
 
@@ -95,13 +163,17 @@ Survey take_survey(Bag& bag, const Progress& progress) {
     bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; }, [&](const Message& message) { surveyor.take(message); },
              progress);
     survey.facts.resize(bag.topics().size());
+    if (surveyor.has_waiting())
+        bag.each([&](const Topic& topic) { return surveyor.is_waiting(topic); },
+                 [&](const Message& message) { surveyor.take_waiting(message); }, progress);
     for (CloudTopic& clouds : survey.clouds) {
         clouds.turns = clouds.packets.turns();
         for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
-            const PacketTurn& turn = clouds.turns[t];
-            clouds.clouds.push_back({turn.forward_ns, turn.log_ns, 0, clouds.packets.places(turn).front(), t});
+            const packets::PacketTurn& turn = clouds.turns[t];
+            clouds.clouds.push_back({turn.forward_ns, turn.log_ns, 0, clouds.packets.messages(turn).front().place, t});
         }
     }
+    for (CloudTopic& clouds : survey.clouds) join_parts(clouds);
     return survey;
 }
 

@@ -12,7 +12,8 @@
 #include "dataset/bag/bag.hpp"
 #include "dataset/bag/frame_tree.hpp"
 #include "dataset/bag/messages.hpp"
-#include "dataset/bag/velodyne_packets.hpp"
+#include "dataset/bag/turn_parts.hpp"
+#include "dataset/packets/packet_log.hpp"
 
 namespace relidar::bag {
 
@@ -29,7 +30,8 @@ struct CloudEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     std::uint32_t n_points = 0;
     Place place;
-    std::size_t turn = 0;  ///< of a topic of packets: in CloudTopic::turns
+    std::size_t turn = 0;               ///< of a topic of packets: in CloudTopic::turns
+    std::vector<TurnPart> parts = {};   ///< of a turn that several clouds make; none: this cloud alone
 
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
 };
@@ -38,10 +40,13 @@ struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;                 ///< of the first cloud
     std::vector<Cloud::Field> fields;  ///< of the first cloud
-    std::vector<CloudEntry> clouds;    ///< that have points, as they were recorded
+    std::vector<CloudEntry> clouds;    ///< that have points, as they were recorded; or whole turns of their parts
+    std::string parts_about;           ///< of clouds that are parts of turns: what they are
+    std::vector<TurnPart> arcs;        ///< while the recording is surveyed
     std::size_t n_empty = 0;
-    PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
-    std::vector<PacketTurn> turns;
+    packets::PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
+    std::vector<packets::PacketTurn> turns;
+    bool awaits_calibration = false;  ///< packets that cannot be decoded before the sensor's calibration is found
 
     bool has_field(std::initializer_list<const char*> names) const;
     std::size_t usual_points() const;  ///< of a cloud: the median
@@ -53,10 +58,25 @@ struct PoseTopic {
     std::vector<PoseSample> samples;
 };
 
+/// A list of boxes that has some.
+struct BoxEntry {
+    std::int64_t stamp_ns = 0, log_ns = 0;
+    Place place;
+};
+
+struct BoxTopic {
+    std::size_t topic = 0;
+    std::string frame;  ///< of the first box
+    std::vector<BoxEntry> lists;
+    std::size_t n_boxes = 0, n_named = 0;  ///< and of them: with an identity
+    std::size_t n_left_out = 0;            ///< without a size or a pose
+};
+
 struct Survey {
     std::vector<TopicFacts> facts;  ///< [Bag::topics()]
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
+    std::vector<BoxTopic> boxes;
     FrameTree frames;
 };
 

@@ -24,7 +24,8 @@ struct PointUnits {
     std::vector<std::string> columns;     ///< of .bin and .npy; empty: x y z intensity
     std::optional<double> intensity_max;  ///< what is bright; not given: 1, and nothing may be brighter
     double time_unit_s = 1.0;
-    bool absolute_times = false;  ///< of points: seconds of the log, not from their frame's time
+    bool absolute_times = false;  ///< of points: of the log, not from their frame's time
+    double time_zero = 0.0;       ///< what counts as 0 s, in units of the points' times
 };
 
 /// A LiDAR as sequence.json has it.
@@ -34,6 +35,7 @@ struct HeadLidar {
     bool spins = true;          ///< whether beams may be looked for where none are given
     bool is_guessed = false;    ///< nobody could say that it does not spin: points that fit no head are no error
     bool lowest_first = false;  ///< how scans count their rings
+    double turn_s = 0.0;        ///< how long a sweep takes, where points do not say it; 0: from one frame to the next
     std::string scans;          ///< folder, where no frames are listed
 };
 

@@ -3,6 +3,7 @@
 // and beams, is found from a few scans of each LiDAR first.
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
 
 #include <fmt/format.h>
@@ -23,6 +24,18 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams are found
 constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
+
+/// First returns that spinning_scan() has a ray for, if none lie on one.
+std::size_t count_in_range(const ScanPoints& points, double max_range_m) {
+    constexpr float kLeastRange_m = 1e-3f;
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const float range_m = glm::length(points.point_m[i]);
+        const bool is_first = points.return_number.empty() || points.return_number[i] == 0;
+        n += is_first && range_m >= kLeastRange_m && double(range_m) <= max_range_m;
+    }
+    return n;
+}
 
 /// How the points of a LiDAR become scans.
 struct Plan {
@@ -64,7 +77,9 @@ public:
           has_poses_(has_poses),
           broken_(broken),
           plans_(head.lidars.size()),
-          left_out_(sequence.frames.size(), 0) {}
+          left_out_(sequence.frames.size(), 0),
+          in_range_(sequence.frames.size(), 0),
+          behind_(sequence.frames.size(), 0) {}
 
     void find_sensors() {
         for (std::size_t l = 0; l < plans_.size(); ++l) {
@@ -103,12 +118,17 @@ public:
         else
             recover_rings(points, sensor.beams);
         frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
+        in_range_[i] = count_in_range(points, sensor.max_range_m);
+        behind_[i] = in_range_[i] - std::min(in_range_[i], frame.scan.count_returns());
     }
 
     void tell_left_out() {
-        std::size_t n = 0;
-        for (const std::size_t k : left_out_) n += k;
-        if (n > 0) note(fmt::format("{} points of rings that the fitted scans do not have are left out", n));
+        const auto sum = [](const std::vector<std::size_t>& counts) { return std::reduce(counts.begin(), counts.end()); };
+        if (const std::size_t n = sum(left_out_); n > 0)
+            note(fmt::format("{} points of rings that the fitted scans do not have are left out", n));
+        if (const std::size_t n = sum(behind_), all = sum(in_range_); n > 0)
+            note(fmt::format("{} of {} points ({:.2g} %) are left out: a nearer one takes their ray, which lies beside no free one", n, all,
+                             100.0 * double(n) / double(all)));
     }
 
 private:
@@ -119,6 +139,8 @@ private:
     BrokenScans& broken_;
     std::vector<Plan> plans_;            ///< [lidars]
     std::vector<std::size_t> left_out_;  ///< [frames] points
+    std::vector<std::size_t> in_range_;  ///< [frames] first returns
+    std::vector<std::size_t> behind_;    ///< [frames] of them: on rays that have another one
 
     void note(const std::string& text) {
         if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end()) sequence_.notes.push_back(text);
@@ -135,8 +157,9 @@ private:
         return points;
     }
 
-    /// Between the frames of a LiDAR, in the middle.
+    /// Between the frames of a LiDAR, in the middle, unless it is known.
     double frame_step_s(std::size_t lidar) const {
+        if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
         double before_s = NAN;
         for (const Frame& frame : sequence_.frames) {

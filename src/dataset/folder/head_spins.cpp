@@ -61,7 +61,9 @@ std::string why_no_head(const std::vector<ScanPoints>& scans, const SpinningSens
     const auto fullest = std::ranges::max_element(scans, {}, &ScanPoints::size);
     if (fullest == scans.end()) return "";
     if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)
-        return fmt::format("rings have no elevations of their own (points of one lie {:.1f} degrees apart)", spread * 180.0 / kPi);
+        return fmt::format(
+            "rings have no elevations of their own (points of one lie {:.1f} degrees apart, as where clouds of several LiDARs were merged)",
+            spread * 180.0 / kPi);
     const double gap = widest_gap(scans);
     if (gap < kLeastGap_rad) return "";
     const std::string window = fmt::format("points lie within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);

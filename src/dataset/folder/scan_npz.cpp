@@ -165,7 +165,7 @@ float unit_intensity(double found, const PointUnits& units, const std::string& w
 }
 
 float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where) {
-    const double offset_s = found * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
+    const double offset_s = (found - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
         throw DataError(
             fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and \"point_times\" in "

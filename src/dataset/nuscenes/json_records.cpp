@@ -13,6 +13,7 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
+constexpr double kLargestWhole = 9007199254740992.0;  // up to which a double holds every whole number
 
 /// Cuts the text of a table into its objects, block by block.
 class RecordSplitter {
@@ -106,8 +107,10 @@ std::string JsonRecord::text(std::string_view key) const {
     return std::string(value<std::string_view>(key, "text"));
 }
 
-std::int64_t JsonRecord::integer(std::string_view key) const {
-    return value<std::int64_t>(key, "an integer");
+std::int64_t JsonRecord::rounded(std::string_view key) const {
+    const double number = value<double>(key, "a number");
+    if (!(std::abs(number) < kLargestWhole)) fail(key, "a number below 2^53");
+    return std::llround(number);
 }
 
 bool JsonRecord::boolean(std::string_view key) const {

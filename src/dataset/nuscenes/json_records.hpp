@@ -20,7 +20,8 @@ public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
     std::string text(std::string_view key) const;
-    std::int64_t integer(std::string_view key) const;
+    /// A number, to the nearest whole one: some tables have microseconds with a fraction.
+    std::int64_t rounded(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vector(std::string_view key) const;
     /// w, x, y, z, of length 1.

@@ -3,6 +3,9 @@
 #include "dataset/nuscenes/nuscenes_tables.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <map>
+#include <string_view>
 #include <unordered_map>
 #include <unordered_set>
 
@@ -20,68 +23,78 @@ using Tokens = std::unordered_set<std::string>;
 template <class T>
 using ByToken = std::unordered_map<std::string, T>;
 
-constexpr const char* kChannel = "LIDAR_TOP";
+constexpr std::string_view kLidar = "LIDAR_";   // how channels of LiDARs begin
+constexpr const char* kFirstChannel = "LIDAR_TOP";
+constexpr double kFarthestPose_s = 0.1;         // from the sweep that names it
 
-struct SceneRecord {
-    std::string token, first_sample;
-};
-SceneRecord find_scene(const fs::path& tables, const std::string& name) {
-    SceneRecord found;
+std::string find_scene(const fs::path& tables, const std::string& name) {
+    std::string found;
     for_each_record(tables / "scene.json", [&](const JsonRecord& record) {
-        if (record.text("name") == name) found = {record.text("token"), record.text("first_sample_token")};
+        if (record.text("name") == name) found = record.text("token");
     });
     return found;
 }
 
-Tokens samples_of(const fs::path& tables, const std::string& scene) {
-    Tokens samples;
+/// Times of the scene's samples, microseconds.
+ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scene) {
+    ByToken<std::int64_t> samples;
     for_each_record(tables / "sample.json", [&](const JsonRecord& record) {
-        if (record.text("scene_token") == scene) samples.insert(record.text("token"));
+        if (record.text("scene_token") == scene) samples[record.text("token")] = record.rounded("timestamp");
     });
     return samples;
 }
 
-/// Where LIDAR_TOP is mounted, by token of the calibration.
-ByToken<Pose> calibrations(const fs::path& tables) {
-    std::string sensor;
+/// A LiDAR and where it is mounted.
+struct Mounted {
+    std::string channel;
+    Pose ego_from_lidar;
+};
+
+/// By token of the calibration.
+ByToken<Mounted> calibrations(const fs::path& tables) {
+    ByToken<std::string> channels;
     for_each_record(tables / "sensor.json", [&](const JsonRecord& record) {
-        if (record.text("channel") == kChannel) sensor = record.text("token");
+        const std::string channel = record.text("channel");
+        if (channel.starts_with(kLidar)) channels[record.text("token")] = channel;
     });
-    if (sensor.empty()) throw DataError(fmt::format("{}, key 'channel': no {}", (tables / "sensor.json").string(), kChannel));
-    ByToken<Pose> mounted;
+    if (channels.empty()) throw DataError(fmt::format("{}, key 'channel': no {}*", (tables / "sensor.json").string(), kLidar));
+    ByToken<Mounted> mounted;
     for_each_record(tables / "calibrated_sensor.json", [&](const JsonRecord& record) {
-        if (record.text("sensor_token") == sensor) mounted[record.text("token")] = record.pose();
+        const auto channel = channels.find(record.text("sensor_token"));
+        if (channel != channels.end()) mounted[record.text("token")] = {channel->second, record.pose()};
     });
     return mounted;
 }
 
-/// Files of the LiDAR in a scene, by token.
-ByToken<SweepRecord> files_of(const fs::path& tables, const Tokens& samples, const ByToken<Pose>& mounted) {
-    ByToken<SweepRecord> files;
+using Channels = std::map<std::string, ByToken<SweepRecord>>;   // by name, then by token
+
+/// Files of the LiDARs in a scene.
+Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples, const ByToken<Mounted>& mounted) {
+    Channels files;
     for_each_record(tables / "sample_data.json", [&](const JsonRecord& record) {
         SweepRecord file;
         file.calibration = record.text("calibrated_sensor_token");
-        if (!mounted.contains(file.calibration)) return;
+        const auto lidar = mounted.find(file.calibration);
+        if (lidar == mounted.end()) return;
         file.sample = record.text("sample_token");
         if (!samples.contains(file.sample)) return;
         file.token = record.text("token"), file.next = record.text("next");
         file.ego_pose = record.text("ego_pose_token"), file.file = record.text("filename");
-        file.time_us = record.integer("timestamp");
+        file.time_us = record.rounded("timestamp");
         file.is_keyframe = record.boolean("is_key_frame");
-        files[file.token] = file;
+        files[lidar->second.channel][file.token] = file;
     });
     return files;
 }
 
-/// The chain of files from the keyframe of the scene's first sample.
-std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files, const std::string& first_sample) {
+/// The chain of a channel's files from its first keyframe. @return none where it has no keyframe
+std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
-    std::string token;
+    const SweepRecord* first = nullptr;
     for (const auto& [name, file] : files)
-        if (file.sample == first_sample && file.is_keyframe) token = name;
-    if (token.empty()) throw DataError(fmt::format("{}: no keyframe of {} in the scene's first sample", where, kChannel));
+        if (file.is_keyframe && (!first || file.time_us < first->time_us)) first = &file;
     std::vector<SweepRecord> sweeps;
-    while (!token.empty()) {
+    for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
         const auto file = files.find(token);
         if (file == files.end() || sweeps.size() == files.size())
             throw DataError(fmt::format("{}, key 'next': '{}' after {} files, expected the next file of the scene or an empty text", where,
@@ -90,26 +103,61 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
             throw DataError(fmt::format("{}, key 'timestamp': {} after {}, expected times that rise", where, file->second.time_us,
                                         sweeps.back().time_us));
         sweeps.push_back(file->second);
-        token = file->second.next;
     }
     return sweeps;
 }
 
-void read_poses(const fs::path& tables, std::vector<SweepRecord>& sweeps) {
-    Tokens wanted;
-    for (const SweepRecord& sweep : sweeps) wanted.insert(sweep.ego_pose);
-    ByToken<Pose> poses;
-    for_each_record(tables / "ego_pose.json", [&](const JsonRecord& record) {
-        const std::string token = record.text("token");
-        if (wanted.contains(token)) poses[token] = record.pose();
-    });
-    for (SweepRecord& sweep : sweeps) {
-        const auto pose = poses.find(sweep.ego_pose);
-        if (pose == poses.end())
-            throw DataError(fmt::format("{}, key 'token': no '{}', the pose of {}", (tables / "ego_pose.json").string(),
-                                        excerpt(sweep.ego_pose), excerpt(sweep.file)));
-        sweep.world_from_ego = pose->second;
+/// The LiDARs of a scene that have a keyframe in it.
+std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int64_t>& samples) {
+    const ByToken<Mounted> mounted = calibrations(tables);
+    std::vector<SceneLidar> lidars;
+    for (const auto& [channel, files] : files_of(tables, samples, mounted)) {
+        SceneLidar lidar{channel, {}, in_order(tables, files)};
+        if (lidar.sweeps.empty()) continue;
+        lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
+        for (const SweepRecord& sweep : lidar.sweeps)
+            if (sweep.calibration != lidar.sweeps[0].calibration)
+                throw DataError(fmt::format("{}, key 'calibrated_sensor_token': {} of {} is mounted twice in a scene, expected once",
+                                            (tables / "sample_data.json").string(), channel, excerpt(sweep.file)));
+        lidars.push_back(std::move(lidar));
     }
+    if (lidars.empty()) throw DataError(fmt::format("{}: no keyframe of a LiDAR in the scene", (tables / "sample_data.json").string()));
+    std::stable_partition(lidars.begin(), lidars.end(), [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
+    return lidars;
+}
+
+/// Poses of the vehicle at the sweeps. TruckScenes names for each the nearest of a finer track, so poses go by their own times.
+std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
+    const fs::path file = tables / "ego_pose.json";
+    struct TimedPose {
+        std::int64_t time_us = 0;
+        Pose pose;
+    };
+    ByToken<TimedPose> poses;
+    for (const SweepRecord& sweep : sweeps) poses[sweep.ego_pose];
+    Tokens missing;
+    for (const auto& [token, pose] : poses) missing.insert(token);
+    for_each_record(file, [&](const JsonRecord& record) {
+        const std::string token = record.text("token");
+        if (missing.erase(token) > 0) poses[token] = {record.rounded("timestamp"), record.pose()};
+    });
+    std::map<std::int64_t, Pose> by_time;
+    for (const SweepRecord& sweep : sweeps) {
+        if (missing.contains(sweep.ego_pose))
+            throw DataError(
+                fmt::format("{}, key 'token': no '{}', the pose of {}", file.string(), excerpt(sweep.ego_pose), excerpt(sweep.file)));
+        const TimedPose& pose = poses[sweep.ego_pose];
+        if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6; !(std::abs(apart_s) <= kFarthestPose_s))
+            throw DataError(fmt::format("{}, key 'timestamp': '{}' is {} s from {}, whose pose it is, expected at most {} s", file.string(),
+                                        excerpt(sweep.ego_pose), apart_s, excerpt(sweep.file), kFarthestPose_s));
+        by_time[pose.time_us] = pose.pose;
+    }
+    const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
+    PoseTrack track;
+    for (const auto& [time_us, pose] : by_time) track.time_s.push_back(seconds(time_us)), track.pose.push_back(pose);
+    std::vector<Pose> world_from_ego;
+    for (const SweepRecord& sweep : sweeps) world_from_ego.push_back(track.at(seconds(sweep.time_us)));
+    return world_from_ego;
 }
 
 /// Token of a record to the text of one of its keys, for the tokens that are asked for; all where none are.
@@ -122,20 +170,20 @@ ByToken<std::string> column(const fs::path& file, const char* key, const Tokens*
     return values;
 }
 
-std::vector<BoxLabel> read_labels(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
-    ByToken<double> time_of_sample;
-    for (const SweepRecord& sweep : sweeps)
-        if (sweep.is_keyframe) time_of_sample[sweep.sample] = double(sweep.time_us - sweeps[0].time_us) * 1e-6;
+/// Labels of the samples; none where the table is missing, as in a test split.
+std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene, const ByToken<std::int64_t>& samples) {
     std::vector<BoxLabel> labels;
     Tokens instances;
     const fs::path file = tables / "sample_annotation.json";
+    if (!path_exists(file)) return labels;
     for_each_record(file, [&](const JsonRecord& record) {
-        const auto sample = time_of_sample.find(record.text("sample_token"));
-        if (sample == time_of_sample.end()) return;
+        const auto sample = samples.find(record.text("sample_token"));
+        if (sample == samples.end()) return;
         const glm::dvec3 size = record.vector("size");  // width, length, height
         if (!(std::min({size.x, size.y, size.z}) > 0.0))
             throw DataError(fmt::format("{}, key 'size': {} x {} x {}, expected all above 0", file.string(), size.x, size.y, size.z));
-        labels.push_back({record.text("instance_token"), "", {size.y, size.x, size.z}, sample->second, record.pose()});
+        labels.push_back({record.text("instance_token"), "", {size.y, size.x, size.z}, scene.seconds(sample->second),
+                          record.pose()});
         instances.insert(labels.back().id);
     });
     const ByToken<std::string> category_of = column(tables / "instance.json", "category_token", &instances);
@@ -162,16 +210,10 @@ std::vector<std::string> list_scenes(const fs::path& tables) {
 SceneTables read_scene(const fs::path& tables, const std::string& name) {
     SceneTables scene;
     scene.name = name;
-    const SceneRecord record = find_scene(tables, name);
-    const ByToken<Pose> mounted = calibrations(tables);
-    scene.sweeps = in_order(tables, files_of(tables, samples_of(tables, record.token), mounted), record.first_sample);
-    scene.ego_from_lidar = mounted.at(scene.sweeps[0].calibration);
-    for (const SweepRecord& sweep : scene.sweeps)
-        if (sweep.calibration != scene.sweeps[0].calibration)
-            throw DataError(fmt::format("{}, key 'calibrated_sensor_token': {} of {} is mounted twice in a scene, expected once",
-                                        (tables / "sample_data.json").string(), kChannel, excerpt(sweep.file)));
-    read_poses(tables, scene.sweeps);
-    scene.labels = read_labels(tables, scene.sweeps);
+    const ByToken<std::int64_t> samples = samples_of(tables, find_scene(tables, name));
+    scene.lidars = lidars_of(tables, samples);
+    scene.world_from_ego = read_poses(tables, scene.lidars[0].sweeps);
+    scene.labels = read_labels(tables, scene, samples);
     return scene;
 }
 

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// Packets of spinning LiDARs, a decoder a product behind one interface. Every firing is in them, so rays that were dropped are known.
+// products.cpp has the list; block_decoder.cpp is Velodyne's and Hesai's.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <relidar/sensor.hpp>
+
+namespace relidar::packets {
+
+/// A packet as it was received.
+struct PacketView {
+    std::int64_t stamp_ns = 0;
+    std::string_view bytes;
+};
+
+/// What a beam measured.
+struct Echo {
+    float range_m = 0.0f;    ///< from where the beam starts; 0: nothing
+    float intensity = 0.0f;  ///< 0..1
+};
+
+/// All beams fired once.
+struct Firing {
+    int slot = 0;              ///< its place in the packet; one that was not fired is left out
+    double after_us = 0.0;     ///< of the first beam, from the packet's own time
+    double azimuth_deg = 0.0;  ///< of the head at the first beam, clockwise from the sensor's x axis, in [0, 360)
+};
+
+struct Packet {
+    double clock_us = 0.0;  ///< of the sensor, when the packet was; begins again after Timing::wrap_us
+    int n_slots = 0;        ///< firings of such a packet
+    std::vector<Firing> firings;
+    std::vector<std::array<Echo, 2>> echoes;  ///< [firings x rings] returns of each ray in the packet's order
+};
+
+/// What does not change from packet to packet.
+struct Timing {
+    double cycle_us = 0.0;         ///< from firing to firing
+    double wrap_us = 0.0;          ///< 0: the sensor's clock goes on
+    std::vector<double> offset_us;  ///< [rings] when a beam fires in its cycle
+    int columns = 0;               ///< firings of a turn, where they are always as many; else 0
+    double begin_deg = 180.0;      ///< azimuth at which a turn is said to begin; with a window, shortly before it
+    double idle_deg = 0.0;         ///< at the end of a turn: nothing is fired outside of a window
+};
+
+class Decoder {
+public:
+    virtual ~Decoder() = default;
+    /// Of every packet that find_product() says is this product's. @throws DataError
+    virtual Packet decode(std::string_view bytes) const = 0;
+    virtual const Timing& timing() const = 0;
+    /// The sensor as it turns, rings the highest first. @param columns  of a turn
+    virtual SpinningSensor sensor(int columns, double rate_hz) const = 0;
+    virtual std::string about() const = 0;  ///< product, and where its angles are from
+};
+
+/// A kind of packet that is known.
+struct Product {
+    const char* name;
+    bool (*is)(std::string_view bytes);
+    /// @param calibration  text that belongs to the sensor: Hesai's angle correction, Ouster's metadata; may be empty. Nothing where
+    /// packets of the product are not decoded. @throws DataError for a calibration that is damaged or of another sensor
+    std::unique_ptr<Decoder> (*make)(const char* name, const std::string& calibration);
+    const char* driver = "";         ///< that makes clouds of those that are not decoded
+    bool needs_calibration = false;  ///< nothing can be decoded without
+};
+/// By size and head. @return nullptr for bytes that are no known packet
+const Product* find_product(std::string_view bytes);
+/// "packets of an Ouster OS-1 ..., expected those of ...": what to do about a packet that is not decoded
+std::string unknown_text(const Product* product, std::string_view bytes);
+
+/// The maker of decoders of Velodyne's and Hesai's products.
+std::unique_ptr<Decoder> make_block_decoder(const char* name, const std::string& calibration);
+
+}  // namespace relidar::packets

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packets of spinning LiDARs in a box of walls, by their makers' manuals, for tests: nothing of relidar is in them but the lasers' angles. The
+head turns clockwise at 10 Hz, at azimuth 0 of the maker at time 0. Velodyne: VLP-16 63-9243, VLP-32C 63-9325, HDL-32E 63-9113; Hesai:
+Pandar40P, Pandar64, PandarXT-32 user manuals; Ouster: firmware user manual, "Lidar Data"."""
+import csv
+import pathlib
+import struct
+
+import numpy as np
+
+WALLS = np.array([22.0, 14.0, 6.0])   # metres from the sensor, x, y and z
+TABLES = pathlib.Path(__file__).parents[2] / "src" / "sensor" / "tables"
+TURN_S = 0.1
+
+
+class Blocks:
+    """One of Velodyne's or Hesai's products."""
+
+    def __init__(self, name, lasers, unit_mm, cycle_us, hesai=False, first=0):
+        self.name, self.lasers, self.unit_mm, self.cycle_us, self.hesai, self.first = name, lasers, unit_mm, cycle_us, hesai, first
+        with open(TABLES / (name + ".csv")) as table:
+            rows = list(csv.DictReader(line for line in table if not line.startswith("#")))
+        self.elevation, self.azimuth, self.offset_us = np.zeros((3, lasers))
+        for row in rows:
+            k = int(row["channel"]) - first
+            self.elevation[k] = float(row["elevation_deg"])
+            self.azimuth[k] = -float(row.get("azimuth_offset_deg") or 0)   # as makers count: clockwise
+            self.offset_us[k] = float(row.get("firing_offset_us") or 0)
+
+
+PRODUCTS = [Blocks("VLP-16", 16, 2, 55.296), Blocks("VLP-32C", 32, 4, 55.296), Blocks("HDL-32E", 32, 2, 46.08),
+            Blocks("Pandar40P", 40, 4, 55.56, True, 1), Blocks("Pandar64", 64, 4, 55.56, True, 1), Blocks("XT32", 32, 4, 50.0, True, 1)]
+
+
+def directions(product, laser, azimuth_deg):
+    """In the frame of the driver. @param azimuth_deg of the head, clockwise"""
+    a, e = np.radians(azimuth_deg + product.azimuth[laser]), np.radians(product.elevation[laser])
+    x, y = (np.sin(a), np.cos(a)) if product.hesai else (np.cos(a), -np.sin(a))
+    return np.stack([np.cos(e) * x, np.cos(e) * y, np.sin(e)], -1)
+
+
+def to_walls(d):
+    with np.errstate(divide="ignore"):
+        return (WALLS / np.abs(d)).min(-1)
+
+
+def firing(product, number, dual):
+    """(range mm, reflectivity) of each laser and return as the packet has them, and truth: (time, azimuth of the head, laser, mm, reflectivity,
+    number of the return). Every third ray is dropped; of two returns the later in the packet is the weaker one, 1.5 m nearer."""
+    lasers = np.arange(product.lasers)
+    t = number * product.cycle_us * 1e-6 + product.offset_us * 1e-6
+    r = to_walls(directions(product, lasers, t / TURN_S * 360)) * 1000
+    mm = np.rint(r / product.unit_mm).astype(int) * product.unit_mm
+    mm[(number + lasers) % 3 == 0] = 0
+    bright = 90 + lasers
+    values, truth = [], []
+    for k in lasers:
+        two = dual and mm[k] > 0 and number % 5 == 0
+        values.append(((mm[k], bright[k]), (mm[k] - 1500, 40) if two else (mm[k], bright[k])))
+        if mm[k] > 0:
+            truth.append((t[k], t[k] / TURN_S * 360, k, mm[k] / 1000, bright[k], 0))
+            if two:
+                truth.append((t[k], t[k] / TURN_S * 360, k, mm[k] / 1000 - 1.5, 40, 1))
+    return values, truth
+
+
+def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
+    """(ns after time 0 of the first firing's clock, bytes) of n packets, and the truth of those that are not lost."""
+    per_block = 2 if product.name == "VLP-16" else 1
+    blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(product.name, 12)
+    flag = {"Pandar64": b"", "XT32": b""}.get(product.name, b"\xff\xee")
+    pad = b"\0" if product.name == "XT32" else b""
+    out, truths, number = [], [], 0
+    for k in range(n):
+        body, truth, first = b"", [], number
+        for b in range(0, blocks, 2 if dual else 1):
+            azimuth = round(number * product.cycle_us * 1e-6 / TURN_S * 36000) % 36000
+            both = [flag + struct.pack("<H", azimuth)] * 2
+            for _ in range(per_block):
+                values, t = firing(product, number, dual)
+                truth += t
+                number += 1
+                for i in (0, 1):
+                    both[i] += b"".join(struct.pack("<HB", v[i][0] // product.unit_mm, v[i][1] if v[i][0] else 0) + pad for v in values)
+            body += both[0] + (both[1] if dual else b"")
+        mode = 0x39 if dual else 0x37
+        last_us, first_us = (number - 1) * product.cycle_us, first * product.cycle_us
+        if not product.hesai:
+            time_us = first_us
+            code = {"VLP-16": 0x22, "VLP-32C": 0x28, "HDL-32E": 0x21}[product.name]
+            data = body + struct.pack("<IBB", round(time_us + zero_us) % 3_600_000_000, mode, code)
+        else:
+            # the manuals: a laser fires at its block's start plus its own time, the first at -54.67 (-54.668, +0.368) us
+            block, own = {"Pandar40P": (-28.58, -54.67), "Pandar64": (-42.58, -54.668), "XT32": (5.632, 0.368)}[product.name]
+            time_us = last_us - block - own
+            stamp = struct.pack("<I", round(time_us + zero_us) % 1_000_000)
+            if product.name == "XT32":
+                data = (bytes.fromhex("eeff06010000") + bytes([32, 8, 0, 4, 1 + dual, 0]) + body + bytes(10) + bytes([mode]) +
+                        struct.pack("<H6B", 600, 123, 11, 14, 1, 2, 3) + stamp + b"\x42" + struct.pack("<I", k))
+            else:
+                head = bytes([0xee, 0xff, 64, 6, 0, 4, 0, 0]) if product.name == "Pandar64" else b""
+                data = (head + body + bytes(8) + struct.pack("<H", 600) + stamp + bytes([mode, 0x42, 23, 11, 14, 1, 2, 3]) +
+                        struct.pack("<I", k))
+        if k not in lost:
+            out.append((round(time_us * 1000), data))
+            truths += truth
+    return out, np.array(truths)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packets of every product that relidar decodes, written by packet_writer.py: walls of a box at known ranges. Each return has to lie on them, at
+its time, in its ring, with its reflectivity; dropped rays are dropped.
+
+   packets_test.py RELIDAR WORK [pcap]       77: numpy is missing
+"""
+import json
+import pathlib
+import shutil
+import subprocess
+import sys
+
+try:
+    import numpy as np
+except ImportError as error:
+    print(f"skipped: {error}")
+    sys.exit(77)
+
+import bag_writer as bags
+import packet_writer as lidars
+
+RELIDAR, WORK, PCAP = sys.argv[1], pathlib.Path(sys.argv[2]), "pcap" in sys.argv[3:]
+T0 = 1_700_000_000_250_000_000
+bags.TYPES["pandar_msgs/PandarScan"] = [("header", bags.HEADER), ("packets", [[("stamp", "time"), ("data", ("B", 1500)), ("size", "I")]])]
+bags.TYPES["nebula_msgs/NebulaPackets"] = [("header", bags.HEADER), ("packets", [[("stamp", "time"), ("data", "bytes")]])]
+
+
+def expect(condition, text):
+    if not condition:
+        sys.exit(f"FAILED: {text}")
+
+
+def run(*arguments, code=0):
+    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
+    expect(done.returncode == code, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
+    return done.stdout + done.stderr
+
+
+def converted(log, *more):
+    folder = WORK / (log.name + ".log")
+    shutil.rmtree(folder, ignore_errors=True)
+    run("convert", log, "--out", folder, "--set", "dataset.max_range_m=200", *more)
+    return folder, json.loads((folder / "sequence.json").read_text())
+
+
+def messages(packets, type_name, size=30):
+    out = []
+    for i in range(0, len(packets), size):
+        part = [{"stamp": T0 + ns, "data": data.ljust(1500, b"\0") if type_name.startswith("pandar") else data, "size": len(data)}
+                for ns, data in packets[i:i + size]]
+        out.append(("/packets", type_name, T0 + packets[i][0], {"header": {"stamp": T0, "frame_id": "lidar"}, "packets": part}))
+    return out
+
+
+def returns_of(folder, head, dual):
+    """(seconds after T0, direction [3], origin [3], range, intensity, ring, number of the return) of the first turn, and its image."""
+    text = head["conventions"].split("0 s is ")[1].split()[0]
+    zero_s = int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)
+    scan = np.load(folder / head["frames"][0]["scan"])
+    rows = []
+    for k in ("", "_2") if dual else ("",):
+        hit = scan["range" + k] > 0
+        rows.append(np.column_stack([scan["time"][hit].astype(float) + zero_s, scan["directions"][hit], scan["origin"][hit], scan["range" + k][hit],
+                                     255 * scan["intensity" + k][hit], scan["ring"][hit], np.full(hit.sum(), k != "")]))
+    return np.concatenate(rows), scan, zero_s
+
+
+def check(name, product, folder, head, truth, dual, forward_deg):
+    """@param forward_deg azimuth of the driver's x axis"""
+    found, scan, zero_s = returns_of(folder, head, dual)
+    cycle_s = product.cycle_us * 1e-6
+    columns = lidars.TURN_S / cycle_s
+    expect(scan["range"].shape[0] == product.lasers and columns <= scan["range"].shape[1] <= columns + 4, f"{name}: an image of {scan['range'].shape}")
+    expect(abs((zero_s / lidars.TURN_S * 360 - forward_deg + 180) % 360 - 180) < 0.02, f"{name}: it faces forward at {zero_s} s")
+    ring = np.argsort(np.argsort(-product.elevation, kind="stable"), kind="stable")
+    laser = np.argsort(ring)[found[:, 9].astype(int)]
+    cycle = np.rint((found[:, 0] - product.offset_us[laser] * 1e-6) / cycle_s).astype(int)
+    expect(np.abs(cycle * cycle_s + product.offset_us[laser] * 1e-6 - found[:, 0]).max() < 1.1e-6, f"{name}: times")
+    # a turn of fewer firings than columns repeats some of them
+    key = np.column_stack([cycle, laser, found[:, 10]]).astype(int)
+    key, first = np.unique(key, axis=0, return_index=True)
+    found = found[first]
+    true_cycle = np.rint((truth[:, 0] - product.offset_us[truth[:, 2].astype(int)] * 1e-6) / cycle_s).astype(int)
+    begin = zero_s / cycle_s - columns / 2
+    inside = (true_cycle >= begin - 1e-3) & (true_cycle < begin + columns - 1e-3)
+    true_key = np.column_stack([true_cycle, truth[:, 2], truth[:, 5]]).astype(int)[inside]
+    order = np.lexsort(true_key.T[::-1])
+    true_key, truth = true_key[order], truth[inside][order]
+    edge = {int(begin), int(begin) + 1, int(begin + columns), int(begin + columns) - 1}   # a firing at the very end of the turn
+    inner, true_inner = [~np.isin(k[:, 0], list(edge)) for k in (key, true_key)]
+    expect(key[inner].tolist() == true_key[true_inner].tolist(), f"{name}: {inner.sum()} returns, expected {true_inner.sum()}")
+    found, truth = found[inner], truth[true_inner]
+    expect(len(found) > 0.55 * product.lasers * columns, f"{name}: {len(found)} returns")
+    expect(np.abs(found[:, 7] - truth[:, 3]).max() < 1e-5, f"{name}: ranges")
+    expect(np.abs(found[:, 8] - truth[:, 4]).max() < 1e-4, f"{name}: reflectivities")
+    d = lidars.directions(product, truth[:, 2].astype(int), truth[:, 1])
+    apart = np.degrees(np.linalg.norm(found[:, 1:4] - d, axis=1))
+    expect(apart.max() < 0.012, f"{name}: directions by up to {apart.max()} degrees")
+    strongest = found[:, 10] == 0
+    points = found[strongest, 4:7] + found[strongest, 7:8] * found[strongest, 1:4]
+    off = np.abs((np.abs(points) / lidars.WALLS).max(1) - 1).max()
+    expect(off < 1e-3, f"{name}: {off} of the walls' distance off them")
+    print(f"{name}: {len(found)} returns as written")
+
+
+def test_bags():
+    for product in lidars.PRODUCTS:
+        blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8, "VLP-16": 24}.get(product.name, 12)
+        for dual, lost in ((False, ()), (True, ()), (False, (100, 101))):
+            n = int((2.3 + dual * 0) * lidars.TURN_S / (product.cycle_us * 1e-6 * blocks / (1 + dual)))
+            lost = [n // 2, n // 2 + 1] if lost else ()
+            name = f"{product.name}, {1 + dual} returns{', two packets lost' if lost else ''}"
+            packets, truth = lidars.packets(product, n, dual, lost)
+            type_name = "pandar_msgs/PandarScan" if product.hesai else "velodyne_msgs/VelodyneScan"
+            if lost:
+                type_name = "nebula_msgs/NebulaPackets"
+            bag = WORK / "packets.mcap"
+            bags.write_mcap(bag, messages(packets, type_name), form="ros1" if dual else "cdr")
+            folder, head = converted(bag)
+            notes = "\n".join(head["notes"])
+            expect(("2 packets are missing" in notes) == bool(lost), f"{name}: {notes}")
+            expect(product.name in notes, f"{name}: {notes}")
+            check(name, product, folder, head, truth, dual, 90 if product.hesai else 0)
+
+
+def test_strangers():
+    for data, expected in ((b"\xff\xee" + bytes(1203) + b"\xa1", "VLS-128"), (b"\xee\xff\x04\x03" + bytes(800), "AT128"),
+                           (b"\x55\xaa\x05\x0a" + bytes(1244), "rslidar_sdk"), (bytes(700), "700 bytes")):
+        bag = WORK / "stranger.mcap"
+        bags.write_mcap(bag, messages([(0, data)], "nebula_msgs/NebulaPackets"))
+        expect(expected in run("info", bag, code=3), f"packets of another product: {expected}")
+
+
+shutil.rmtree(WORK, ignore_errors=True)
+WORK.mkdir(parents=True)
+test_bags()
+test_strangers()
+print("done")
