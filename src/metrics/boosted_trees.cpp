@@ -59,6 +59,8 @@ struct Sums {
     Sums without(const Sums& other) const { return {gradient - other.gradient, hessian - other.hessian}; }
     /// Twice what the best constant takes off the loss.
     double gain() const { return gradient * gradient / hessian; }
+    /// Whether it may be split in two.
+    bool is_divisible() const { return hessian >= 2.0 * kLeastHessian; }
 };
 using Histogram = std::vector<Sums>;   ///< [features][kBins]
 
@@ -67,6 +69,7 @@ struct Split {
     double gain = 0.0;
     std::size_t feature = 0;
     int last_left = -1;   ///< -1: there is no split worth making
+    Sums left;            ///< of the rows there
 };
 
 /// Grows one tree and moves the scores by it.
@@ -79,11 +82,22 @@ public:
 
     BoostedTrees::Tree grow() {
         tree_.resize(1);
-        grow(0, 0, rows_.size(), histogram(0, rows_.size()), 0);
+        Sums all;
+        for (const Sums& row : of_row_) all.add(row);
+        grow({0, 0, rows_.size(), all, 0}, all.is_divisible() ? histogram(0, rows_.size()) : Histogram{});
         return std::move(tree_);
     }
 
 private:
+    /// A node that is not finished.
+    struct Part {
+        std::size_t node, begin, end;   ///< in the tree; its rows
+        Sums all;
+        int depth;
+
+        bool may_split() const { return depth < kDepth && all.is_divisible(); }
+    };
+
     const BinnedColumns& columns_;
     const std::vector<Sums>& of_row_;
     std::vector<double>& score_;
@@ -112,34 +126,40 @@ private:
                 if (left.hessian < kLeastHessian) continue;
                 if (right.hessian < kLeastHessian) break;
                 const double gain = left.gain() + right.gain() - all.gain();
-                if (gain > best.gain) best = {gain, f, b};
+                if (gain > best.gain) best = {gain, f, b, left};
             }
         }
         return best;
     }
 
-    void grow(std::size_t node, std::size_t begin, std::size_t end, Histogram sums, int depth) {
-        Sums all;   // every row is in some bin of the first feature
-        for (int b = 0; b < kBins; ++b) all.add(sums[std::size_t(b)]);
-        const Split split = depth < kDepth ? best_split(sums, all) : Split{};
-        if (split.last_left < 0) return end_in_leaf(node, begin, end, -kLearningRate * all.gradient / all.hessian);
+    /// @param sums  of the part, where it may split
+    void grow(const Part& part, Histogram sums) {
+        const Split split = part.may_split() ? best_split(sums, part.all) : Split{};
+        if (split.last_left < 0) return end_in_leaf(part);
         const auto goes_left = [&](std::uint32_t row) { return int(columns_.bins[split.feature][row]) <= split.last_left; };
-        const auto first = rows_.begin() + std::ptrdiff_t(begin), last = rows_.begin() + std::ptrdiff_t(end);
+        const auto first = rows_.begin() + std::ptrdiff_t(part.begin), last = rows_.begin() + std::ptrdiff_t(part.end);
         const std::size_t middle = std::size_t(std::stable_partition(first, last, goes_left) - rows_.begin());
+        const std::size_t child = tree_.size();
+        tree_.resize(child + 2);
+        tree_[part.node] = {int(child), int(split.feature), columns_.edges[split.feature][std::size_t(split.last_left)], 0.0};
+        const Part left{child, part.begin, middle, split.left, part.depth + 1};
+        const Part right{child + 1, middle, part.end, part.all.without(split.left), part.depth + 1};
 
-        const bool left_is_small = middle - begin < end - middle;   // the smaller one is summed, the other is what remains
-        Histogram small = left_is_small ? histogram(begin, middle) : histogram(middle, end);
-        for (std::size_t i = 0; i < sums.size(); ++i) sums[i] = sums[i].without(small[i]);
-        const std::size_t left = tree_.size();
-        tree_.resize(left + 2);
-        tree_[node] = {int(left), int(split.feature), columns_.edges[split.feature][std::size_t(split.last_left)], 0.0};
-        grow(left, begin, middle, left_is_small ? std::move(small) : std::move(sums), depth + 1);
-        grow(left + 1, middle, end, left_is_small ? std::move(sums) : std::move(small), depth + 1);
+        Histogram of_small;   // the smaller part is summed, the other is what remains
+        const bool left_is_small = left.end - left.begin < right.end - right.begin;
+        if (left.may_split() || right.may_split()) {
+            const Part& small = left_is_small ? left : right;
+            of_small = histogram(small.begin, small.end);
+            for (std::size_t i = 0; i < sums.size(); ++i) sums[i] = sums[i].without(of_small[i]);
+        }
+        grow(left, left_is_small ? std::move(of_small) : std::move(sums));
+        grow(right, left_is_small ? std::move(sums) : std::move(of_small));
     }
 
-    void end_in_leaf(std::size_t node, std::size_t begin, std::size_t end, double value) {
-        tree_[node].value = value;
-        for (std::size_t i = begin; i < end; ++i) score_[rows_[i]] += value;
+    void end_in_leaf(const Part& part) {
+        const double value = -kLearningRate * part.all.gradient / part.all.hessian;
+        tree_[part.node].value = value;
+        for (std::size_t i = part.begin; i < part.end; ++i) score_[rows_[i]] += value;
     }
 };
 

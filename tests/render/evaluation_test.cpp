@@ -96,7 +96,8 @@ TEST_F(EvaluationOf, RealismTellsARoughSceneFromTheStreet) {
     run.split = {{4, 8, 12, 16, 21}, {5, 20}};
     ScanRenderer renderer(device(), run);
     RealismTest realism(run, run.sequence);
-    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, [&](const ScoredFrame& frame) { realism.add(renderer, frame); });
+    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {},
+                    [&](const ScoredFrame& frame) { realism.add(renderer, frame); });
     const Realism told = realism.result();
     EXPECT_EQ(told.n_moments, 2u);
     EXPECT_LE(told.n_patches, 2u * 512u);
@@ -109,7 +110,8 @@ TEST_F(EvaluationOf, RealismTellsARoughSceneFromTheStreet) {
 
     run.split.train.clear();
     RealismTest alone(run, run.sequence);
-    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, [&](const ScoredFrame& frame) { alone.add(renderer, frame); });
+    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {},
+                    [&](const ScoredFrame& frame) { alone.add(renderer, frame); });
     EXPECT_EQ(alone.result().pairs.size(), 2u) << "a control without a training frame";
 }
 

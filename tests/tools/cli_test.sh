@@ -494,9 +494,9 @@ XOSC
     good edit run --out both --force --insert "removed#1@$start"
     says "note: removed was recorded by another sensor"
     good eval moved --out edited.json
-    bad 3 'moved: realism: found an edited run' eval moved --realism
     says "the street was cast again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
+    bad 3 'moved: realism: found an edited run' eval moved --realism
     good eval path --out path.json   # of a name that no car of the street has
     good render run --out cars --frames 5:6 --only actors
     good render run --out car --frames 5:6 --only 0 --only background --format ply
