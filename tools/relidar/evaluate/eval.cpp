@@ -226,7 +226,7 @@ void add_eval(CLI::App& app, Call& call) {
     command->add_flag("--open", options->open, "make a page of it, evaluation.html beside the JSON file, and open a browser");
     command->add_flag("--realism", options->realism,
                       "can a classifier tell simulated scans from real ones? It learns on half of the held-out frames, at least two, and "
-                      "is tried on the others; adds about a minute on two cores");
+                      "is tried on the others; adds half a minute on two cores, and each frame is rendered twice");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
