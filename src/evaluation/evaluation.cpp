@@ -11,6 +11,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
+#include "evaluation/frame_sensor.hpp"
 #include "evaluation/tails.hpp"
 
 namespace relidar {
@@ -18,12 +19,6 @@ namespace {
 
 constexpr double kSameTime_s = 1e-3;
 constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames have their images in memory
-
-SensorChoice sensor_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    return sensor;
-}
 
 /// The pixels whose return lies in a moving box: binned as the points are, with the answer in the place of the intensity.
 std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
@@ -54,7 +49,7 @@ RenderedFrame real_frame(const Config& config, const Sequence& sequence, const F
 RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
                            const Pose& sensor_offset) {
     RenderedFrame result = real_frame(config, sequence, frame, sensor_offset);
-    const SensorChoice sensor = sensor_of(config, sequence, frame);
+    const SensorChoice sensor = sensor_of_frame(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
     return result;
@@ -147,6 +142,12 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
 }
 
 }  // namespace
+
+SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
+    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
+    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    return sensor;
+}
 
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
     for (const int position : positions) {

@@ -21,7 +21,7 @@ ReportView points_beside(const ScoredFrame& frame, const Config& config, const s
 /// How far simulated ranges are off, by the real range, over all frames.
 ReportBars errors_by_range(const Evaluation& evaluation, const std::string& title);
 
-/// The ten metrics a person looks at first.
+/// The metrics a person looks at first.
 std::vector<ReportKeyMetric> key_metrics();
 
 /// "half of all ranges are within 2.1 cm of the real ones, and 97.3 % of all rays return or drop as they did"; empty where nobody knows.
