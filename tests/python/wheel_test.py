@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The wheel of tools/python, made from this build and installed into an empty folder, as `pip install tools/python` does."""
+import importlib.util
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import relidar
+
+SOURCE = pathlib.Path(os.environ["RELIDAR_SOURCE_DIR"]) / "tools" / "python"
+BUILD = pathlib.Path(relidar.__file__).resolve().parents[3]
+PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "--quiet"]
+PROGRAM = """
+import importlib.metadata, pathlib, relidar
+print(pathlib.Path(relidar.__file__).parent)
+print(importlib.metadata.version("relidar"), relidar.__version__)
+relidar.save_street("street", n_frames=2, rows=4, columns=16)
+print(len(relidar.load_sequence("street", relidar.Config("quick")).times))
+"""
+
+
+@unittest.skipUnless(all(importlib.util.find_spec(name) for name in ("pip", "setuptools", "wheel")), "no pip, setuptools or wheel")
+class Wheel(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory(prefix="relidar-wheel-")
+        self.addCleanup(self.folder.cleanup)
+        self.path = pathlib.Path(self.folder.name)
+
+    def build(self, build):
+        environment = dict(os.environ, RELIDAR_PYTHON_BUILD=str(build))
+        return subprocess.run([*PIP, "wheel", "--no-build-isolation", "--no-deps", "--no-index", "-w", str(self.path), str(SOURCE)],
+                              env=environment, capture_output=True, text=True)
+
+    def test_runs_where_it_is_installed(self):
+        made = self.build(BUILD)
+        self.assertEqual(made.returncode, 0, made.stderr)
+        wheels = list(self.path.glob("relidar-*-linux_*.whl"))   # of this system: it has a compiled part
+        self.assertEqual(len(wheels), 1, list(self.path.iterdir()))
+        site = self.path / "site"
+        subprocess.run([*PIP, "install", "--no-index", "--no-deps", "--target", str(site), str(wheels[0])], check=True)
+        self.assertEqual(sorted(p.name.split(".")[0] for p in (site / "relidar").iterdir() if p.is_file()),
+                         ["__init__", "__init__", "_relidar", "py"])
+        out = subprocess.run([sys.executable, "-B", "-c", PROGRAM], env=dict(os.environ, PYTHONPATH=str(site)), cwd=self.path, check=True,
+                             capture_output=True, text=True).stdout.split()
+        self.assertEqual(out, [str(site / "relidar"), relidar.__version__, relidar.__version__, "2"])
+
+    def test_says_that_a_build_has_no_module(self):
+        made = self.build(self.path)
+        self.assertNotEqual(made.returncode, 0)
+        self.assertIn("expected a build with -DRELIDAR_PYTHON=ON", made.stdout + made.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()
