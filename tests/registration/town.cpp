@@ -112,12 +112,12 @@ Sequence drive_around_block(int n_frames) {
         drive.frames.push_back(
             {.index = k, .time_s = 0.1 * k, .scan = {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)}});
     }
-    const street::Street town = make_town();
+    const street::StreetCaster town(make_town());
     run_parallel(n_frames, [&](int k) {
         Frame& frame = drive.frames[std::size_t(k)];
         Random random(hash64(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-            const auto hit = street::cast(town, world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
+            const auto hit = town.cast(world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
             const double noise_m = 0.01 * random.normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }

@@ -25,20 +25,20 @@ constexpr double kInside_m = 0.3;            // of a true box, where the centre 
 constexpr double kLarger_m = 0.8;            // than the true box a discovered one may be
 constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;   // of poses that are off
 
-/// Training frames in which a thing has enough returns.
-std::vector<double> times_seen(const Sequence& log, const std::vector<int>& train, const BoxTrack& box) {
-    std::vector<double> times;
+/// [things] Training frames in which each has enough returns.
+std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<int>& train, const std::vector<BoxTrack>& things) {
+    std::vector<std::size_t> n_frames(things.size(), 0);
     for (const int position : train) {
         const Frame& frame = log.frames[std::size_t(position)];
-        std::size_t n = 0;
+        std::vector<std::size_t> n_returns(things.size(), 0);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kFarthest_m)) continue;
             const WorldReturn w = world_return(log, frame, ray);
-            n += box.holds(w.point_m, w.time_s, 0.0);
+            for (std::size_t i = 0; i < things.size(); ++i) n_returns[i] += things[i].holds(w.point_m, w.time_s, 0.0);
         }
-        if (n >= kSeenReturns) times.push_back(frame.time_s);
+        for (std::size_t i = 0; i < things.size(); ++i) n_frames[i] += n_returns[i] >= kSeenReturns;
     }
-    return times;
+    return n_frames;
 }
 
 /// Whether a discovered track is this thing: its centre in the true box most of the time, and not larger than it.
@@ -102,8 +102,10 @@ void add_street(const SyntheticOptions& options, Score& score) {
     const std::vector<int> train = split_frames(log, 10).train;
     const std::vector<BoxTrack> found = discover_tracks(log, train);
     std::vector<char> taken(found.size(), 0);
+    const std::vector<std::size_t> n_seen = frames_that_see(log, train, truth);
     score.found += found.size();
-    for (const BoxTrack& thing : truth) {
+    for (std::size_t k = 0; k < truth.size(); ++k) {
+        const BoxTrack& thing = truth[k];
         std::vector<double> covered;
         for (std::size_t i = 0; i < found.size(); ++i) {
             if (taken[i] || !is_of(found[i], thing)) continue;
@@ -117,14 +119,13 @@ void add_street(const SyntheticOptions& options, Score& score) {
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
         }
-        const std::size_t seen = times_seen(log, train, thing).size();
-        if (seen < kSeenFrames) continue;
+        if (n_seen[k] < kSeenFrames) continue;
         ++score.present;
-        const bool recalled = 2 * covered.size() >= seen;
+        const bool recalled = 2 * covered.size() >= n_seen[k];
         score.recalled += recalled;
         if (!recalled)
             std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed), thing.category.c_str(), thing.id.c_str(),
-                        seen, covered.size());
+                        n_seen[k], covered.size());
     }
     for (std::size_t i = 0; i < found.size(); ++i) {
         const PoseTrack& track = found[i].world_from_box;

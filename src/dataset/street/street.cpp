@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
+#include <utility>
 
 namespace relidar::street {
 namespace {
@@ -52,8 +54,8 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
     return best;
 }
 
-glm::dvec3 turned(const glm::dvec3& v, double yaw_rad) {
-    const double c = std::cos(yaw_rad), s = std::sin(yaw_rad);
+/// About the z axis, by the angle with cosine c and sine s.
+glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
     return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
 }
 
@@ -71,9 +73,33 @@ double ground_reflectance(const glm::dvec3& p) {
     return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
 }
 
-class Caster {
+/// That of its corners; holds a cylinder, too.
+Sphere sphere_around(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
+
+/// Of some spheres: about the box of their centres.
+Sphere sphere_around(std::span<const Shape> shapes) {
+    glm::dvec3 low = shapes.front().centre, high = low;
+    for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
+    Sphere around{0.5 * (low + high)};
+    for (const Shape& shape : shapes) {
+        const Sphere s = sphere_around(shape);
+        around.radius_m = std::max(around.radius_m, glm::distance(around.centre, s.centre) + s.radius_m);
+    }
+    return around;
+}
+
+/// Follows one ray to what it meets first.
+class RayWalk {
 public:
-    Caster(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
+    RayWalk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
+
+    /// Whether nothing in a sphere can be what the ray meets first.
+    bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
+        const glm::dvec3 to = sphere.centre - origin;
+        const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
+        if (glm::dot(to, to) - along * along > radius2) return true;
+        return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
+    }
 
     void ground() {
         if (!(ray_.direction.z < 0.0)) return;
@@ -85,11 +111,9 @@ public:
 
     /// @param o, d ray in the frame that holds the shape's centre
     void shape(const Shape& shape, const glm::dvec3& origin, const glm::dvec3& direction) {
-        const glm::dvec3 to = shape.centre - origin;  // sphere about the shape: most rays pass it by
-        const double along = glm::dot(to, direction), reach = glm::dot(shape.half, shape.half);
-        const double radius2 = shape.kind == Shape::Kind::box ? reach : reach + shape.half.x * shape.half.x;
-        if (glm::dot(to, to) - along * along > radius2) return;
-        const glm::dvec3 o = turned(-to, -shape.yaw_rad), d = turned(direction, -shape.yaw_rad);
+        if (passes_by(sphere_around(shape), origin, direction)) return;
+        const double c = std::cos(shape.yaw_rad), s = -std::sin(shape.yaw_rad);
+        const glm::dvec3 o = turned(origin - shape.centre, c, s), d = turned(direction, c, s);
         const Meeting m = shape.kind == Shape::Kind::box ? meet_box(shape.half, o, d) : meet_cylinder(shape.half.x, shape.half.z, o, d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
@@ -113,16 +137,36 @@ Pose MovingCar::world_from_box(double t_s) const {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), start_m + speed_mps * t_s * ahead};
 }
 
-std::optional<Hit> cast(const Street& street, const WorldRay& ray, double t_s, double max_range_m) {
-    Caster caster(ray, max_range_m);
-    caster.ground();
-    for (const Shape& shape : street.shapes) caster.shape(shape, ray.origin_m, ray.direction);
-    for (const MovingCar& car : street.cars) {
-        const Pose box_from_world = inverse(car.world_from_box(t_s));
-        const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
-        for (const Shape& shape : car.shapes) caster.shape(shape, origin, direction);
+StreetCaster::StreetCaster(Street street) : street_(std::move(street)) {
+    constexpr double kWide_m = 4.0;   // a car, a bush, a stretch of fence
+    const std::span<const Shape> shapes = street_.shapes;
+    for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
+        while (end < shapes.size() && sphere_around(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m) ++end;
+        clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
     }
-    return caster.hit();
+    for (const MovingCar& car : street_.cars) {
+        double& reach_m = car_reach_m_.emplace_back(0.0);
+        for (const Shape& s : car.shapes) reach_m = std::max(reach_m, glm::length(s.centre) + sphere_around(s).radius_m);
+    }
+}
+
+std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m) const {
+    RayWalk walk(ray, max_range_m);
+    walk.ground();
+    std::size_t shape = 0;
+    for (const Cluster& cluster : clusters_) {
+        if (!walk.passes_by(cluster.around, ray.origin_m, ray.direction))
+            for (; shape < cluster.end; ++shape) walk.shape(street_.shapes[shape], ray.origin_m, ray.direction);
+        shape = cluster.end;
+    }
+    for (std::size_t i = 0; i < street_.cars.size(); ++i) {
+        const MovingCar& car = street_.cars[i];
+        const Pose world_from_box = car.world_from_box(t_s), box_from_world = inverse(world_from_box);
+        if (walk.passes_by({world_from_box.translation, car_reach_m_[i]}, ray.origin_m, ray.direction)) continue;
+        const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
+        for (const Shape& s : car.shapes) walk.shape(s, origin, direction);
+    }
+    return walk.hit();
 }
 
 }  // namespace relidar::street

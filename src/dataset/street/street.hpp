@@ -53,13 +53,33 @@ inline double frame_time_s(int frame) {
     return 0.1 * frame;
 }
 
+struct Sphere {
+    glm::dvec3 centre{0.0};
+    double radius_m = 0.0;
+};
+
 struct Hit {
     double range_m;
     double cosine;  ///< of the angle between ray and surface normal, 0..1
     double reflectance;
 };
 
-/// First surface along a ray at a moment, at most max_range_m away.
-std::optional<Hit> cast(const Street& street, const WorldRay& ray, double t_s, double max_range_m);
+/// Casts rays into a street.
+class StreetCaster {
+public:
+    explicit StreetCaster(Street street);
+    /// First surface along a ray at a moment, at most max_range_m away.
+    std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m) const;
+
+private:
+    /// Neighbours in the list of shapes that lie close together, such as the leaves of a bush: most rays pass them all by.
+    struct Cluster {
+        Sphere around;
+        std::size_t end;   ///< of its shapes; the first is the end of the cluster before
+    };
+    Street street_;
+    std::vector<Cluster> clusters_;
+    std::vector<double> car_reach_m_;   ///< [cars] from the centre of its box to the farthest of its shapes
+};
 
 }  // namespace relidar::street

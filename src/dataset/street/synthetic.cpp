@@ -76,12 +76,12 @@ street::Street street_near(const street::Street& whole, const glm::dvec3& sensor
 template <class Receive>
 void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s, const RayTable& rays,
                const Receive& receive) {
-    const street::Street street = street_near(whole, track.at(time_s).translation + offset_m, time_s);
+    const street::StreetCaster street(street_near(whole, track.at(time_s).translation + offset_m, time_s));
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = world_ray(track, time_s, rays, ray, true);
         in_street.origin_m += offset_m;
         const double t_s = time_s + static_cast<double>(rays.time_offset_s[ray]);
-        if (const std::optional<Hit> hit = street::cast(street, in_street, t_s, kMaxRange_m)) receive(ray, *hit);
+        if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m)) receive(ray, *hit);
     }
 }
 
