@@ -113,15 +113,30 @@ lost_device() {
     same gone
 }
 
-# kill_one FOLDER: the last started of the processes that train into it.
-kill_one() {
-    local process last=""
+# trainers FOLDER: the processes that train into it, a line each.
+trainers() {
+    local process
     for process in /proc/[0-9]*; do
         [[ $(readlink "$process/exe" 2>/dev/null) == "$relidar" ]] || continue
-        tr '\0' ' ' <"$process/cmdline" 2>/dev/null | grep -q -- "--out $1 " && last=${process#/proc/}
+        ! tr '\0' ' ' <"$process/cmdline" 2>/dev/null | grep -q -- "--out $1 " || printf '%s\n' "${process#/proc/}"
     done
+}
+
+# kill_one FOLDER: the last of them.
+kill_one() {
+    local last
+    last=$(trainers "$1" | tail -n 1)
     check "no process trains into $1" test -n "$last"
     [[ -z $last ]] || kill -KILL "$last"
+}
+
+# mpirun may end before the processes that it has stopped.
+wait_for_end() {
+    for _ in $(seq 600); do
+        [[ -n $(trainers "$1") ]] || return 0
+        sleep 0.1
+    done
+    fail "processes still train into $1"
 }
 
 mpi() { "$mpirun" --allow-run-as-root --oversubscribe -n "$@"; }
@@ -142,6 +157,7 @@ ranks() {
     kill_one lost
     wait $pid
     check "mpirun ended with 0 though one process was killed" test $? != 0
+    wait_for_end lost
     absent lost/scene.json
     rm -rf lost
 
@@ -161,6 +177,7 @@ ranks() {
     wait_for lost/blocks/001/checkpoints
     kill_one lost
     wait $pid
+    wait_for_end lost
     mpi 2 "$relidar" train --resume lost >out 2>err
     check "resumed by mpirun: exit code $?, expected 0" test $? = 0
     same lost

@@ -70,7 +70,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
 }
 
 TEST_F(People, WhoAreMaskedAreTold) {
-    const Sequence street = make_synthetic_street({.n_frames = 3, .rows = 16, .columns = 256, .people = true});
+    const Sequence street = make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.init.actor_classes = "Car";
