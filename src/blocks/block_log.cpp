@@ -7,7 +7,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "blocks/way.hpp"
+#include "blocks/frame_places.hpp"
 #include "core/list_text.hpp"
 
 namespace relidar {

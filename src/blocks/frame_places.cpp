@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "blocks/way.hpp"
+#include "blocks/frame_places.hpp"
 
 namespace relidar {
 

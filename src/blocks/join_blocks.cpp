@@ -9,7 +9,7 @@
 
 #include <relidar/error.hpp>
 
-#include "blocks/way.hpp"
+#include "blocks/frame_places.hpp"
 
 namespace relidar {
 namespace {

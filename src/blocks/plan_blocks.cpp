@@ -9,7 +9,7 @@
 
 #include <relidar/error.hpp>
 
-#include "blocks/way.hpp"
+#include "blocks/frame_places.hpp"
 #include "core/nearest_place.hpp"
 
 namespace relidar {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "dataset/told_firings.hpp"
+#include "dataset/arrange_firings.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -31,28 +31,28 @@ constexpr double kStraightness = 0.5;       // of its path
 constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;   // a vehicle does not turn on the spot
 
 /// How far a box comes, from end to end and along its path, and how much it turns.
-struct Way {
+struct Travel {
     double net_m = 0.0, path_m = 0.0, turned_rad = 0.0;
 };
-Way way_of(const PoseTrack& track) {
-    Way way;
+Travel travel_of(const PoseTrack& track) {
+    Travel travel;
     for (std::size_t i = 1; i < track.pose.size(); ++i) {
-        way.path_m += glm::distance(track.pose[i - 1].translation, track.pose[i].translation);
-        way.turned_rad += glm::angle(glm::normalize(glm::inverse(track.pose[i - 1].rotation) * track.pose[i].rotation));
+        travel.path_m += glm::distance(track.pose[i - 1].translation, track.pose[i].translation);
+        travel.turned_rad += glm::angle(glm::normalize(glm::inverse(track.pose[i - 1].rotation) * track.pose[i].rotation));
     }
-    way.net_m = glm::distance(track.pose.front().translation, track.pose.back().translation);
-    return way;
+    travel.net_m = glm::distance(track.pose.front().translation, track.pose.back().translation);
+    return travel;
 }
 
 /// Whether something may have this size and speed, and has come so far that its sides, as they appear, cannot be all that moves.
 bool is_plausible(const BoxTrack& box) {
     const std::vector<double> speeds = speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds), longest = std::max(box.size_m.x, box.size_m.y);
-    const Way way = way_of(box.world_from_box);
-    const bool turns_on_the_spot = longest > kVehicle_m && way.turned_rad > kTurn_rad + kTurnPer_m * way.path_m;
+    const Travel travel = travel_of(box.world_from_box);
+    const bool turns_on_the_spot = longest > kVehicle_m && travel.turned_rad > kTurn_rad + kTurnPer_m * travel.path_m;
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m && fastest > kSlowest_mps &&
-           fastest < kFastest_mps && way.net_m > kWayOfSize * longest && way.net_m > kStraightness * way.path_m && !turns_on_the_spot &&
-           box.moves();   // as a label would be: what is joined around a gap may have jumped in it and nowhere else
+           fastest < kFastest_mps && travel.net_m > kWayOfSize * longest && travel.net_m > kStraightness * travel.path_m &&
+           !turns_on_the_spot && box.moves();   // as a label would be: what is joined around a gap may have jumped in it and nowhere else
 }
 
 /// The box of a track of which other frames say that it moved, without what they say stayed; nothing where they do not say so.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cells that ways cross, against a box test of each cell; what a scan has looked at, in a room and under the sky.
+// Cells that segments cross, against a box test of each cell; what a scan has looked at, in a room and under the sky.
 #include <relidar/coverage.hpp>
 
 #include <algorithm>
@@ -17,54 +17,54 @@ namespace {
 
 using Cell = std::tuple<int, int, int>;
 
-struct Way {
+struct Segment {
     glm::dvec3 from_m, to_m;
 };
 
-/// Length of a way within a cell, by clipping it to the cell's six planes.
-double length_within(const Way& way, const Cell& cell) {
-    const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)), d = way.to_m - way.from_m;
+/// Length of a segment within a cell, by clipping it to the cell's six planes.
+double length_within(const Segment& segment, const Cell& cell) {
+    const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)), d = segment.to_m - segment.from_m;
     double begin = 0.0, end = 1.0;
     for (int axis = 0; axis < 3; ++axis) {
-        const double a = (low[axis] - way.from_m[axis]) / d[axis], b = (low[axis] + 1.0 - way.from_m[axis]) / d[axis];
+        const double a = (low[axis] - segment.from_m[axis]) / d[axis], b = (low[axis] + 1.0 - segment.from_m[axis]) / d[axis];
         begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
     }
     return std::max(end - begin, 0.0) * glm::length(d);
 }
 
-std::vector<Way> random_ways(int n, std::uint64_t seed) {
+std::vector<Segment> random_segments(int n, std::uint64_t seed) {
     Random random(seed);
     const auto place = [&] { return glm::dvec3(random.uniform(-12.0, 12.0), random.uniform(-12.0, 12.0), random.uniform(-9.0, 9.0)); };
-    std::vector<Way> ways;
+    std::vector<Segment> segments;
     for (int i = 0; i < n; ++i) {
         const glm::dvec3 from = place();
-        ways.push_back({from, place()});
+        segments.push_back({from, place()});
     }
-    return ways;
+    return segments;
 }
 
 TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
-    const std::vector<Way> ways = random_ways(40, 1);
+    const std::vector<Segment> segments = random_segments(40, 1);
     Coverage coverage;
     std::set<Cell> crossed;
-    for (const Way& way : ways) {
-        coverage.add(way.from_m, way.to_m);
+    for (const Segment& segment : segments) {
+        coverage.add(segment.from_m, segment.to_m);
         for (int x = -13; x < 13; ++x)
             for (int y = -13; y < 13; ++y)
                 for (int z = -10; z < 10; ++z)
-                    if (length_within(way, {x, y, z}) > 0.0) crossed.insert({x, y, z});
+                    if (length_within(segment, {x, y, z}) > 0.0) crossed.insert({x, y, z});
     }
     std::size_t n_cells = 0;
     for (const Coverage::Block& block : coverage.blocks())
         for (const std::uint16_t word : block.cells) n_cells += std::size_t(__builtin_popcount(word));
     EXPECT_EQ(n_cells, crossed.size());
-    for (const Way& way : ways) EXPECT_NEAR(coverage.share(way.from_m, way.to_m), 1.0, 1e-12);
+    for (const Segment& segment : segments) EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), 1.0, 1e-12);
     int n_partly = 0;
-    for (const Way& way : random_ways(60, 2)) {
+    for (const Segment& segment : random_segments(60, 2)) {
         double within_m = 0.0;
-        for (const Cell& cell : crossed) within_m += length_within(way, cell);
-        const double expected = within_m / glm::distance(way.from_m, way.to_m);
-        EXPECT_NEAR(coverage.share(way.from_m, way.to_m), expected, 1e-9);
+        for (const Cell& cell : crossed) within_m += length_within(segment, cell);
+        const double expected = within_m / glm::distance(segment.from_m, segment.to_m);
+        EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), expected, 1e-9);
         n_partly += expected > 0.01 && expected < 0.99;
     }
     EXPECT_GT(n_partly, 50);
@@ -104,7 +104,7 @@ void set_ranges(Sequence& sequence, const std::array<float, 4>& range_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) scan.range_m[i] = range_m[scan.rays.channel[i]];
 }
 
-/// Share seen of a way ahead of the sensor, at an elevation.
+/// Share seen of a segment ahead of the sensor, at an elevation.
 double seen(const Coverage& coverage, double elevation_deg, double from_m, double to_m) {
     const double e = elevation_deg * kPi / 180.0;
     const glm::dvec3 sensor(0.0, 0.0, 2.0), direction(std::cos(e) * std::cos(0.01), std::cos(e) * std::sin(0.01), std::sin(e));

@@ -8,7 +8,7 @@
 #include <complex>
 #include <numeric>
 
-#include "dataset/told_firings.hpp"
+#include "dataset/arrange_firings.hpp"
 
 namespace relidar::argoverse2 {
 namespace {

@@ -12,7 +12,7 @@
 #include "core/files.hpp"
 #include "core/progress_blocks.hpp"
 #include "dataset/broken_scans.hpp"
-#include "dataset/told_firings.hpp"
+#include "dataset/arrange_firings.hpp"
 
 namespace relidar::nuscenes {
 namespace {

@@ -10,7 +10,7 @@
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
 
-#include "dataset/told_firings.hpp"
+#include "dataset/arrange_firings.hpp"
 
 namespace relidar::packets {
 namespace {
