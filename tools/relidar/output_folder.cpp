@@ -6,6 +6,7 @@
 #include <fstream>
 #include <string>
 #include <system_error>
+#include <thread>
 #include <utility>
 
 #include <fcntl.h>
@@ -27,6 +28,10 @@ namespace relidar::cli {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr std::chrono::milliseconds kLockLook{50};
+/// mpirun and batch systems may start a job anew before the processes of the old one have ended.
+constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
 
@@ -103,8 +108,10 @@ OutputFolder::~OutputFolder() {
 FolderLock::FolderLock(fs::path file, int descriptor, bool exclusive)
     : file_(std::move(file)), descriptor_(descriptor), exclusive_(exclusive) {}
 
-FolderLock::FolderLock(const fs::path& folder) : file_(folder / kLockFile) {
-    const std::optional<OpenLock> lock = open_locked(file_);
+FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patience) : file_(folder / kLockFile) {
+    const auto end = std::chrono::steady_clock::now() + patience;
+    std::optional<OpenLock> lock = open_locked(file_);
+    for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_)) std::this_thread::sleep_for(kLockLook);
     if (!lock) throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
     descriptor_ = lock->descriptor;
     exclusive_ = lock->exclusive;
@@ -135,7 +142,7 @@ FolderLock::~FolderLock() {
 RunFolder::RunFolder(const fs::path& path, Existing existing) {
     if (!holds_run(path)) check_content(path, existing);   // nothing is written beside what is no run
     folder_.emplace(path);
-    lock_.emplace(path);
+    lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
     check_content(path, existing);
 }
 

@@ -2,6 +2,7 @@
 // Folders for results, checked before the long work begins and not left behind empty where that work fails.
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -28,8 +29,9 @@ private:
 /// knows no locks, there is none. Whoever takes it removes what a killed process has left half written.
 class FolderLock {
 public:
-    /// @throws DataError where another process holds it, or the folder cannot be written
-    explicit FolderLock(const std::filesystem::path& folder);
+    /// @param patience  how long it waits for another process that holds it
+    /// @throws DataError where another process holds it still, or the folder cannot be written
+    explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds patience = {});
     ~FolderLock();
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
