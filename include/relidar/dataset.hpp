@@ -92,6 +92,7 @@ struct SyntheticOptions {
     bool moving_cars = true;
     std::string rig = {};   ///< file of a rig, whose sensors take the log in place of rows and columns; mounted in the vehicle
     bool people = false;  ///< three pedestrians, a cyclist, cars parked behind a fence, cars with windows that let rays through, bushes
+    bool gait = false;    ///< the pedestrians swing their legs and arms, by the distance that they have come
 };
 
 /// Makes the synthetic street log in memory, ground truth by exact ray casting with a rolling shutter.

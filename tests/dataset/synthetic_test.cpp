@@ -351,7 +351,7 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     SyntheticOptions options = small();
     options.seed = 99;
     options.speed_mps = 6;
-    options.people = true;
+    options.people = options.gait = true;
     save_synthetic(options, folder);
     EXPECT_EQ(recognise_dataset(folder), "synthetic");
     EXPECT_NO_THROW(check_dataset(folder.string()));
@@ -395,6 +395,7 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THAT(message("range_noise_m = nan\n"), HasSubstr("range_noise_m is nan"));
     EXPECT_THAT(message("speed_mps = \"fast\"\n"), HasSubstr("line 1: speed_mps has the wrong type"));
     EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
+    EXPECT_THAT(message("gait = true\n"), HasSubstr("gait is true without people"));
     EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
     for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})   // libFuzzer: casts of what no integer holds
         EXPECT_THAT(message(std::string("rows = ") + real + "\n"),
@@ -405,10 +406,13 @@ TEST(Synthetic, WrongFilesAreNamed) {
 }
 
 /// People's boxes hold their returns, whose number falls with range as it does on a street.
-TEST(Synthetic, PeopleAreMetInTheirBoxes) {
-    SyntheticOptions options = {.n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true};
+class SyntheticPeople : public testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(Gait, SyntheticPeople, testing::Bool());
+
+TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
+    SyntheticOptions options = {.n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true, .gait = GetParam()};
     const Sequence street = make_synthetic_street(options);
-    options.people = false;
+    options.people = options.gait = false;
     EXPECT_EQ(make_synthetic_street(options).boxes.size(), 2u);
     std::vector<std::string> categories;
     for (const BoxTrack& box : street.boxes) categories.push_back(box.category);

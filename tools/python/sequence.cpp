@@ -49,13 +49,14 @@ std::vector<std::string> box_names(const Sequence& sequence) {
     return names;
 }
 
-void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns, bool people) {
+void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns, bool people, bool gait) {
     SyntheticOptions options;
     options.seed = seed;
     options.n_frames = n_frames;
     options.rows = rows;
     options.columns = columns;
     options.people = people;
+    options.gait = gait;
     save_synthetic(options, folder);
 }
 
@@ -147,7 +148,9 @@ void add_sequence(py::module_& module) {
         "Raises DataError naming the file and what is wrong with it.");
     module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1, py::arg("n_frames") = 30,
                py::arg("rows") = 32, py::arg("columns") = 512, py::arg("people") = false,
-               "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads.");
+               py::arg("gait") = false,
+               "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. people: it has pedestrians and a\n"
+               "cyclist. gait: and the pedestrians swing their legs and arms.");
 }
 
 }  // namespace relidar::python

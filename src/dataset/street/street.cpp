@@ -54,6 +54,25 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
     return best;
 }
 
+/// A capsule whose axis goes from the origin straight down.
+Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& d) {
+    Meeting best;
+    const auto offer = [&](double t, double axis_z) {
+        if (t > 0.0 && t < best.t) best = {t, (o + t * d - glm::dvec3(0.0, 0.0, axis_z)) / radius};
+    };
+    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y, c = o.x * o.x + o.y * o.y - radius * radius;
+    if (const double root = b * b - a * c; a > 0.0 && root >= 0.0) {
+        const double t = (-b - std::sqrt(root)) / a, z = o.z + t * d.z;
+        if (z <= 0.0 && z >= -length) offer(t, z);
+    }
+    for (const double end : {0.0, -length}) {
+        const glm::dvec3 to = o - glm::dvec3(0.0, 0.0, end);
+        const double half = glm::dot(to, d), rest = half * half - glm::dot(to, to) + radius * radius;
+        if (rest >= 0.0) offer(-half - std::sqrt(rest), end);
+    }
+    return best;
+}
+
 /// About the z axis, by the angle with cosine c and sine s.
 glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
     return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
@@ -121,6 +140,17 @@ public:
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
+    /// @param pitch_rad  from straight down, forward @param origin, direction  ray in the frame of the box
+    void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
+        const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
+        const auto hanging = [&](const glm::dvec3& v) { return glm::dvec3(c * v.x + s * v.z, v.y, c * v.z - s * v.x); };
+        const glm::dvec3 d = hanging(direction);
+        const Meeting m = meet_capsule(limb.radius_m, limb.length_m, hanging(origin - limb.joint_m), d);
+        if (!(m.t <= nearest_m_)) return;
+        nearest_m_ = m.t;
+        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), limb.reflectance};
+    }
+
     const std::optional<Hit>& hit() const { return hit_; }
 
 private:
@@ -137,6 +167,17 @@ Pose MovingCar::world_from_box(double t_s) const {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), start_m + speed_mps * t_s * ahead};
 }
 
+double MovingCar::walked_m(double t_s) const {
+    if (track.pose.empty()) return speed_mps * t_s;
+    const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
+    double walked = glm::dot(track.pose.front().translation - start_m, ahead);
+    for (std::size_t i = 1; i < track.pose.size() && track.time_s[i - 1] < t_s; ++i) {
+        const double share = std::min(1.0, (t_s - track.time_s[i - 1]) / (track.time_s[i] - track.time_s[i - 1]));
+        walked += share * glm::distance(glm::dvec2(track.pose[i].translation), glm::dvec2(track.pose[i - 1].translation));
+    }
+    return walked;
+}
+
 StreetCaster::StreetCaster(Street street) : street_(std::move(street)) {
     constexpr double kWide_m = 4.0;   // a car, a bush, a stretch of fence
     const std::span<const Shape> shapes = street_.shapes;
@@ -147,6 +188,7 @@ StreetCaster::StreetCaster(Street street) : street_(std::move(street)) {
     for (const MovingCar& car : street_.cars) {
         double& reach_m = car_reach_m_.emplace_back(0.0);
         for (const Shape& s : car.shapes) reach_m = std::max(reach_m, glm::length(s.centre) + sphere_around(s).radius_m);
+        for (const Limb& l : car.limbs) reach_m = std::max(reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
     }
 }
 
@@ -165,6 +207,9 @@ std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double ma
         if (walk.passes_by({world_from_box.translation, car_reach_m_[i]}, ray.origin_m, ray.direction)) continue;
         const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
         for (const Shape& s : car.shapes) walk.shape(s, origin, direction);
+        if (car.limbs.empty()) continue;
+        const double stride_rad = 2.0 * kPi * car.walked_m(t_s) / car.stride_m;
+        for (const Limb& l : car.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }
     return walk.hit();
 }

@@ -23,6 +23,16 @@ struct Shape {
     double reflectance = 0.5;  ///< 0..1
 };
 
+/// A leg or an arm: a capsule that hangs from a joint and swings forward and backward, once in a stride.
+struct Limb {
+    glm::dvec3 joint_m{0.0};    ///< box frame
+    double length_m = 0.0;      ///< of its axis, from the joint on
+    double radius_m = 0.0;
+    double swing_rad = 0.0;     ///< from straight down, at most
+    double phase_rad = 0.0;     ///< of the stride, when the walker has come 0 m
+    double reflectance = 0.5;
+};
+
 /// A car, or someone on foot or on a bicycle, straight on at constant speed, or along a track; its shapes lie about the origin of the box
 /// frame.
 struct MovingCar {
@@ -32,9 +42,14 @@ struct MovingCar {
     double speed_mps = 0.0;
     glm::dvec3 size_m{0.0};  ///< of its box, a little larger than the shapes
     std::vector<Shape> shapes;
+    std::vector<Limb> limbs;
+    double stride_m = 0.0;   ///< two steps
     PoseTrack track;  ///< street frame; where it is not empty, it stands in for start, yaw and speed
 
     Pose world_from_box(double t_s) const;
+    /// How far it has come since the log began. A track begins as far as its first place is ahead of `start_m`: who walks the same way at
+    /// another speed sets his feet where he did.
+    double walked_m(double t_s) const;
 };
 
 struct Street {

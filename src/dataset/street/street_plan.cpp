@@ -180,6 +180,21 @@ MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m,
     return walker;
 }
 
+/// Legs and arms that swing, in the place of the legs that stand. Feet at the ground move as fast as the body, backward: they stand.
+void give_gait(MovingCar& walker) {
+    constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045, kShoulder_m = 0.23;
+    constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
+    const double half = 0.5 * walker.size_m.z, hip_z = -half + kLeg_m + kLegRadius_m;
+    walker.shapes.erase(walker.shapes.begin());
+    for (const double side : {1.0, -1.0}) {
+        const double phase = side > 0.0 ? 0.0 : kPi;
+        walker.limbs.push_back({{0.0, side * kHip_m, hip_z}, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
+        walker.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m}, kArm_m, kArmRadius_m, kSwing_rad, phase + kPi, 0.5});
+    }
+    walker.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
+    walker.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
+}
+
 MovingCar cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double speed_mps) {
     MovingCar rider = walker(options, at_middle_m, 0.0, speed_mps);
     rider.category = "Cyclist";
@@ -190,9 +205,12 @@ MovingCar cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m
 }
 
 void add_people(Street& street, Random& random, const SyntheticOptions& options) {
+    const std::size_t first = street.cars.size();
     street.cars.push_back(walker(options, {random.uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0, random.uniform(1.0, 1.6)));
     street.cars.push_back(walker(options, {random.uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi, random.uniform(1.0, 1.6)));
     street.cars.push_back(walker(options, {random.uniform(24.0, 30.0), 4.5}, -0.5 * kPi, random.uniform(1.0, 1.6)));
+    if (options.gait)
+        for (std::size_t i = first; i < street.cars.size(); ++i) give_gait(street.cars[i]);
     street.cars.push_back(cyclist(options, {random.uniform(6.0, 9.0), kRightKerb_m + 2.7}, random.uniform(4.0, 6.0)));
 }
 

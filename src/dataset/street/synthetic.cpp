@@ -35,6 +35,8 @@ void check(const SyntheticOptions& options) {
     in_range("columns", options.columns, 8, 8192);
     in_range("range_noise_m", options.range_noise_m, 0.0, 1.0);
     in_range("speed_mps", options.speed_mps, 0.0, 40.0);
+    if (options.gait && !options.people)
+        throw UsageError("synthetic street: gait is true without people, expected people = true beside it");
 }
 
 SpinningSensor make_sensor(const SyntheticOptions& options) {

@@ -21,7 +21,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::vector<std::string> kKeys{"seed", "n_frames", "rows", "columns", "range_noise_m", "speed_mps", "moving_cars", "people", "rig"};
+const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
+                                     "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
 /// Value of a key where it is there. @throws DataError where it has another type (whole numbers serve as real ones)
 template <class T>
@@ -78,6 +79,7 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "speed_mps", "a number", file, options.speed_mps);
     read_value(table, "moving_cars", "true or false", file, options.moving_cars);
     read_value(table, "people", "true or false", file, options.people);
+    read_value(table, "gait", "true or false", file, options.gait);
     read_value(table, "rig", "a file", file, options.rig);
     if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();   // beside this file, or absolute
     return options;
@@ -113,9 +115,9 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
     out << fmt::format(
-        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\n",
+        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\ngait = {}\n",
         static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
-        number_text(options.speed_mps), options.moving_cars, options.people);
+        number_text(options.speed_mps), options.moving_cars, options.people, options.gait);
     if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
     if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
 }

@@ -97,7 +97,8 @@ class Sequence:
 
 def load_sequence(dataset: _Path, config: Config | None = None, progress: _Progress = None) -> Sequence: ...
 def save_street(
-    folder: _Path, *, seed: int = 1, n_frames: int = 30, rows: int = 32, columns: int = 512, people: bool = False
+    folder: _Path, *, seed: int = 1, n_frames: int = 30, rows: int = 32, columns: int = 512, people: bool = False,
+    gait: bool = False
 ) -> None: ...
 
 class Scene:
