@@ -48,7 +48,7 @@ const std::map<std::string, Stages>& layer_table() {
          {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scatter",
           "weather", "scene", "sequence", "sensor", "gpu"}},
         {"assets", {"render", "run", "edit", "export", "config", "scene", "sequence", "sensor", "gpu"}},   // export: write_text
-        {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
+        {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor", "weather"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
         {"blocks", {"run", "config", "coverage", "scene", "sequence", "sensor"}},
         {"train", {"channels",   "config",   "run",       "render",    "differentiable_renderer",
