@@ -79,7 +79,7 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
 /// intensity are of that, it belongs to no instance, and channels that say something of surfaces say nothing. The channel `source` says why
 /// there is a point; clear air changes nothing else. The same for the same seed and time, on any number of threads.
 /// @param response  how bright the sensor reports the same surface at a range
-/// @param blind [n] 1 for rays that see nothing, whatever stands there; empty: none
+/// @param blind [n] 1 for rays that see nothing of the air, since something at the sensor blocks them; empty: none
 void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, std::span<const std::uint8_t> blind,
                  std::uint64_t seed);
 

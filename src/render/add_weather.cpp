@@ -49,8 +49,8 @@ public:
             surfaces.strongest = surface(scan_.median_range_m[ray], scan_.image.intensity[ray]);
         if (has_second) surfaces.second = surface(scan_.second_returns[0].range_m[ray], scan_.second_returns[0].intensity[ray]);
         RayEchoes seen = surfaces;
-        if (!air_.clear() && !is_blind) {
-            seen = air_.look(surfaces, free_m(ray, surfaces), seed);
+        if (!air_.clear()) {
+            seen = air_.look(surfaces, is_blind ? 0.0 : free_m(ray, surfaces), seed);
             put(ray, surfaces.strongest, seen.strongest);
             if (has_second) put(scan_.second_returns[0], ray, seen.second);
         }
