@@ -40,6 +40,7 @@ using ChannelValues = std::variant<std::vector<float>, std::vector<std::int32_t>
 struct ScanChannel {
     ChannelInfo info;
     ChannelValues values;
+    ChannelValues second = {};   ///< of the second returns, as many; empty where it says nothing of them of its own
 };
 
 /// Those that every scan has.

@@ -29,3 +29,4 @@
 #include <relidar/sequence.hpp>
 #include <relidar/process_group.hpp>
 #include <relidar/train.hpp>
+#include <relidar/weather.hpp>

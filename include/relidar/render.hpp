@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -17,6 +18,7 @@
 #include <relidar/scatter.hpp>
 #include <relidar/scene.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/weather.hpp>
 
 namespace relidar {
 
@@ -32,8 +34,8 @@ struct RenderedScan {
     std::vector<float> time_offset_s;   ///< [n] firing time of each ray
     std::vector<std::uint16_t> ring;    ///< [n] number of the beam, 0 = highest
     std::vector<SecondReturn> second_returns = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
-    /// [n] each: those of config.render.channels, but for what the run does not know ("seen" without a Coverage), and what a caller adds of
-    /// his own, which goes through joins, grids, merges and into every output like the others
+    /// [n] each: those of config.render.channels, in weather `source`, but for what the run does not know ("seen" without a Coverage), and
+    /// what a caller adds of his own, which goes through joins, grids, merges and into every output like the others
     std::vector<ScanChannel> channels = {};
     /// share of the rays of which less than half of the way is seen, of all or of some thousand; nothing where the run does not know
     std::optional<double> unseen_share = {};
@@ -72,6 +74,14 @@ RenderedIntensities rendered_intensities(const RenderedScan& scan);
 /// drop_prob is 0 or 1, and image.range_m is the dominant surface's, as median_range_m. Second returns keep their likeliest intensities.
 /// The same for the same seed and time, whatever the device. @param scatter  an empty one: intensities stay the likeliest
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter, std::uint64_t seed);
+
+/// Puts weather between a sensor and its scan. Surfaces are darker or none; where something in the air is what a ray returns, its range and
+/// intensity are of that, it belongs to no instance, and channels that say something of surfaces say nothing. The channel `source` says why
+/// there is a point; clear air changes nothing else. The same for the same seed and time, on any number of threads.
+/// @param response  how bright the sensor reports the same surface at a range
+/// @param blind [n] 1 for rays that see nothing of the air, since something at the sensor blocks them; empty: none
+void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, std::span<const std::uint8_t> blind,
+                 std::uint64_t seed);
 
 /// The sensor whose scan is wanted.
 struct SensorChoice {
@@ -141,6 +151,9 @@ public:
     /// log's steps.
     /// @param scatter [lidars] none, or an empty one: intensities are as the scene has them
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
+    /// The weather from the next scan on, drawn by the seed of sampled scans and 0 for the likeliest. Its scans have the channel `source`.
+    /// @throws UsageError as check_weather()
+    void set_weather(const Weather& weather);
     /// Whether scans of a sensor are refined.
     bool refines(const SensorChoice& sensor) const;
     /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR (identity = where the real one was)

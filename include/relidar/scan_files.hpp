@@ -17,6 +17,7 @@
 #include <relidar/math.hpp>
 #include <relidar/sensor.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/weather.hpp>
 
 namespace relidar {
 
@@ -41,6 +42,7 @@ struct ScanFormat {
     std::vector<std::string> instance_names;   ///< "background" or the track, by instance
     std::vector<std::string> only;             ///< what was rendered alone; empty: everything
     std::optional<std::uint64_t> sample;       ///< seed of a sampled scan; none: the likeliest
+    Weather weather = {};
     std::string run;                           ///< its folder
     std::string sensor;
     RangeLimits limits;
@@ -94,7 +96,7 @@ private:
 /// FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns], instance [rows,columns] int32, -1 where nothing was
 ///        met, and instance_names [instances] its meaning, texts; directions, origin [rows,columns,3];
-///        with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return;
+///        with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return, and in weather source_2;
 ///        each of RenderedScan::channels by its name, [rows,columns] or of vectors [rows,columns,3];
 ///        unseen, RenderedScan::unseen_share where it is known;
 ///        pose [4,4] world_from_sensor at time_s; time_s, frame_number, frame, deskewed, sensor, run, units

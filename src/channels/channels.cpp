@@ -59,6 +59,7 @@ const std::vector<ChannelInfo>& optional_channels() {
          .meaning = "drop_prob by the surfels alone, before a network corrects it",
          .join = ChannelJoin::drop,
          .none = 1.0},
+        {.name = "source", .meaning = "why there is a point: 0 a surface, 1 fog, 2 rain, 3 snow; -1 where there is none", .none = -1.0},
     };
     return channels;
 }
@@ -89,14 +90,14 @@ std::size_t size(const ChannelValues& values) {
 
 std::vector<ScanChannel> emptied(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
-    for (const auto& [info, values] : channels)
+    for (const auto& [info, values, second] : channels)
         result.push_back({info, std::visit([](const auto& v) { return ChannelValues(std::decay_t<decltype(v)>{}); }, values)});
     return result;
 }
 
 std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels, const std::string& joint) {
     std::vector<ChannelNumber> numbers;
-    for (const auto& [info, values] : channels) {
+    for (const auto& [info, values, second] : channels) {
         if (std::holds_alternative<std::vector<glm::vec3>>(values))
             for (const char axis : {'x', 'y', 'z'}) numbers.push_back({info.name + joint + axis, false});
         else
@@ -112,7 +113,9 @@ void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, st
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number) {
     const ChannelInfo& channel = of_rays.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        std::get<std::vector<T>>(of_points.values).push_back(number == 1 || channel.of_ray ? values[ray] : nothing_of<T>(channel));
+        const auto* second = number == 2 && size(of_rays.second) > 0 ? std::get_if<std::vector<T>>(&of_rays.second) : nullptr;
+        const T other = second ? (*second)[ray] : channel.of_ray ? values[ray] : nothing_of<T>(channel);
+        std::get<std::vector<T>>(of_points.values).push_back(number == 1 ? values[ray] : other);
     };
     std::visit(append_one, of_rays.values);
 }
@@ -120,7 +123,7 @@ void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what) {
     std::set<std::string> taken = {"range_2", "intensity_2", "return", "x", "y", "z"};
     for (const ChannelInfo& basic : file_channels()) taken.insert(basic.name);
-    for (const auto& [info, values] : channels) {
+    for (const auto& [info, values, second] : channels) {
         const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char c) {
             return c == '_' || (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');
         });
@@ -129,8 +132,13 @@ void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, con
                 fmt::format("channels of {}: found the name \"{}\", expected lower case letters, digits and _", what, excerpt(info.name)));
         if (!taken.insert(info.name).second)
             throw DataError(fmt::format("channels of {}: found {} twice, expected a name of its own", what, info.name));
+        if (size(second) > 0 && !taken.insert(info.name + "_2").second)
+            throw DataError(fmt::format("channels of {}: found {}_2 twice, expected a name of its own", what, info.name));
         if (size(values) != n)
             throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", what, size(values), info.name, n));
+        if (size(second) > 0 && (size(second) != n || second.index() != values.index()))
+            throw DataError(fmt::format("channels of {}: found {} values of {} of second returns, expected {} of its type", what,
+                                        size(second), info.name, n));
     }
 }
 

@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include <relidar/stages/forward.hpp>
+#include <relidar/weather.hpp>
 
 namespace relidar {
 namespace {
@@ -41,6 +42,10 @@ ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
     return seen_shares(scan, rays, log);
 }
 
+ChannelValues surfaces(const RenderedScan& scan, const SeenByLog&) {   // until add_weather() says what returned in the end
+    return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
+}
+
 ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) {
     return scan.image.drop_prob;
 }
@@ -57,6 +62,7 @@ constexpr Maker kMakers[] = {
     {"spread", nullptr, spread},
     {"seen", nullptr, seen},
     {"surfel_drop_prob", nullptr, surfel_drop_prob},
+    {"source", nullptr, surfaces},
 };
 
 Maker maker_of(const ChannelInfo& channel) {

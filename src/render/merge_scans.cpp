@@ -34,10 +34,21 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
+/// What a channel says of second returns.
+void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
+    const auto add = [&]<class T>(const std::vector<T>& values) {
+        if (size(merged.second) == 0) merged.second = std::vector<T>{};
+        auto& all = std::get<std::vector<T>>(merged.second);
+        all.resize(first_ray, nothing_of<T>(merged.info));
+        append(all, values);
+    };
+    std::visit(add, own.second);
+}
+
 /// @param first_ray  of the scan in the merged one, where the rays are already
 void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
-    for (auto& [info, values] : merged.channels) {
+    for (auto& [info, values, second] : merged.channels) {
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
@@ -50,6 +61,17 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t
         };
         std::visit(add, values);
     }
+    for (ScanChannel& channel : merged.channels)
+        for (const ScanChannel& own : scan.channels)
+            if (own.info.name == channel.info.name && size(own.second) > 0) append_second(channel, own, first_ray);
+}
+
+/// Gives scans without second returns none, and rays whose channels say nothing of them nothing.
+void fill_second_returns(RenderedScan& merged) {
+    const std::size_t n = merged.image.range_m.size();
+    for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
+    for (auto& [info, values, second] : merged.channels)
+        if (size(second) > 0) std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(info)); }, second);
 }
 
 /// Rays in the rig's frame when each was fired, by where sensor and rig were then: between poses a sensor moves along a chord and so does
@@ -83,7 +105,8 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         append_rays(merged, scan, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         if (rings > 65536) throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
-        append_channels(merged, scan, merged.image.range_m.size());
+        const std::size_t first_ray = merged.image.range_m.size();
+        append_channels(merged, scan, first_ray);
         for_each_basic_pair(scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
         if (scan.unseen_share) {
             unseen_rays += *scan.unseen_share * double(scan.instance.size());
@@ -91,11 +114,13 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         }
         merged.second_returns.resize(std::max(merged.second_returns.size(), scan.second_returns.size()));
         for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
+            merged.second_returns[k].range_m.resize(first_ray), merged.second_returns[k].intensity.resize(first_ray);
             append(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
             append(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
         }
         merged.trace_ms += scan.trace_ms;
     }
+    fill_second_returns(merged);
     merged.image.rows = 1;
     merged.image.columns = static_cast<int>(merged.image.range_m.size());
     return merged;

@@ -136,6 +136,7 @@ struct ScanRenderer::Impl {
     std::optional<DropRefiner> refiner = {};
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
+    Weather weather = {};
 
     /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
     SweepMoment moment(const SensorChoice& sensor, double time_s) {
@@ -171,7 +172,10 @@ struct ScanRenderer::Impl {
     };
     bool refines(const ImageOf& image) const;
     void refine(RenderedScan& scan);
-    void measure(RenderedScan& scan, int lidar, std::optional<std::uint64_t> sample) const;
+    float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
+    RangeLimits limits_of(const SensorChoice& sensor) const;
+    Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
+    void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample) const;
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
@@ -216,6 +220,11 @@ void ScanRenderer::compare_with(const Coverage& coverage) { impl_->coverage = co
 void ScanRenderer::scatter_intensities(const std::vector<IntensityScatter>& scatter) {
     impl_->scatter = scatter;
     impl_->scatter.resize(impl_->sweep.lidars.size());
+}
+
+void ScanRenderer::set_weather(const Weather& weather) {
+    check_weather(weather);
+    impl_->weather = weather;
 }
 
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
@@ -285,9 +294,8 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
         scan.mean_range_m.push_back(static_cast<float>(beam.measured_range(mean_m)));
         scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
         scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, table.channel[i]) : std::nullopt;
-        const float never_seen = own_beam ? layout.sensor_drop.at(*own_beam, table.direction[i]) : 0.0f;
-        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * (1.0f - never_seen) : 0.0f;
+        const float seen = 1.0f - never_seen(sensor, table.channel[i], table.direction[i]);
+        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * seen : 0.0f;
         scan.image.drop_prob.push_back(1.0f - returns);
     }
     if (!sweep.rolling_shutter) track = {{time_s}, {pose}};
@@ -321,11 +329,41 @@ void ScanRenderer::Impl::refine(RenderedScan& scan) {
     scan.image.drop_prob = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin_m));
 }
 
-/// What a sensor makes of a scan in the end: a sample of what is likely, or intensities in the steps that it has.
-void ScanRenderer::Impl::measure(RenderedScan& scan, int lidar, std::optional<std::uint64_t> sample) const {
-    const IntensityScatter& own = scatter[std::size_t(lidar)];
-    if (sample) sample_returns(scan, sweep.lidars[std::size_t(lidar)].range_noise, own, *sample);
-    else
+/// Probability that a sensor never sees anything along a ray.
+float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const {
+    const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, channel) : std::nullopt;
+    return own_beam ? layout.sensor_drop.at(*own_beam, direction) : 0.0f;
+}
+
+/// Between which ranges a sensor sees anything; as far as the log where it does not say.
+RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
+    return {sensor.limits.min_m, std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
+}
+
+/// @param rays  of the sensor, whose beams they are
+Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& rays) const {
+    WeatherSensor takes;
+    const double step = scatter[std::size_t(sensor.lidar)].step, divergence_rad = rays.largest_divergence();
+    if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
+    else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
+    if (step > 0.0) takes.darkest = 0.5 * step;
+    takes.separation_m = config.sensor.return_separation_m;
+    takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;
+    return {weather, takes};
+}
+
+/// What a sensor makes of a scan in the end: a sample of what is likely, through the weather, and intensities in the steps that it has.
+void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
+                                 std::optional<std::uint64_t> sample) const {
+    const IntensityScatter& own = scatter[std::size_t(sensor.lidar)];
+    if (sample) sample_returns(scan, sweep.lidars[std::size_t(sensor.lidar)].range_noise, own, *sample);
+    if (!weather.clear() || find_values<std::int32_t>(scan.channels, "source")) {
+        std::vector<std::uint8_t> blind;
+        for (std::size_t i = 0; i < scan.ring.size(); ++i)
+            blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
+        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, blind, sample.value_or(0));
+    }
+    if (!sample || !weather.clear())
         for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);
     for (SecondReturn& echo : scan.second_returns)
         for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
@@ -347,7 +385,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
     const glm::vec3 sensor_m(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
-    s.scene.bring(sensor_m, std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : s.config.dataset.max_range_m);
+    s.scene.bring(sensor_m, s.limits_of(sensor).max_m);
     s.scene.renderer().move(placed, sensor_m);
     RenderedScan scan = s.cast(sensor, table, time_s);
     if (parts) scan = s.join(sensor, scan, whole, config);
@@ -361,7 +399,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
         scan = project_scan(scan, *sensor.grid);
         s.refine(scan);
     }
-    s.measure(scan, sensor.lidar, sample);
+    s.measure(scan, sensor, whole, sample);
     return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
 }
 

@@ -32,7 +32,7 @@ PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose&
     if (!world && !format.deskew) return placed;
     const Pose target_from_world = world ? Pose{} : inverse(world_from_deskewed);
     std::vector<std::vector<glm::vec3>*> turning;
-    for (auto& [info, values] : placed.channels)
+    for (auto& [info, values, second] : placed.channels)
         if (auto* vectors = std::get_if<std::vector<glm::vec3>>(&values); vectors && info.turns) turning.push_back(vectors);
     for (std::size_t i = 0; i < placed.origin.size(); ++i) {
         const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);

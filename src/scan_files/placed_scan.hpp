@@ -37,8 +37,12 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
         visit(ChannelInfo{"range_2", "m"}, scan.second_returns[0].range_m);
         visit(ChannelInfo{"intensity_2"}, scan.second_returns[0].intensity);
     }
-    for (const auto& [info, values] : placed.channels)
-        std::visit([&visit, &channel = info](const auto& v) { visit(channel, v); }, values);
+    for (const ScanChannel& channel : placed.channels) {
+        std::visit([&](const auto& values) { visit(channel.info, values); }, channel.values);
+        ChannelInfo of_second = channel.info;
+        of_second.name += "_2";
+        if (size(channel.second) > 0) std::visit([&](const auto& values) { visit(of_second, values); }, channel.second);
+    }
 }
 
 /// Rays in the frame that the format asks for. @param world_from_deskewed  of that of deskewed rays @param notes  of the files

@@ -117,6 +117,7 @@ void ScanFolder::summarise() const {
                  {"instances", format_.instance_names},
                  {"only", format_.only},
                  {"sample", format_.sample ? Json(*format_.sample) : Json()},
+                 {"weather", to_text(format_.weather)},
                  {"recordings", Json::array()},
                  {"scans", Json::array()},
                  {"settings", settings_json(config)}};

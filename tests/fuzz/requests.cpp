@@ -31,8 +31,8 @@ namespace fs = std::filesystem;
 std::vector<std::string> wish_seeds(const fs::path&) {
     const std::string edits = R"({"copies": [{"of": "7", "at": [1, 2, 0, 90, 5]}], "moves": {"8": [1, 0, 0, 10]},
         "removed": ["9"], "hidden": ["7"]})";
-    return {R"({"do": "scan", "id": 7, "time_s": 1.5, "place": [1, 2, 3, 10, 0, 0], "sensor": "VLP-16", "lidar": 0, "simulate": true,
-        "real": false, "edits": )" + edits + "}",
+    return {R"({"do": "scan", "id": 7, "time_s": 1.5, "place": [1, 2, 3, 10, 0, 0], "sensor": "VLP-16", "lidar": 0,
+        "weather": "fog=50,rain=2", "simulate": true, "real": false, "edits": )" + edits + "}",
             R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n1\n"})",
             R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
 }

@@ -92,6 +92,23 @@ class Render(TestCase):
         self.assertEqual(set(np.unique(a["drop_prob"])), {0.0, 1.0})
         self.assertFalse(np.array_equal(a["drop_prob"], c["drop_prob"]))
 
+    def test_weather(self):
+        time = run().times[3]
+        clear, fog = (run().render(time=time, sample=1, weather=weather) for weather in ("", "fog=60"))
+        self.assertNotIn("source", clear)
+        self.assertEqual(set(np.unique(fog["source"])), {-1, 0, 1})
+        self.assert_same(fog["source"] == -1, fog["drop_prob"] == 1.0)
+        seen = (fog["source"] == 0) & (clear["drop_prob"] == 0.0)
+        self.assertGreater(seen.sum(), 100)
+        self.assert_same(fog["range"][seen], clear["range"][seen])
+        kept = np.exp(-2.0 * np.log(20.0) / 60.0 * clear["median_range"][seen])
+        step = 0.01   # if the log's intensities come in steps, so do these
+        self.assertLess(np.abs(fog["intensity"][seen] - clear["intensity"][seen] * kept).max(), step)
+        in_air = fog["source"] == 1
+        self.assertTrue((fog["instance"][in_air] == -1).all())
+        self.assert_same(run().render(time=time, sample=1, weather="clear")["range"], clear["range"])
+        self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected 0 to 100", run().render, time=time, weather="snow=-1")
+
     def test_world_frame(self):
         time = run().times[3]
         sensor, world = run().render(time=time, deskew=True), run().render(time=time, frame="world")

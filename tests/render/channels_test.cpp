@@ -123,7 +123,7 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
         RenderedScan joined = join_footprints(parts, ray, config);
         if (replaced) {
             RenderedScan old = join_footprints(parts, ray, config);
-            for (auto& [info, values] : old.channels) std::visit([](auto& v) { v.assign(1, {}); }, values);
+            for (auto& [info, values, second] : old.channels) std::visit([](auto& v) { v.assign(1, {}); }, values);
             old.weight = {0.0f}, old.instance = {-1};
             replace_rays(old, {0}, joined);
             joined = old;

@@ -50,6 +50,8 @@ const std::vector<Case>& cases_of_poses() {
          "reading points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
          "reading scene: found \"smal\", expected one that is there, as \"small\""},
+        {"no weather", [](auto& r) { r.set_weather("fog=0"); }, Code::INVALID_ARGUMENT,
+         "reading weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
         {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND, "reading lidar: found \"roof\""},
         {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); }, Code::NOT_FOUND,
          "actors.actors[0].name: found \"cat\", expected one that is there, as \"car\""},

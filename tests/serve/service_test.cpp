@@ -16,9 +16,11 @@ protected:
     v1::LidarScan scan_of(const v1::RenderLidarRequest& request) { return ScanClient(address()).render(request); }
 
     /// The same as the library renders it.
-    RenderedScan rendered(const ScanRequest& request, const std::string& sensor, std::optional<std::uint64_t> sample) {
+    RenderedScan rendered(const ScanRequest& request, const std::string& sensor, std::optional<std::uint64_t> sample,
+                          const std::string& weather = "") {
         const relidar::Run run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
+        renderer.set_weather(parse_weather(weather));
         const SensorChoice choice =
             sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
@@ -58,6 +60,32 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
     request.mutable_actors()->clear_actors();
     request.set_sample_seed(7);
     expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
+}
+
+/// Each request has its own weather, or the server's, and the next one that of its own again.
+TEST_F(Service, WeatherIsThatOfTheRequest) {
+    weather = parse_weather("snow=4");
+    start();
+    v1::RenderLidarRequest request = standing();
+    request.mutable_actors(), request.set_time_s(0.5);
+    const PoseTrack way{{0.5}, {at_x(0.0)}};
+    for (const char* asked : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
+        for (const std::uint64_t seed : {1, 2}) {
+            request.set_weather(asked), request.set_sample_seed(seed);
+            const std::string expected = asked[0] == 0 ? "snow=4" : asked;
+            const v1::LidarScan scan = scan_of(request);
+            const RenderedScan truth = rendered({0.5, way, ActorPoses{}}, "", seed, expected);
+            expect_same(scan, truth);
+            const std::vector<std::int32_t>* sources = find_values<std::int32_t>(truth.channels, "source");
+            ASSERT_EQ(scan.image().channels_size(), sources ? 1 : 0) << expected;
+            ASSERT_EQ(sources == nullptr, expected == "clear");
+            if (!sources) continue;
+            EXPECT_EQ(scan.image().channels(0).name(), "source");
+            EXPECT_EQ(values<std::int32_t>(scan.image().channels(0).values()), *sources);
+            EXPECT_THAT(*sources, testing::Contains(testing::Gt(0))) << expected;
+            EXPECT_THAT(values<std::int32_t>(scan.points().channels(0).values()), testing::Each(testing::Ge(0)));
+        }
+    }
 }
 
 TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {

@@ -61,6 +61,7 @@ protected:
     std::filesystem::path folder;   ///< of the runs
     std::vector<std::string> assets;   ///< folders of them
     std::optional<std::string> channels;   ///< of all scans
+    Weather weather;                       ///< of scans whose request has none
     std::optional<PoseOrder> sensorsim;    ///< of that service, where it is offered too
     std::optional<ScanServer> server;
 
@@ -80,6 +81,7 @@ protected:
         ServerOptions options;
         options.assets = assets;
         options.channels = channels;
+        options.weather = weather;
         options.sensorsim = sensorsim;
         for (const std::string& name : names) {
             if (!std::filesystem::exists(folder / name)) save_run(small_run(folder / name));

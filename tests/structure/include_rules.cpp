@@ -19,6 +19,7 @@ const std::map<std::string, Stages>& layer_table() {
         {"sensor", {}},
         {"sequence", {"sensor"}},
         {"scatter", {}},
+        {"weather", {}},
         {"coverage", {"sequence", "sensor"}},
         {"reader", {"sequence", "sensor"}},                                       // what all readers of datasets share
         {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
@@ -44,10 +45,10 @@ const std::map<std::string, Stages>& layer_table() {
         {"run", {"config", "coverage", "export", "refine", "scatter", "scene", "sequence", "sensor"}},  // export: safetensors
         {"sensor_files", {"sensor", "export"}},                                  // export: npz
         {"render",
-         {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scatter", "scene",
-          "sequence", "sensor", "gpu"}},
+         {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scatter",
+          "weather", "scene", "sequence", "sensor", "gpu"}},
         {"assets", {"render", "run", "edit", "export", "config", "scene", "sequence", "sensor", "gpu"}},   // export: write_text
-        {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor"}},
+        {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor", "weather"}},
         {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
         {"blocks", {"run", "config", "coverage", "scene", "sequence", "sensor"}},
         {"train", {"channels",   "config",   "run",       "render",    "differentiable_renderer",

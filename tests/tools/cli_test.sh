@@ -271,6 +271,18 @@ rendering() {
     check "two scans drawn with one seed differ" cmp -s drawn/frame_000003.npz drawn_again/frame_000003.npz
     check "scans drawn with two seeds are the same" test "$(cmp -s drawn/frame_000003.npz drawn_otherwise/frame_000003.npz; echo $?)" = 1
     check "scans.json does not say how scans were drawn" grep -q '"sample": 7' drawn/scans.json
+    good render run --out foggy --frames 2:4 --sample 7 --weather fog=40 --format npz,ply
+    check "weather is not noted" grep -q "^relidar: note: weather fog=40: no sensor states its wavelength: 905 nm" err
+    check "scans.json does not say the weather" grep -q '"weather": "fog=40"' foggy/scans.json
+    check "points do not say why they are there" grep -qa "property int source" foggy/frame_000003.ply
+    good render run --out foggy_again --frames 2:4 --sample 7 --weather fog=40
+    check "weather of one seed differs" cmp -s foggy/frame_000003.npz foggy_again/frame_000003.npz
+    good render run --out unclouded --frames 2:4 --sample 7 --weather rain=0
+    check "no rain changes a scan" cmp -s drawn/frame_000003.npz unclouded/frame_000003.npz
+    bad 2 "weather: found fog=0, expected a visibility of 1 to 1e6 metres" render run --out x --weather fog=0
+    bad 2 "weather: found rain=-3, expected 0 to 500 mm/h" render run --out x --weather rain=-3
+    bad 2 "weather: found rain=3 and snow=1, expected one of them" render run --out x --weather rain=3,snow=1
+    bad 2 "weather: found \"spray\", expected fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H" render run --out x --weather spray
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz

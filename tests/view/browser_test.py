@@ -92,6 +92,19 @@ def shows_channels(page):
     assert len(set(of_incidence)) > 50 and share_of_changes(of_incidence, of_normal) > 0.5
 
 
+def shows_weather(page):
+    """Points of fog have the colour of the first instance, those of surfaces none."""
+    Select(page.find("#colouring")).select_by_value("channel:source")
+    page.wait("no fog in clear air", lambda: page.strip().count(FIRST_BLUE) == 0)
+    page.type("#weather", "fog=20\n")
+    page.wait("fog", lambda: page.strip().count(FIRST_BLUE) > 1_000)
+    page.wait("the weather in the address", lambda: "weather=fog" in page.driver.current_url)
+    page.type("#weather", "fog=0\n")
+    page.wait("what is wrong with a weather", lambda: "found fog=0, expected a visibility" in page.find("#message").text)
+    page.type("#weather", "clear\n")
+    page.wait("clear air again", lambda: page.strip().count(FIRST_BLUE) == 0)
+
+
 def edits(page, relidar, work):
     Select(page.find("#colouring")).select_by_value("instance")
     page.wait("the first actor in the image", lambda: page.strip().count(FIRST_BLUE) > 0)
@@ -160,6 +173,7 @@ def check(page, url, relidar, work):
     moves(page)
     changes_sensor(page, work)
     shows_channels(page)
+    shows_weather(page)
     edits(page, relidar, work)
     shows_the_log(page)
     stays_responsive(page)

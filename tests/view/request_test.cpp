@@ -17,9 +17,10 @@ const std::string kEdits = R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3
     "hidden": ["3", "4"]})";
 const std::string kNoEdits = R"({"copies": [], "moves": {}, "removed": [], "hidden": []})";
 
-std::string scan(const std::string& place, const std::string& edits = kNoEdits, const std::string& time = "1.5") {
+std::string scan(const std::string& place, const std::string& edits = kNoEdits, const std::string& time = "1.5",
+                 const std::string& weather = "fog=50") {
     return R"({"do": "scan", "id": 7, "time_s": )" + time + R"(, "place": )" + place +
-           R"(, "sensor": "VLP-16", "lidar": 1, "simulate": true, "real": false, "edits": )" + edits + "}";
+           R"(, "sensor": "VLP-16", "lidar": 1, "weather": ")" + weather + R"(", "simulate": true, "real": false, "edits": )" + edits + "}";
 }
 
 /// The message of the refusal; empty where there is none.
@@ -38,6 +39,7 @@ TEST(ViewRequest, ReadsAScan) {
     EXPECT_EQ(wish.time_s, 1.5);
     EXPECT_EQ(wish.sensor, "VLP-16");
     EXPECT_EQ(wish.lidar, 1);
+    EXPECT_EQ(wish.weather.fog_visibility_m, 50.0);
     EXPECT_TRUE(wish.simulate);
     EXPECT_FALSE(wish.real);
     const glm::dvec3 ahead = wish.sensor_offset * glm::dvec3(1, 0, 0);   // 90 degrees to the left
@@ -68,6 +70,8 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {scan("[0, 0, null, 0, 0, 0]"), "place 3: expected a number"},
         {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2: expected a number between -10000 and 10000"},
         {scan(zero, kNoEdits, "1e300"), "time_s: expected"},
+        {scan(zero, kNoEdits, "1.5", "fog=0"), "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
+        {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather: expected a text of 1 to 64 bytes"},
         {scan(zero, kNoEdits, "1e999"), "expected a JSON object"},
         {scan(zero, "[]"), "edits: expected an object"},
         {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies: expected objects"},

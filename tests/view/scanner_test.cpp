@@ -92,8 +92,9 @@ protected:
     Scanner& scanner() { return *made_; }
     const relidar::Run& run() const { return made_->run(); }
     /// What `relidar render` makes of a run.
-    RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset) {
+    RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset, const Weather& weather = {}) {
         ScanRenderer renderer(device(), of);
+        renderer.set_weather(weather);
         return renderer.render(choose_sensor("native", of.config, of.sequence), time_s, offset);
     }
     TabCache tab;
@@ -109,6 +110,21 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
     const Read live(scanner().scan(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
+}
+
+TEST_F(LiveScan, HasTheWeatherOfEachWish) {
+    ScanWish wish;
+    for (const Weather& weather : {Weather{.fog_visibility_m = 30.0}, Weather{.snow_mm_h = 5.0}, Weather{}}) {
+        wish.weather = weather;
+        const Read live(scanner().scan(tab, wish));
+        const RenderedScan expected = rendered(run(), wish.time_s, {}, weather);
+        expect_same(live, expected, run());
+        if (weather.clear()) continue;
+        const auto sources = live.array<std::int32_t>("channel_source");
+        EXPECT_EQ(sources, *find_values<std::int32_t>(expected.channels, "source"));
+        EXPECT_THAT(sources, testing::Contains(testing::Gt(0)));
+    }
+    EXPECT_EQ(scanner().describe()["channels"].back()["name"], "source") << "the page can colour by it";
 }
 
 TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {

@@ -35,6 +35,7 @@ struct AskedScan {
     std::optional<std::uint64_t> sample;
     std::string frame;
     bool deskew;
+    std::string weather;
 };
 
 PointFrame frame_of(const std::string& name) {
@@ -81,11 +82,13 @@ py::dict render(LoadedRun& loaded, const AskedScan& asked) {
     ScanFormat format = scan_format(run, sensor);
     format.frame = frame_of(asked.frame);
     format.deskew = asked.deskew;
+    const Weather weather = parse_weather(asked.weather);
     OnDevice<ScanRenderer>& renderer = loaded.ready_renderer();
     RenderedScan scan;
     {
         const DeviceUse use(renderer.device());
         renderer->show_only(shown);
+        renderer->set_weather(weather);
         scan = renderer->render(sensor, request, asked.sample);
     }
     return to_dict(scan_arrays(scan, nearest_sweep(run.sequence, request.time_s), format));
@@ -130,13 +133,15 @@ constexpr const char* kRenderHelp =
     "only: render these alone: \"background\", \"actors\" or tracks\n"
     "sample: seed; draws drops and range noise as likely as on the log. None: the likeliest scan\n"
     "frame: of origin and directions: \"sensor\" (at each ray's firing time) or \"world\" (the dataset's)\n"
-    "deskew: sensor frame at `time` for all rays\n\n"
+    "deskew: sensor frame at `time` for all rays\n"
+    "weather: \"fog=50\" (visibility in metres), \"rain=25\" or \"snow=2\" (mm of water an hour), or fog and one of the others with a\n"
+    "    comma between; drawn by `sample`, 0 without; adds `source` [rows,columns] int32: -1 nothing, 0 surface, 1 fog, 2 rain, 3 snow\n\n"
     "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; directions, origin\n"
     "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in time), instance_names, frame,\n"
     "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or of vectors\n"
     "[rows,columns,3]; unseen, share of the rays that look where the log never did, where the run knows.\n\n"
-    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names.";
+    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names and weather.";
 
 /// What a run does.
 void add_calls(py::class_<LoadedRun>& type) {
@@ -152,13 +157,15 @@ void add_calls(py::class_<LoadedRun>& type) {
         .def(
             "render",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time, std::optional<py::dict> actors,
-               std::string lidar, std::vector<std::string> only, std::optional<std::uint64_t> sample, std::string frame, bool deskew) {
-                return render(run,
-                              {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample, std::move(frame), deskew});
+               std::string lidar, std::vector<std::string> only, std::optional<std::uint64_t> sample, std::string frame, bool deskew,
+               std::string weather) {
+                return render(run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample, std::move(frame),
+                                    deskew, std::move(weather)});
             },
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(), py::arg("time") = py::none(),
             py::arg("actors") = py::none(), py::arg("lidar") = "", py::arg("only") = std::vector<std::string>(),
-            py::arg("sample") = py::none(), py::arg("frame") = "sensor", py::arg("deskew") = false, kRenderHelp)
+            py::arg("sample") = py::none(), py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
+            kRenderHelp)
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {

@@ -65,6 +65,15 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& channels
         ->type_name("LIST");
 }
 
+void add_weather_option(CLI::App& command, std::string& weather, const std::string& which) {
+    command
+        .add_option("--weather", weather,
+                    fmt::format("fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H (of melted snow), or fog and one of the others with a "
+                                "comma between, in {} (default: clear); channel source says why there is a point",
+                                which))
+        ->type_name("WEATHER");
+}
+
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
     command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar config` lists all keys")
         ->type_name("KEY=VALUE")

@@ -37,6 +37,8 @@ struct Settings {
 void add_settings_options(CLI::App& command, Settings& settings);
 /// --channels, which is the setting render.channels.
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
+/// --weather. @param weather  text for parse_weather() @param which  scans, for the help
+void add_weather_option(CLI::App& command, std::string& weather, const std::string& which);
 /// --set alone: for commands whose settings come with a run.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);

@@ -50,7 +50,7 @@ private:
 
 template <class Messages>
 void write_channels(const std::vector<ScanChannel>& channels, Messages& messages) {
-    for (const auto& [info, values] : channels) {
+    for (const auto& [info, values, second] : channels) {
         v1::Channel& message = *messages.Add();
         message.set_name(info.name);
         message.set_unit(info.unit);

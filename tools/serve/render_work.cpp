@@ -44,7 +44,7 @@ TimedScan render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedS
     const auto work = [&] {
         begun = Clock::now();
         try {
-            timed.scan = scenes.render(wanted.scene, *wanted.sensor, wanted.request, wanted.sample);
+            timed.scan = scenes.render(wanted.scene, *wanted.sensor, wanted.request, wanted.sample, wanted.weather);
         } catch (const DataError& error) {   // the request has been looked at: the run's folder is at fault
             throw Refusal(grpc::StatusCode::INTERNAL, error.what());
         }

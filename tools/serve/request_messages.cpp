@@ -54,6 +54,14 @@ std::vector<std::string> asset_names(const AssetShelf& assets) {
     return names;
 }
 
+Weather read_weather(const std::string& text) {
+    try {
+        return parse_weather(text);
+    } catch (const UsageError& error) {
+        throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}", error.what()));
+    }
+}
+
 }  // namespace
 
 std::vector<std::string> actor_names(const Run& run) {
@@ -198,6 +206,7 @@ WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const
     wanted.request.dataset_from_sensor = path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
     if (message.has_actors()) place_actors(read_actors(message.actors()), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
+    if (!message.weather().empty()) wanted.weather = read_weather(message.weather());
     if (message.has_wanted()) {
         wanted.points = message.wanted().points();
         wanted.range_image = message.wanted().range_image();

@@ -45,6 +45,7 @@ struct WantedScan {
     ScanRequest request;
     std::vector<PlacedActor> placed;   ///< those of request.dataset_from_actor
     std::optional<std::uint64_t> sample;
+    std::optional<Weather> weather;   ///< none: as the scene is served
     double points_at_s = 0.0;
     bool points = true, range_image = false, drop_probability = false;
 };

@@ -54,7 +54,7 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
 }
 
 RenderedScan SceneSet::render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request,
-                              std::optional<std::uint64_t> sample) {
+                              std::optional<std::uint64_t> sample, const std::optional<Weather>& weather) {
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
@@ -62,7 +62,9 @@ RenderedScan SceneSet::render(std::size_t scene, const SensorChoice& sensor, con
     }
     RenderedScan scan;
     try {
-        count_growth(scene, [&] { scan = loaded_[scene].renderer->render(sensor, request, sample); });
+        ScanRenderer& renderer = *loaded_[scene].renderer;
+        renderer.set_weather(weather.value_or(sources_[scene].weather));
+        count_growth(scene, [&] { scan = renderer.render(sensor, request, sample); });
     } catch (const DeviceError&) {
         loaded_[scene].renderer.reset();   // what it holds is not known; the next request loads it again
         throw;

@@ -102,7 +102,7 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
-    std::vector<SceneSource> sources = scene_sources(options.runs, options.channels);
+    std::vector<SceneSource> sources = scene_sources(options.runs, options.channels, options.weather);
     impl_->assets.emplace(options.assets);
     impl_->on_render_thread([&] {
         impl_->device.emplace(options.device);

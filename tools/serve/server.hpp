@@ -11,6 +11,7 @@
 #include <vector>
 
 #include <relidar/gpu.hpp>
+#include <relidar/weather.hpp>
 
 namespace relidar::serve {
 
@@ -24,6 +25,7 @@ struct ServerOptions {
     std::vector<std::string> runs;           ///< "RUN" or "NAME=RUN"
     std::vector<std::string> assets;         ///< folders of `relidar assets`
     std::optional<std::string> channels;     ///< of scans, in place of each run's own setting render.channels
+    Weather weather = {};                    ///< of scans whose request does not say
     std::optional<PoseOrder> sensorsim;      ///< of SensorsimService, which is offered too; none: it is not
     std::string listen = "127.0.0.1:50051";  ///< port 0: a free one
     std::uint64_t memory_mib = 0;            ///< device memory that scenes may hold together; 0: half of the device's

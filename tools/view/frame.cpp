@@ -43,7 +43,7 @@ public:
         add(prefix + "drop", "u8", 1, scan.drop);
         add(prefix + "instance", "u16", 1, scan.instance);
         add(prefix + "ring", "u16", 1, scan.ring);
-        for (const auto& [info, values] : scan.channels) {
+        for (const auto& [info, values, second] : scan.channels) {
             const auto add_one = [&, &name = info.name]<class T>(const std::vector<T>& of_rays) {
                 constexpr bool is_vector = std::is_same_v<T, glm::vec3>;
                 add(prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32", is_vector ? 3 : 1, of_rays);

@@ -98,6 +98,7 @@ ScanWish parse_scan(const Json& json) {
     wish.sensor_offset = {rotation_of(place[3] * radians, place[4] * radians, place[5] * radians), {place[0], place[1], place[2]}};
     wish.sensor = text(field(json, "sensor"), "sensor");
     wish.lidar = static_cast<int>(number(field(json, "lidar"), "lidar", 1000.0));
+    wish.weather = parse_weather(text(field(json, "weather"), "weather"));
     wish.simulate = flag(field(json, "simulate"), "simulate");
     wish.real = flag(field(json, "real"), "real");
     wish.edits = parse_edits(field(json, "edits"));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the page asks for, as JSON texts on the WebSocket:
 //   {"do": "scan", "id": 7, "time_s": 1.5, "place": [x, y, z, yaw_deg, pitch_deg, roll_deg], "sensor": "VLP-16", "lidar": 0,
-//    "simulate": true, "real": false, "edits": EDITS}
+//    "weather": "fog=50", "simulate": true, "real": false, "edits": EDITS}
 //   {"do": "sensor", "file": "beams.csv", "text": "..."}         from then on a sensor named "file"
 //   {"do": "ground", "of": TRACK, "from": RUN, "at": [x, y]}     where a copy stands on the ground there
 //   {"do": "save", "name": "run2", "edits": EDITS}
@@ -19,6 +19,7 @@
 #include <vector>
 
 #include <relidar/math.hpp>
+#include <relidar/weather.hpp>
 
 namespace relidar::view {
 
@@ -43,6 +44,7 @@ struct ScanWish {
     Pose sensor_offset;        ///< in the frame of the log's LiDAR
     std::string sensor = "native";
     int lidar = 0;
+    Weather weather = {};
     bool simulate = true;
     bool real = false;         ///< the log's scan nearest in time, too
     ActorEdits edits;

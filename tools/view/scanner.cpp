@@ -101,7 +101,7 @@ void check_size(const SensorChoice& sensor) {
 
 Json channels_json(const Config& config) {
     Json channels = Json::array();
-    for (const ChannelInfo& channel : wanted_channels(config.render.channels))
+    for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))   // that one in weather
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
 }
@@ -215,7 +215,9 @@ RenderedScan Scanner::render(const Traffic& traffic, const ScanWish& wish, const
     request.time_s = wish.time_s;
     request.dataset_from_sensor = shifted_track(moved_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
     request.dataset_from_actor = traffic.placed(wish.time_s);
-    return renderer_for(traffic).render(sensor, request);
+    ScanRenderer& renderer = renderer_for(traffic);
+    renderer.set_weather(wish.weather);
+    return renderer.render(sensor, request);
 }
 
 /// Milliseconds of the last launch of each kernel that has run since they were asked for last. A list that is full no longer grows.

@@ -44,6 +44,7 @@ struct RenderOptions {
     DeviceChoice device;
     std::string point_frame = "sensor";
     std::optional<std::uint64_t> sample;
+    std::string weather;
     bool deskew = false;
     bool merge = false;
     bool overwrite = false;
@@ -153,6 +154,7 @@ ScanFormat wanted_format(const RenderOptions& options, const Run& run, const Sen
     format.only = options.only;
     leave_out_hidden(format, run, options.only);
     format.sample = options.sample;
+    format.weather = parse_weather(options.weather);
     return format;
 }
 
@@ -174,7 +176,7 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
             throw UsageError(
                 fmt::format("--format {}: found {} processes, expected one: it is one file of all scans", format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
-    parse_point_frame(options.point_frame);
+    parse_point_frame(options.point_frame), parse_weather(options.weather);
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
@@ -362,11 +364,13 @@ void run_render(const RenderOptions& given) {
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
+    renderer.set_weather(parse_weather(options.weather));
     Output output = make_output(options, run, wanted, offset, ranks);
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() && !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     if (options.sample && !options.quiet) note_unscattered(run, lidar);
+    if (!options.quiet) note_weather(parse_weather(options.weather));
     for (const Wanted& w : wanted)
         if (!options.quiet) note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
@@ -466,6 +470,7 @@ void add_render(CLI::App& app, Call& call) {
                      "draw each scan from the likely ones: drops by their probability, ranges and intensities with the noise of the log "
                      "(default: the likeliest scan, free of noise)")
         ->type_name("SEED");
+    add_weather_option(*command, options->weather, "all scans; drawn by the seed of --sample, 0 without");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
@@ -482,6 +487,7 @@ void add_render(CLI::App& app, Call& call) {
         "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
         "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
         "  relidar render run --out small --sensor VLP-16 --format png\n"
+        "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
         "  mpirun -n 8 relidar render run --out scans --frames all");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });
 }

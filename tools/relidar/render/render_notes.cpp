@@ -22,6 +22,12 @@ void note_unscattered(const Run& run, int lidar) {
                      run.folder.string(), run.folder.string()));
 }
 
+void note_weather(const Weather& weather) {
+    if (weather.clear()) return;
+    note(fmt::format("weather {}: no sensor states its wavelength: 905 nm; beams whose divergence is not known have 3 mrad",
+                     to_text(weather)));
+}
+
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
     std::size_t n_unseen = 0, n_known = 0;
     double worst = 0.0;

@@ -16,6 +16,9 @@ void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorCh
 /// Says that sampled intensities are the likeliest, where nothing is known of how those of a LiDAR scatter.
 void note_unscattered(const Run& run, int lidar);
 
+/// Says what is taken for granted of sensors in weather.
+void note_weather(const Weather& weather);
+
 /// Says which scans look where the log has not looked. @param entries  of scans.json
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
 

@@ -14,13 +14,14 @@
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
+#include "render/render_notes.hpp"
 
 namespace relidar::cli {
 namespace {
 
 struct ServeOptions {
     serve::ServerOptions server;
-    std::string api, pose_order;
+    std::string api, pose_order, weather;
     int queue = 64;
     int memory_mib = 0;
     DeviceChoice device;
@@ -53,6 +54,7 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = sensorsim_poses(options);
+    server.weather = parse_weather(options.weather);
     server.device = device_options(options.device);
     return server;
 }
@@ -61,6 +63,7 @@ std::string host_of(const std::string& listen) { return listen.substr(0, listen.
 
 void run_serve(const ServeOptions& options) {
     const serve::ServerOptions wanted = server_options(options);
+    if (!options.quiet) note_weather(wanted.weather);
     if (!is_loopback(host_of(wanted.listen)))
         note(fmt::format("--listen {}: whoever reaches this address can render and upload, there is no authentication{}", wanted.listen,
                          wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
@@ -107,6 +110,7 @@ void add_serve(CLI::App& app, Call& call) {
                      "(R (p + t))")
         ->type_name("ORDER");
     add_channels_option(*command, options->server.channels);
+    add_weather_option(*command, options->weather, "scans whose request names none, drawn by its sample_seed, 0 without");
     command->add_option("--queue", options->queue, "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
     command->add_option("--tls-cert", options->server.tls_cert, "certificate chain in PEM: encrypts, with --tls-key")->type_name("FILE");

@@ -130,6 +130,7 @@ function restore(hash = location.hash) {
   if (parts.sensor === 'file' && !sensor.file) notes.push("The sensor's file has to be chosen again; the log's own sensor is shown.");
   if (!sensor.choose(parts.sensor ?? 'native', parts.lidar ?? 0) && parts.sensor !== 'file')
     notes.push("The address has a sensor that is not there: the log's own is shown.");
+  sensor.weather.value = parts.weather ?? '';
   panel.look = { colour: parts.colour, size: parts.size, layers: parts.layers };
   if (parts.camera) camera.restore(isSame ? parts.camera : { ...parts.camera, mode: 'follow' });
   panel.markCamera(camera.mode);
@@ -152,9 +153,9 @@ function writeHash() {
   clearTimeout(remembering);
   remembering = null;
   if (!hello) return;
-  const { sensor: name, lidar, place } = sensor.wish;
+  const { sensor: name, lidar, weather, place } = sensor.wish;
   const { hash, holdsEdits } = writeAddress({
-    run: hello.identity, sensor: name, lidar, time: timeline.time, place, show: panel.wanted ?? panel.mode, ...panel.look, camera,
+    run: hello.identity, sensor: name, lidar, weather, time: timeline.time, place, show: panel.wanted ?? panel.mode, ...panel.look, camera,
     edits: actors.edits, saved: !actors.isUnsaved,
   });
   if (!holdsEdits) panel.tell('The edits are too many for the address: save them as a run, a reload loses them.');

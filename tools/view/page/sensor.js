@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which sensor, and where it is beside the log's: six numbers that can be typed, or changed by keys and mouse.
+// Which sensor, in which weather, and where it is beside the log's: six numbers that can be typed, or changed by keys and mouse.
 
 const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn °', 5], ['pitch', 'pitch °', 1],
   ['roll', 'roll °', 1]];
@@ -11,10 +11,12 @@ export class SensorPanel {
     this.place = [0, 0, 0, 0, 0, 0];
     this.choice = document.getElementById('sensor');
     this.lidar = document.getElementById('lidar');
+    this.weather = document.getElementById('weather');
     this.hint = document.getElementById('sensor-hint');
     this.inputs = FIELDS.map(([name, label, step], i) => this.makeInput(i, name, label, step));
     this.choice.addEventListener('change', () => onChange());
     this.lidar.addEventListener('change', () => onChange());
+    this.weather.addEventListener('change', () => onChange());
     document.getElementById('reset-place').addEventListener('click', () => this.setPlace([0, 0, 0, 0, 0, 0]));
     document.getElementById('sensor-file').addEventListener('change', async ({ target }) => {
       const [file] = target.files;
@@ -95,5 +97,7 @@ export class SensorPanel {
     this.setPlace([x + c * dx + s * dy, y - s * dx + c * dy, ...rest]);
   }
 
-  get wish() { return { place: [...this.place], sensor: this.choice.value || 'native', lidar: Number(this.lidar.value || 0) }; }
+  get wish() {
+    return { place: [...this.place], sensor: this.choice.value || 'native', lidar: Number(this.lidar.value || 0), weather: this.weather.value.trim() || 'clear' };
+  }
 }

@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fog, rain and snow between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the air.
+// Powers are relative: a surface of reflectivity rho at R metres returns rho / R^2 in clear air, rho exp(-2 alpha R) / R^2 in weather.
+// (Not in the paper; docs/method.md has the models and their sources.)
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <string>
+#include <vector>
+
+namespace relidar {
+
+class Random;
+
+/// What is in the air, everywhere alike.
+struct Weather {
+    double fog_visibility_m = std::numeric_limits<double>::infinity();   ///< where 5 % of the light is left
+    double rain_mm_h = 0.0;   ///< millimetres of water an hour
+    double snow_mm_h = 0.0;   ///< the same, melted
+
+    bool clear() const { return fog_visibility_m == std::numeric_limits<double>::infinity() && rain_mm_h == 0.0 && snow_mm_h == 0.0; }
+    bool operator==(const Weather&) const = default;
+};
+
+/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", or fog and one of the others with a comma between; "clear" or nothing is
+/// clear air. @throws UsageError for other words, for numbers that are no weather, and for rain and snow at once
+Weather parse_weather(const std::string& text);
+/// As parse_weather() reads it; "clear" for clear air.
+std::string to_text(const Weather& weather);
+/// @throws UsageError as parse_weather() for the same numbers
+void check_weather(const Weather& weather);
+
+/// What of a sensor decides how it takes weather. Its wavelength is 905 nm; near infrared light of others is weakened alike by particles as
+/// large as these.
+struct WeatherSensor {
+    double divergence_rad = 0.003;   ///< full divergence of the beams
+    double aperture_m = 0.01;        ///< width of a beam where it leaves the sensor
+    double pulse_s = 6e-9;           ///< full width of the pulse at half of its peak
+    double separation_m = 0.5;       ///< returns nearer to each other are one
+    double min_range_m = 0.0;        ///< nothing nearer is a return; of the air nothing nearer than 1 m
+    double max_range_m = 80.0;
+    double darkest = 0.5 / 255.0;    ///< half a step of the sensor's intensities: what is darker counts as this
+
+    /// Power of the weakest return that is one: of the darkest surface where the range ends.
+    double weakest() const { return darkest / (max_range_m * max_range_m); }
+};
+
+/// Why there is a point: the values of the channel `source`.
+enum class PointSource : std::int32_t { nothing = -1, surface = 0, fog = 1, rain = 2, snow = 3 };
+
+/// A return of a ray.
+struct Echo {
+    double range_m = 0.0;        ///< along the ray; 0: there is none
+    double reflectivity = 0.0;   ///< that a surface in clear air would have to return as much; of a surface 0..1
+    PointSource source = PointSource::nothing;
+};
+
+/// What a sensor with one or two returns says of a ray.
+struct RayEchoes {
+    Echo strongest, second;
+};
+
+/// Share of the light that a metre takes away, 1/m: alpha of exp(-alpha R).
+double extinction(const Weather& weather);
+
+/// What falls: N(D) = N0 exp(-Lambda D) particles per cubic metre and millimetre of diameter D, as water.
+struct Particles {
+    PointSource source = PointSource::nothing;
+    double per_m3_mm = 0.0;      ///< N0; 0: nothing falls
+    double slope_per_mm = 1.0;   ///< Lambda
+    double widening = 1.0;       ///< diameter over that of the same as water
+    double reflectivity = 0.0;
+};
+/// Those of rain or snow, by the water that falls in an hour.
+Particles falling_in(const Weather& weather);
+
+/// What comes back from the air along any ray of a sensor, and what the air leaves of surfaces.
+///   fog:        power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx,  r = R + x,  p(x) = cos^2(pi x / (c tau)), |x| <= c tau / 2,
+///               from 1 m on; beta of each stretch of c tau / 2 is drawn, log-normal with mean 1 times 0.046 / visibility
+///   drop, flake: power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R) the width of the beam; those of N(D) = N0 exp(-Lambda D) per
+///               cubic metre and millimetre that are bright enough, a Poisson process along the beam
+class Air {
+public:
+    /// @throws UsageError as check_weather()
+    Air(const Weather& weather, const WeatherSensor& sensor);
+    bool clear() const { return weather_.clear(); }
+    double max_range_m() const { return sensor_.max_range_m; }
+    /// What is seen along a ray: of surfaces and what is in front of them the strongest return; and as second the last one, or where the
+    /// strongest is the last the next strongest, if they are as far apart as the sensor needs. What is too weak is none.
+    /// @param surfaces  what the ray returns in clear air @param free_m  how far it goes before it is blocked
+    RayEchoes look(const RayEchoes& surfaces, double free_m, std::uint64_t seed) const;
+
+private:
+    const Weather weather_;
+    const WeatherSensor sensor_;
+    const Particles falling_;
+    const double alpha_;
+    std::vector<double> fog_power_;   // [k] mean power from nearest + k steps
+    std::vector<double> particles_;   // [k] how many are bright enough on the way up to there, on average
+
+    struct Candidate;
+    double nearest_m() const;
+    double beam_m(double range_m) const { return sensor_.aperture_m + sensor_.divergence_rad * range_m; }
+    double smallest_mm(double range_m) const;
+    double fog_power(double range_m) const;
+    void add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces) const;
+    void add_fog(std::vector<Candidate>& candidates, double free_m, Random& random) const;
+    void add_particles(std::vector<Candidate>& candidates, double free_m, Random& random) const;
+};
+
+}  // namespace relidar
