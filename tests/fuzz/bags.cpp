@@ -266,7 +266,7 @@ void read_message(std::string_view input, const fs::path&) {
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
         packets::PacketLog log;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, header);
         for (int k = 0; k < 2; ++k) log.add(views, 0, {}, "");
         if (log.empty()) return;
         const SpinningSensor sensor = log.sensor();

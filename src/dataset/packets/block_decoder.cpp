@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Packets that are blocks of (azimuth, then range and reflectivity of each laser), a row a product:
-//   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325) and HDL-32E (63-9113): 12 blocks of FF EE, azimuth in 0.01
-//     degrees, 32 x (range, reflectivity); then microseconds of the hour at the first firing, mode of returns, product. A block of the VLP-16
-//     has two firings. With two returns, two blocks are of the same firings, the last return before the strongest (or second strongest).
+//   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325), HDL-32E (63-9113): 12 blocks of FF EE, azimuth in 0.01
+//     degrees, 32 x (range, reflectivity); then microseconds of the hour at the first firing, mode, product. A block of the
+//     VLP-16 has two firings. With two returns, two blocks are of the same firings, the last return before the strongest (or second strongest).
 //   Hesai Pandar40P, Pandar64 and PandarXT-32 (user manuals, "Point cloud data packet" and the appendix on absolute time): the packet's
 //     time, microseconds of its second, is behind its firings; the last block begins a fixed time from it. Azimuth 0 is the y axis.
 //     A file "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise, corrects the angles of one unit.
@@ -77,9 +77,10 @@ std::vector<Angles> read_correction(const std::string& text, std::size_t lasers)
 class BlockDecoder : public Decoder {
 public:
     BlockDecoder(const Layout& layout, const std::string& calibration) : layout_(layout), ring_of_(layout.lasers) {
-        if (!calibration.empty()) angles_ = read_correction(calibration, layout.lasers);
+        if (!calibration.empty() && layout.at_end) angles_ = read_correction(calibration, layout.lasers);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
+        timing_.interpolates = layout.firings > 1;  // as the VLP-16's manual does
         table_ = known_firings(layout.sensor);
         for (std::size_t k = 0; k < table_.size(); ++k) order_.push_back(k);
         if (!angles_.empty())
