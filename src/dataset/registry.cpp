@@ -49,6 +49,7 @@ constexpr Kind kKinds[] = {
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
     {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},
+    {"pcap", ".pcap .pcapng", "a capture of LiDAR packets", load_ros_bag},
 };
 
 std::vector<std::string> kind_names() {

@@ -88,16 +88,22 @@ std::string transform(bool is_ros1, std::uint64_t stamp_ns, double x) {
     return draft.take();
 }
 
+/// Of a VLP-16 that turns by half in each.
+std::string packet(int number) {
+    std::string bytes;
+    for (int b = 0; b < 12; ++b) {
+        append(bytes, std::uint16_t(0xEEFF)), append(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
+        for (int l = 0; l < 32; ++l) append(bytes, std::uint16_t(2000)), append(bytes, std::uint8_t(9));
+    }
+    append(bytes, std::uint32_t(number * 50000)), append(bytes, std::uint16_t(0x2239));
+    return bytes;
+}
+
 std::string packets(std::uint64_t stamp_ns) {
     Draft draft(false);
     draft.add_header(stamp_ns, "velodyne").add(std::uint32_t(2));
     for (int k = 0; k < 2; ++k) {
-        std::string bytes;
-        for (int b = 0; b < 12; ++b) {
-            append(bytes, std::uint16_t(0xEEFF)), append(bytes, std::uint16_t(b * 1500 + k * 18000));
-            for (int l = 0; l < 32; ++l) append(bytes, std::uint16_t(2000)), append(bytes, std::uint8_t(9));
-        }
-        append(bytes, std::uint32_t(k * 50000)), append(bytes, std::uint16_t(0x2239));
+        const std::string bytes = packet(k);
         draft.add(std::uint32_t(stamp_ns / kSecond_ns)).add(std::uint32_t(stamp_ns % kSecond_ns));
         for (const char byte : bytes) draft.add(byte);
     }
@@ -216,10 +222,42 @@ std::vector<std::string> db3_seeds(const fs::path& folder) {
     return {bytes};
 }
 
+void append_big(std::string& bytes, unsigned value) {
+    append(bytes, static_cast<char>(value >> 8)), append(bytes, static_cast<char>(value & 255));
+}
+
+/// Frames of a tagged Ethernet, every second datagram in two fragments.
+std::vector<std::string> pcap_seeds(const fs::path&) {
+    std::string file;
+    for (const std::uint32_t v : {0xA1B23C4Du, 0x00040002u, 0u, 0u, 65535u, 1u}) append(file, v);
+    const auto add_frame = [&](int number, std::string_view payload, unsigned flags) {
+        std::string frame(12, '\0');
+        append_big(frame, 0x8100), append_big(frame, 7), append_big(frame, 0x0800);
+        append_big(frame, 0x4500), append_big(frame, unsigned(20 + payload.size())), append_big(frame, unsigned(number));
+        append_big(frame, flags), append_big(frame, 0x4011), append_big(frame, 0);
+        frame += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);
+        frame += payload;
+        const auto size = std::uint32_t(frame.size());
+        for (const std::uint32_t v : {1700000000u, std::uint32_t(number * 50000000), size, size}) append(file, v);
+        file += frame;
+    };
+    for (int k = 0; k < 6; ++k) {
+        std::string datagram;
+        append_big(datagram, 2368), append_big(datagram, 2368), append_big(datagram, 8 + 1206), append_big(datagram, 0);
+        datagram += packet(k);
+        if (k % 2 == 0) add_frame(k, datagram, 0);
+        else add_frame(k, datagram.substr(0, 800), 0x2000), add_frame(k, datagram.substr(800), 100);
+    }
+    return {file};
+}
+
 template <class Name>
 void read_bag(std::string_view input, const fs::path& folder, Name name) {
     put(folder / name, input);
     load_sequence("rosbag:" + (folder / name).string(), {});
+}
+void read_pcap(std::string_view input, const fs::path& folder) {
+    read_bag(input, folder, "input.pcap");
 }
 void read_mcap(std::string_view input, const fs::path& folder) {
     read_bag(input, folder, "input.mcap");
@@ -284,7 +322,7 @@ void read_message(std::string_view input, const fs::path&) {
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
         packets::PacketLog log;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, header);
         for (int k = 0; k < 2; ++k) log.add(views, 0, {}, "");
         if (log.empty()) return;
         const SpinningSensor sensor = log.sensor();
@@ -303,6 +341,7 @@ std::vector<Harness> bag_harnesses() {
     return {{"mcap", mcap_seeds, read_mcap},
             {"ros1", ros1_seeds, read_ros1},
             {"db3", db3_seeds, read_db3},
+            {"pcap", pcap_seeds, read_pcap},
             {"message", message_seeds, read_message}};
 }
 

@@ -17,6 +17,7 @@ except ImportError as error:
     sys.exit(77)
 
 import bag_writer as bags
+import capture_writer as captures
 import packet_writer as lidars
 
 RELIDAR, WORK, PCAP = sys.argv[1], pathlib.Path(sys.argv[2]), "pcap" in sys.argv[3:]
@@ -131,8 +132,48 @@ def test_strangers():
         expect(expected in run("info", bag, code=3), f"packets of another product: {expected}")
 
 
+def same_scans(name, one, other):
+    (a, a_head), (b, b_head) = one, other
+    expect(len(a_head["frames"]) == len(b_head["frames"]) > 1, f"{name}: {len(b_head['frames'])} scans, expected {len(a_head['frames'])}")
+    for frame, twin in zip(a_head["frames"], b_head["frames"]):
+        expect(frame["time_s"] == twin["time_s"], f"{name}: a scan at {twin['time_s']}, expected {frame['time_s']}")
+        left, right = np.load(a / frame["scan"]), np.load(b / twin["scan"])
+        for key in left.files:
+            expect(np.array_equal(left[key], right[key]), f"{name}: {key} of {twin['scan']}")
+
+
+def test_captures():
+    """What a network card saw of the packets of a bag is the same log, whatever else was on the wire."""
+    for product, how in zip((lidars.PRODUCTS[0], lidars.PRODUCTS[3], lidars.PRODUCTS[5]), ("pcap", "vlan", "fragments")):
+        packets, _ = lidars.packets(product, 800)
+        bag, capture = WORK / f"{product.name}.mcap", WORK / f"{product.name}_{how}.{'pcapng' if how == 'vlan' else 'pcap'}"
+        bags.write_mcap(bag, messages(packets, "nebula_msgs/NebulaPackets"))
+        other = [(packets[k][0] + 1000, captures.frame(b"$GPRMC" + bytes(548), port=8308)) for k in range(0, 400, 40)]
+        frames = [(ns, f) for ns, data in packets
+                  for f in captures.frames(data, vlan=how == "vlan", mtu=600 if how == "fragments" else 9000)]
+        frames = sorted(frames + other + [(0, captures.stranger())], key=lambda f: f[0])
+        captures.write(capture, [(T0 + ns, f) for ns, f in frames])
+        log = converted(capture)
+        same_scans(f"{product.name}, {how}", converted(bag), log)
+        expect(product.name in "\n".join(log[1]["notes"]), f"{how}: {log[1]['notes']}")
+        text = run("info", capture)
+        expect("192.168.1.201:2368" in text and "other UDP" in text, f"info of {how}: {text}")
+        print(f"{product.name}, {how}: as in a bag")
+    whole = capture.read_bytes()
+    capture.write_bytes(whole[:-100])
+    expect("packets behind byte" in run("info", capture), "a capture that ends in a packet")
+    captures.write(capture, [(T0 + ns, f) for ns, f in frames], cut={1200: 200})
+    expect("the capture cut 1 frames short" in run("info", capture), "a frame that was cut")
+    capture.write_bytes(b"no capture at all")
+    expect("expected a capture of packets" in run("info", capture, code=3), "a file that is none")
+    captures.write(capture, [(T0, captures.frame(bytes(100)))])
+    expect("no " in run("train", capture, "--out", WORK / "run", code=3), "a capture without a LiDAR")
+
+
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
 test_bags()
 test_strangers()
+if PCAP:
+    test_captures()
 print("done")

@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 
 constexpr const char* kMetadata = "metadata.yaml";
 constexpr std::int64_t kLatest_ns = 4294967296000000000;  // as late as stamps of ROS 1 can be
-constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
+constexpr std::array kEndings = {".mcap", ".db3", ".bag", ".pcap", ".pcapng"};
 
 bool is_part(const fs::path& file) {
     return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
@@ -91,7 +91,8 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
         }
     }
     if (paths_.empty()) paths_ = parts_by_name(path);
-    if (paths_.empty()) throw DataError(fmt::format("{}: no part of a recording, expected .mcap, .db3 or .bag", path.string()));
+    if (paths_.empty())
+        throw DataError(fmt::format("{}: no part of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
     for (const fs::path& file : paths_) {
         const std::string ending = file.extension().string();
         if (ending == ".zstd")
@@ -99,7 +100,9 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
                 fmt::format("{}: a file that rosbag2 compressed as a whole, expected it unpacked: zstd -d {}, and its name in {} "
                             "without .zstd",
                             file.string(), file.filename().string(), kMetadata));
-        if (ending == ".bag")
+        if (ending == ".pcap" || ending == ".pcapng")
+            files_.push_back(open_pcap(file));
+        else if (ending == ".bag")
             files_.push_back(open_ros1(file, skip_broken));
         else if (ending == ".db3")
             files_.push_back(open_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));

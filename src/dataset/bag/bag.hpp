@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings of ROS: MCAP, rosbag2 in SQLite, ROS 1 bags, and folders of their parts, as one list of messages. Nothing of a message is
-// looked at here.
+// Recordings of ROS: MCAP, rosbag2 in SQLite, ROS 1 bags, captures of a network, and folders of their parts, as one list of messages.
+// Nothing of a message is looked at here.
 #pragma once
 
 #include <cstdint>
@@ -72,6 +72,7 @@ public:
 
 /// By the kinds of file. @param skip_broken  damaged chunks are left out with a note, not an error
 std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
+std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
 /// @param packed  rosbag2 compressed each message with zstd
 std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed);

@@ -31,6 +31,9 @@ struct PacketDriver {
 };
 constexpr PacketDriver kDrivers[] = {
     {"hesai_ros_driver/", "hesai_ros_driver"},
+    {"ouster_ros/PacketMsg", "ouster-ros"},
+    {"ouster_msgs/", "ouster-ros"},
+    {"ouster_sensor_msgs/PacketMsg", "ouster-ros"},
     {"rslidar_msg/", "rslidar_sdk"},
     {"robosense_msgs/", "nebula"},
     {"seyond/", "seyond_ros_driver"},

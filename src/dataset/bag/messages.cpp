@@ -158,11 +158,11 @@ Cloud read_point_cloud(MessageReader& reader) {
 }
 
 Use use_of(const Topic& topic) {
+    if (topic.encoding == packets::kDatagrams && topic.type == packets::kCorrection) return Use::calibration;
+    if (packets::carries_packets(topic.type)) return Use::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return Use::nothing;
-    if (packets::carries_packets(topic.type)) return topic.name.ends_with("imu_packets") ? Use::nothing : Use::packets;
-    if (topic.type == "std_msgs/String" && topic.name.ends_with("metadata")) return Use::calibration;  // as ouster-ros publishes
     const auto known = std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
     return known == std::end(kTypeUses) ? Use::nothing : known->use;
 }
@@ -175,10 +175,6 @@ Cloud read_cloud(const Topic& topic, std::string_view bytes) {
     }
     MessageReader reader = reader_of(topic, bytes);
     return topic.type == "sensor_msgs/PointCloud2" ? read_point_cloud(reader) : read_livox(reader);
-}
-
-std::string_view read_text(const Topic& topic, std::string_view bytes) {
-    return reader_of(topic, bytes).text();
 }
 
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes) {

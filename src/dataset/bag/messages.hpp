@@ -81,9 +81,6 @@ Cloud read_cloud(const Topic& topic, std::string_view bytes);
 /// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they stand.
 folder::PointTable table_of(const Cloud& cloud);
 
-/// Text of std_msgs/String.
-std::string_view read_text(const Topic& topic, std::string_view bytes);
-
 /// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of nav_msgs/Odometry, geometry_msgs/PoseStamped and the like.
 /// Quaternions that have no direction are refused.
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);

@@ -29,7 +29,7 @@ public:
             const Use use = use_of(topic);
             if (use == Use::cloud) add_cloud(topic, message);
             if (use == Use::packets) add_packets(topic, message);
-            if (use == Use::calibration) calibrations_.emplace(topic.name, read_text(topic, message.bytes));
+            if (use == Use::calibration) correction_ = message.bytes;
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
             if (use == Use::boxes) add_boxes(topic, message);
@@ -38,27 +38,10 @@ public:
         }
     }
 
-    /// Whether there are packets that were met before what they are decoded with: they are taken in a second pass.
-    bool has_waiting() const { return std::ranges::any_of(survey_.clouds, &CloudTopic::awaits_calibration); }
-    bool is_waiting(const Topic& topic) const {
-        return std::ranges::any_of(
-            survey_.clouds, [&](const CloudTopic& c) { return c.awaits_calibration && bag_.topics()[c.topic].name == topic.name; });
-    }
-    void take_waiting(const Message& message) {
-        is_second_ = true;
-        TopicFacts& facts = survey_.facts[message.topic];
-        try {
-            if (is_waiting(bag_.topics()[message.topic])) add_packets(bag_.topics()[message.topic], message);
-        } catch (const DataError& error) {
-            if (facts.n_broken++ == 0) facts.broken = error.what();
-        }
-    }
-
 private:
     const Bag& bag_;
     Survey& survey_;
-    std::map<std::string, std::string> calibrations_;  ///< of sensors, by their topics
-    bool is_second_ = false;
+    std::string correction_;  ///< of the angles of Hesai's beams
 
     void add_cloud(const Topic& topic, const Message& message) {
         const Cloud cloud = read_cloud(topic, message.bytes);
@@ -76,23 +59,10 @@ private:
 
     void add_packets(const Topic& topic, const Message& message) {
         Header header;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, message.bytes, message.log_ns, header);
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, message.bytes, header);
         CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
         clouds.frame = header.frame;
-        const std::string calibration = calibration_of(topic);
-        if (!is_second_ && clouds.packets.empty() && calibration.empty() && !views.empty()) {
-            const packets::Product* product = packets::find_product(views.front().bytes);
-            clouds.awaits_calibration = clouds.awaits_calibration || (product && product->needs_calibration);
-        }
-        if (is_second_ || !clouds.awaits_calibration) clouds.packets.add(views, message.log_ns, message.place, calibration);
-    }
-
-    /// The calibration beside a topic, or the only one that there is.
-    std::string calibration_of(const Topic& topic) const {
-        const std::string beside = topic.name.substr(0, topic.name.rfind('/') + 1);
-        for (const auto& [name, text] : calibrations_)
-            if (name.substr(0, name.rfind('/') + 1) == beside) return text;
-        return calibrations_.size() == 1 ? calibrations_.begin()->second : std::string();
+        clouds.packets.add(views, message.log_ns, message.place, correction_);
     }
 
     void add_transforms(const Topic& topic, const Message& message) {
@@ -163,9 +133,6 @@ Survey take_survey(Bag& bag, const Progress& progress) {
     bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; }, [&](const Message& message) { surveyor.take(message); },
              progress);
     survey.facts.resize(bag.topics().size());
-    if (surveyor.has_waiting())
-        bag.each([&](const Topic& topic) { return surveyor.is_waiting(topic); },
-                 [&](const Message& message) { surveyor.take_waiting(message); }, progress);
     for (CloudTopic& clouds : survey.clouds) {
         clouds.turns = clouds.packets.turns();
         for (std::size_t t = 0; t < clouds.turns.size(); ++t) {

@@ -46,7 +46,6 @@ struct CloudTopic {
     std::size_t n_empty = 0;
     packets::PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
     std::vector<packets::PacketTurn> turns;
-    bool awaits_calibration = false;  ///< packets that cannot be decoded before the sensor's calibration is found
 
     bool has_field(std::initializer_list<const char*> names) const;
     std::size_t usual_points() const;  ///< of a cloud: the median

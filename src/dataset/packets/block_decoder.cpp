@@ -78,7 +78,7 @@ std::vector<Angles> read_correction(const std::string& text, std::size_t lasers)
 class BlockDecoder : public Decoder {
 public:
     BlockDecoder(const Layout& layout, const std::string& calibration) : layout_(layout), ring_of_(layout.lasers) {
-        if (!calibration.empty()) angles_ = read_correction(calibration, layout.lasers);
+        if (!calibration.empty() && layout.at_end) angles_ = read_correction(calibration, layout.lasers);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as the VLP-16's manual does

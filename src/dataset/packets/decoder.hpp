@@ -45,10 +45,7 @@ struct Timing {
     double cycle_us = 0.0;         ///< from firing to firing
     double wrap_us = 0.0;          ///< 0: the sensor's clock goes on
     std::vector<double> offset_us;  ///< [rings] when a beam fires in its cycle
-    int columns = 0;               ///< firings of a turn, where they are always as many; else 0
-    double begin_deg = 180.0;      ///< azimuth at which a turn is said to begin; with a window, shortly before it
-    double idle_deg = 0.0;         ///< at the end of a turn: nothing is fired outside of a window
-    bool interpolates = false;     ///< the head is where the azimuths around tell it when a beam fires; else it turns evenly
+    bool interpolates = false;      ///< the head is where the azimuths around tell it when a beam fires; else it turns evenly
 };
 
 class Decoder {
@@ -66,15 +63,14 @@ public:
 struct Product {
     const char* name;
     bool (*is)(std::string_view bytes);
-    /// @param calibration  text that belongs to the sensor: Hesai's angle correction, Ouster's metadata; may be empty. Nothing where
+    /// @param calibration  Hesai's angle correction, for others nothing; may be empty. Makes nothing where
     /// packets of the product are not decoded. @throws DataError for a calibration that is damaged or of another sensor
     std::unique_ptr<Decoder> (*make)(const char* name, const std::string& calibration);
     const char* driver = "";         ///< that makes clouds of those that are not decoded
-    bool needs_calibration = false;  ///< nothing can be decoded without
 };
 /// By size and head. @return nullptr for bytes that are no known packet
 const Product* find_product(std::string_view bytes);
-/// "packets of an Ouster OS-1 ..., expected those of ...": what to do about a packet that is not decoded
+/// "packets of a VLS-128, expected those of ...": what to do about a packet that is not decoded
 std::string unknown_text(const Product* product, std::string_view bytes);
 
 /// The maker of decoders of Velodyne's and Hesai's products.

@@ -18,6 +18,7 @@ namespace {
 constexpr int kMostFirings = 40000;  // of a turn: one of two seconds
 constexpr std::int64_t kLongestTurn_us = 2000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
+constexpr double kBehind_deg = 180.0;
 constexpr double kBackward_deg = 1.0;  // by which an encoder may seem to go back
 
 double degrees_on(double from_deg, double to_deg) {  // clockwise, less than a turn
@@ -106,10 +107,7 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
 std::size_t PacketLog::missing_before(std::size_t packet) const {
     const Timing& timing = decoder_->timing();
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
-    double passed_us = double(entry.clock_us - before.clock_us);
-    const double ends_deg = timing.begin_deg + 360.0 * std::ceil((before.azimuth_deg - timing.begin_deg) / 360.0 + 1e-9);
-    if (timing.idle_deg > 0.0 && entry.azimuth_deg >= ends_deg)  // across the part of a turn without firings
-        passed_us *= 1.0 - timing.idle_deg / std::max(entry.azimuth_deg - before.azimuth_deg, timing.idle_deg);
+    const double passed_us = double(entry.clock_us - before.clock_us);
     const double n = std::round(passed_us / (timing.cycle_us * double(n_slots_))) - 1.0;
     return std::size_t(std::clamp(n, 0.0, 1e9));
 }
@@ -117,8 +115,7 @@ std::size_t PacketLog::missing_before(std::size_t packet) const {
 std::vector<PacketTurn> PacketLog::turns() const {
     std::vector<PacketTurn> turns;
     if (packets_.size() < 2) return turns;
-    const double behind = decoder_->timing().begin_deg;
-    double begin = behind + 360.0 * std::ceil((packets_.front().azimuth_deg - behind) / 360.0);
+    double begin = kBehind_deg + 360.0 * std::ceil((packets_.front().azimuth_deg - kBehind_deg) / 360.0);
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= packets_.back().azimuth_deg; begin += 360.0) {
         PacketTurn turn{0, 0, 0, 0, begin, 0};
         const auto first_behind = [&](double azimuth) {  // the first packet that begins behind it
@@ -129,10 +126,10 @@ std::vector<PacketTurn> PacketLog::turns() const {
         p = turn.last;
         if (turn.first == turn.last) {  // none of its packets is there: on to the next one's turn
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg;
-            begin = std::max(begin, behind + 360.0 * (std::floor((next - behind) / 360.0) - 1.0));
+            begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
             continue;
         }
-        const double forward = 360.0 * std::ceil(begin / 360.0);
+        const double forward = begin + 180.0;
         const std::size_t k = std::clamp(first_behind(forward), std::size_t(1), packets_.size() - 1);
         const Entry &before = packets_[k - 1], &after = packets_[k];
         const double s = (forward - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
@@ -157,7 +154,6 @@ std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const
 
 /// From firing to firing.
 double PacketLog::slot_deg(const PacketTurn& turn) const {
-    if (decoder_->timing().columns > 0) return 360.0 / decoder_->timing().columns;
     const std::size_t n = (turn.last - turn.first + turn.n_missing) * std::size_t(n_slots_);
     const double all_deg = packets_[turn.last].azimuth_deg - packets_[turn.first].azimuth_deg;
     return std::max(all_deg, 1.0) / double(std::max<std::size_t>(n, 1));
@@ -168,7 +164,6 @@ SpinningSensor PacketLog::sensor() const {
     const double period_us = 360.0 * double(last.clock_us - first.clock_us) / std::max(last.azimuth_deg - first.azimuth_deg, 1.0);
     const double period_s = std::clamp(1e-6 * period_us, 0.02, 1.0);
     const Timing& timing = decoder_->timing();
-    if (timing.columns > 0) return decoder_->sensor(timing.columns, 1.0 / period_s);
     double most = 1e6 * period_s / timing.cycle_us;  // firings of a turn: none may be left over
     for (const PacketTurn& turn : turns()) most = std::max(most, 360.0 / slot_deg(turn));
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);

@@ -11,11 +11,14 @@
 
 namespace relidar::packets {
 
+/// Type of topics of a capture that carry packets: stamp (64 bits), length (32 bits) and bytes of each. And of one that carries Hesai's
+/// angle correction, a text.
+inline constexpr const char *kDatagrams = "LiDAR packets", *kCorrection = "angle correction";
+
 /// Whether messages of a type carry packets; packets of what, is seen in them.
 bool carries_packets(std::string_view type);
-/// What such a message holds. @param log_ns  when it was recorded: the stamp of packets without one @param header  of the message, or the
-/// frame that the driver gives the sensor where it has none
+/// What such a message holds. @param header  of the message; the frame of a capture's is its topic
 /// @throws DataError where the message ends too early
-std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns, bag::Header& header);
+std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, bag::Header& header);
 
 }  // namespace relidar::packets
