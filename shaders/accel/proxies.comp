@@ -43,9 +43,7 @@ void main() {
     vec3 u = vec3(0.0), v = vec3(0.0), w = vec3(0.0);
     bool visible = s.opacity > params.alpha_min;
     if (visible) {
-        float x = log(s.opacity / params.alpha_min);
-        if (PRIMITIVE == kPrimitive_disc) x = sqrt(x);
-        float k = sqrt(2.0 * x);
+        float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
         u = half_axis(s.axis_u, k);
         v = half_axis(s.axis_v, k);
         if (has_third_scale()) w = half_axis(s.normal, k);

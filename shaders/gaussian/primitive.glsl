@@ -6,12 +6,10 @@
 #include "kinds.glsl"
 #include "surfel.glsl"
 #include "gaussian3d.glsl"
-#include "disc.glsl"
 
 /// @return whether the ray meets it; alpha is not compared with anything
 bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     if (PRIMITIVE == kPrimitive_gaussian) return intersect_gaussian(s, origin, direction, hit);
-    if (PRIMITIVE == kPrimitive_disc) return intersect_disc(s, origin, direction, hit);
     return intersect_surfel(s, origin, direction, hit);
 }
 
@@ -19,7 +17,6 @@ bool intersect(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
 /// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
 SurfelHitGradient intersect_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
     if (PRIMITIVE == kPrimitive_gaussian) return intersect_gaussian_vjp(s, origin, direction, hit, d_t, d_alpha);
-    if (PRIMITIVE == kPrimitive_disc) return intersect_disc_vjp(s, origin, direction, hit, d_t, d_alpha);
     return intersect_surfel_vjp(s, origin, direction, hit, d_t, d_alpha);
 }
 #endif

@@ -61,22 +61,6 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
     for (const std::uint32_t n : renderer.forward(rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
 
-/// sigma exp(-x^2) falls to alpha_min at x = sqrt(ln(sigma / alpha_min)), a surfel's at x = ln(sigma / alpha_min).
-TEST_F(Proxies, HoldEverythingOfDiscsThatCanBeSeen) {
-    ImageModel model;
-    model.primitive = Primitive::disc;
-    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
-        for (const float opacity : {0.005f, 0.1f, 0.999f}) {
-            Surfels disc = one_surfel(opacity);
-            disc.primitive = Primitive::disc;
-            Renderer renderer(device(), make_background_scene(disc), model, {.accel = {.proxy = proxy}});
-            renderer.place(glm::vec3(0.0f));
-            const double rim = std::pow(std::log(double(opacity) * 255.0), -0.25);
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999 * rim)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001 * rim)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
-        }
-}
-
 TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
     ImageModel model;
     model.primitive = Primitive::gaussian;

@@ -146,16 +146,6 @@ TEST_F(DeviceGradient, Gaussians) {
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16");
 }
 
-TEST_F(DeviceGradient, Discs) {
-    test::RandomSceneOptions options;
-    options.primitive = Primitive::disc;
-    options.seed = 38, options.rays = 60;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4},
-                     "discs, triangles, SH along the ray, 3 instances, chunk 4");
-    options.seed = 39, options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {}, "discs, boxes, SH along sensor -> mean, 2 instances, chunk 16");
-}
-
 /// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing moves them. The first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
@@ -207,7 +197,7 @@ TEST_F(DeviceGradient, Likelihood) {
 
 /// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.
 class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences, testing::Values(Primitive::surfel, Primitive::gaussian, Primitive::disc));
+INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences, testing::Values(Primitive::surfel, Primitive::gaussian));
 
 TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     reference::Settings settings;

@@ -171,13 +171,6 @@ TEST(ReferenceGradient, SingleDropLogit) {
     expect_differences_agree(ShDirection::surfel, options, 4, "one drop logit, SH along sensor -> mean, chunk 4", true);
 }
 
-TEST(ReferenceGradient, Discs) {
-    test::RandomSceneOptions options;
-    options.seed = 8;
-    options.primitive = Primitive::disc;
-    expect_differences_agree(ShDirection::ray, options, 4, "discs, SH along the ray, 3 instances, chunk 4");
-}
-
 TEST(ReferenceGradient, GaussiansShAlongRay) {
     test::RandomSceneOptions options;
     options.seed = 6;

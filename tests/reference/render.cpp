@@ -75,10 +75,9 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     const LocalRay<double> local = to_model(pose, ray);
     ShadedHit s{};
     s.hit = hit;
-    const DoubleRecord record = make_record(surfel);
-    const PlaneHit<double> met = meet(record, local);   // M1, M2 or M9
+    const PlaneHit<double> met = meet(make_record(surfel), local);   // M1, M2 or M9
     s.t = met.t, s.u = met.u, s.v = met.v, s.w = met.w;
-    s.gauss = fall_off(record.primitive, s.u * s.u + s.v * s.v + s.w * s.w);
+    s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v + s.w * s.w));
     const glm::dvec3 normal = a.rotation[2];
     s.side = glm::dot(normal, local.direction) > 0.0 ? -1.0 : 1.0;
     s.normal = s.side * (glm::mat3_cast(pose.rotation) * normal);

@@ -125,9 +125,8 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
                        const glm::dvec3& d_normal, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
-    const double steeper = surfel.flat == Primitive::disc ? s.u * s.u + s.v * s.v : 1.0;   // dx^2 / dx of G = exp(-x^2)
-    const double d_u = -g.alpha * a.opacity * s.gauss * s.u * steeper;
-    const double d_v = -g.alpha * a.opacity * s.gauss * s.v * steeper;
+    const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
+    const double d_v = -g.alpha * a.opacity * s.gauss * s.v;
     d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);   // u falls as 1 / s_u
 
     const glm::dvec3 normal = a.rotation[2];

@@ -113,7 +113,7 @@ DoubleRecord make_record(const Surfel& surfel) {
             a.rotation[0] / a.scale.x,
             a.rotation[1] / a.scale.y,
             a.rotation[2] / a.scale_w.value_or(1.0),
-            a.scale_w ? Primitive::gaussian : surfel.flat};
+            a.scale_w ? Primitive::gaussian : Primitive::surfel};
 }
 
 FloatRecord make_float_record(const Surfel& surfel) {

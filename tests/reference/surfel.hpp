@@ -24,7 +24,6 @@ struct Surfel {
     glm::dvec2 log_scale{0.0};               ///< ln metres
     std::optional<double> log_scale_w;       ///< ln metres along the normal: there for a 3D Gaussian
     double opacity_logit = 0.0;
-    Primitive flat = Primitive::surfel;      ///< what it is without a third scale: surfel or disc
     std::array<double, kShFloats> sh{};      ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 
@@ -98,13 +97,6 @@ struct PlaneHit {
     Real alpha;     ///< sigma * G, not yet clamped to alpha_max
 };
 
-/// G at a squared distance from the mean, in standard deviations.
-template <typename Real>
-Real fall_off(Primitive primitive, Real r2) {
-    const Real x = r2 / 2;
-    return std::exp(primitive == Primitive::disc ? -x * x : -x);
-}
-
 /// M1 and M2: the ray and the surfel's plane. @return t not finite where they are parallel
 template <typename Real>
 PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
@@ -113,7 +105,7 @@ PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
     const glm::vec<3, Real> p = t * ray.direction - to_mean;
     const Real u = glm::dot(s.axis_u, p);
     const Real v = glm::dot(s.axis_v, p);
-    return {t, u, v, Real(0), s.sigma * fall_off(s.primitive, u * u + v * v)};
+    return {t, u, v, Real(0), s.sigma * std::exp(Real(-0.5) * (u * u + v * v))};
 }
 
 /// M9: the point of largest density, and what rounding leaves of the way to it.

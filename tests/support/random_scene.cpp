@@ -39,7 +39,6 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
     s.log_scale = {size + stretch, size - stretch};
     const double opacity = uniform(random, options.opacity_low, options.opacity_high);
     s.opacity_logit = std::log(opacity / (1.0 - opacity));
-    if (options.primitive == Primitive::disc) s.flat = Primitive::disc;
     if (options.primitive == Primitive::gaussian) s.log_scale_w = size + uniform(random, std::log(0.2), std::log(1.5));
     for (int k = 0; k < kShFloats; ++k) s.sh[k] = (k % kShCoefficients == 0 ? 0.8 : 0.15) * normal(random);
     return s;
@@ -49,10 +48,10 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
 bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray, const reference::LocalRay<double>& local,
                       const reference::Settings& settings, const Margins& m) {
     const reference::DoubleRecord r = reference::make_record(surfel);
-    const bool is_flat = r.primitive != Primitive::gaussian;
+    const bool is_flat = r.primitive == Primitive::surfel;
     const double facing = is_flat ? glm::dot(r.normal, local.direction) / glm::length(ray.direction) : 1.0;
     const reference::PlaneHit<double> met = reference::meet(r, local);
-    const double t = met.t, log_alpha = std::log(met.alpha);
+    const double t = met.t, log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;   // skipped: the rest cannot matter

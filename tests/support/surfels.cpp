@@ -13,7 +13,6 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         s.log_scale = glm::dvec2(surfels.log_scale[i]);
         s.opacity_logit = double(surfels.opacity_logit[i]);
         if (kind_of(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
-        else s.flat = surfels.primitive;
         for (int k = 0; k < kShFloats; ++k) s.sh[k] = double(surfels.sh[i * kShFloats + k]);
     }
     return result;
@@ -27,8 +26,8 @@ Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
         result.log_scale.emplace_back(s.log_scale);
         result.opacity_logit.push_back(float(s.opacity_logit));
         result.sh.insert(result.sh.end(), s.sh.begin(), s.sh.end());
-        result.primitive = s.log_scale_w ? Primitive::gaussian : s.flat;
         if (!s.log_scale_w) continue;
+        result.primitive = Primitive::gaussian;
         result.log_scale_w.push_back(float(*s.log_scale_w));
     }
     return result;

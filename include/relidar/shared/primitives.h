@@ -11,7 +11,6 @@
 /// What a ray meets is said where kernels branch by PRIMITIVE.
 #define RELIDAR_PRIMITIVES(PRIMITIVE) \
     PRIMITIVE(0u, surfel, "surfels", false, true, rectangle) \
-    PRIMITIVE(1u, gaussian, "3D Gaussians", true, false, icosahedron) \
-    PRIMITIVE(2u, disc, "discs", false, true, rectangle)
+    PRIMITIVE(1u, gaussian, "3D Gaussians", true, false, icosahedron)
 
 #endif
