@@ -37,6 +37,7 @@ let last = performance.now(), longest = 0;
   if (now < end) requestAnimationFrame(tick); else done(longest);
 })(last);"""
 FIRST_BLUE = 0xFF000000 | 235 << 16 | 111 << 8 | 31      # the first actor's colour, as bytes of RGBA
+SECOND_ORANGE = 0xFF000000 | 15 << 16 | 88 << 8 | 217
 COPY_GREEN = 0xFF000000 | 107 << 16 | 150 << 8 | 18    # the third's: the copy of a street with two
 
 
@@ -93,11 +94,11 @@ def shows_channels(page):
 
 
 def shows_weather(page):
-    """Points of fog have the colour of the first instance, those of surfaces none."""
+    """Points of fog have the second colour of whole numbers, those of surfaces the first."""
     Select(page.find("#colouring")).select_by_value("channel:source")
-    page.wait("no fog in clear air", lambda: page.strip().count(FIRST_BLUE) == 0)
+    page.wait("no channel in clear air", lambda: page.strip().count(FIRST_BLUE) == 0)
     page.type("#weather", "fog=20\n")
-    page.wait("fog", lambda: page.strip().count(FIRST_BLUE) > 1_000)
+    page.wait("fog", lambda: page.strip().count(FIRST_BLUE) > 1_000 and page.strip().count(SECOND_ORANGE) > 1_000)
     page.wait("the weather in the address", lambda: "weather=fog" in page.driver.current_url)
     page.type("#weather", "fog=0\n")
     page.wait("what is wrong with a weather", lambda: "found fog=0, expected a visibility" in page.find("#message").text)

@@ -83,7 +83,7 @@ export function coloursOf(scan, colouring, options) {
     if (!map && channel) {
       colour = channelColour(channel, i);
     } else if (!map) {
-      colour = scan.instance ? instanceColour(scan.instance[i]) : UNKNOWN;
+      colour = colouring === 'instance' && scan.instance ? instanceColour(scan.instance[i]) : UNKNOWN;
     } else {
       const v = value(i);
       colour = Number.isNaN(v) ? UNKNOWN : TABLES[map][Math.max(0, Math.min(255, Math.round(255 * share(v, limits))))];
