@@ -98,7 +98,7 @@ void expect_same(const Sequence& a, const Sequence& b) {
     }
 }
 
-TEST(PrepareLog, ATeamFindsWhatOneProcessFinds) {
+TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     const Sequence given = street();
     const Split split = split_frames(given, 10);
     Config config;
