@@ -155,7 +155,7 @@ def test_captures():
         captures.write(capture, [(T0 + ns, f) for ns, f in frames])
         log = converted(capture)
         same_scans(f"{product.name}, {how}", converted(bag), log)
-        expect(product.name in "\n".join(log[1]["notes"]), f"{how}: {log[1]['notes']}")
+        expect(f"{len(packets)} packets of a {product.name}" in "\n".join(log[1]["notes"]), f"{how}: {log[1]['notes']}")
         text = run("info", capture)
         expect("192.168.1.201:2368" in text and "other UDP" in text, f"info of {how}: {text}")
         print(f"{product.name}, {how}: as in a bag")

@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 
 #include "core/files.hpp"
+#include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -20,8 +21,8 @@ std::string clouds_text(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
         std::size_t n_missing = 0;
         for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
-        return fmt::format(", frame '{}', packets of a {}: {} whole turns{}", excerpt(clouds.frame), clouds.packets.about(),
-                           clouds.turns.size(),
+        return fmt::format(", frame '{}', {} packets of a {}: {} whole turns{}", excerpt(clouds.frame), clouds.packets.size(),
+                           clouds.packets.about(), clouds.turns.size(),
                            n_missing == 0 ? "" : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing));
     }
     std::vector<std::string> names;
@@ -46,8 +47,10 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
     for (std::size_t t = 0; t < bag.topics().size() && lines.size() < kMostLines; ++t) {
         const Topic& topic = bag.topics()[t];
         const TopicFacts& facts = survey.facts[t];
-        std::string line = fmt::format("topic {}: {}, {} messages", excerpt(topic.name), excerpt(topic.type), facts.n);
-        if (facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
+        std::string line = fmt::format("topic {}: {}", excerpt(topic.name), excerpt(topic.type));
+        const bool is_capture = topic.encoding == packets::kDatagrams;   // it has no messages: packets are taken some at a time
+        if (!is_capture) line += fmt::format(", {} messages", facts.n);
+        if (!is_capture && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
         if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic); clouds != survey.clouds.end()) {
             line += clouds_text(*clouds);
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without a point", clouds->n_empty);

@@ -29,6 +29,7 @@ public:
     /// @throws DataError naming the product where it is none that is decoded, or another one than before
     void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place, const std::string& calibration);
     bool empty() const { return packets_.empty(); }
+    std::size_t size() const { return packets_.size(); }
     /// Whole turns.
     std::vector<PacketTurn> turns() const;
     /// A message.
