@@ -6,6 +6,7 @@
 
 #include <gmock/gmock.h>
 
+#include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/render.hpp>
 #include <relidar/scan_files.hpp>
@@ -132,6 +133,32 @@ TEST_F(PlacedScans, DeskewedPointsComeToTheWorldByThePoseOfTheirFile) {
 TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
     write(PointFrame::world, false);
     expect_all([](const Pose&) { return Pose{}; });
+}
+
+/// A channel that says something of second returns: an array of its own in npz and exr, values of their own points in ply.
+TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
+    RenderedScan scan = lane_change();
+    scan.second_returns = {{{40.0f, 0.0f, 0.0f, 41.0f}, {0.1f, 0.0f, 0.0f, 0.1f}}};
+    scan.channels = {{{.name = "why", .none = -1.0}, std::vector<std::int32_t>{1, 2, 0, 0}, std::vector<std::int32_t>{5, -1, -1, 7}}};
+    ScanFormat format;
+    format.formats = {"npz", "exr", "ply"};
+    ScanFolder scans(folder, format);
+    scans.write(0, scan);
+    scans.finish();
+    const auto arrays = read_npz(file("npz"));
+    EXPECT_EQ(find_array(arrays, "why")->as_float(), (std::vector<float>{1, 2, 0, 0}));
+    EXPECT_EQ(find_array(arrays, "why_2")->as_float(), (std::vector<float>{5, -1, -1, 7}));
+    EXPECT_EQ(read_exr(file("exr")).channels.at("why_2"), (std::vector<float>{5, -1, -1, 7}));
+    const std::string ply = contents(file("ply"));
+    std::vector<std::int32_t> of_points;
+    const std::size_t begin = ply.find("end_header\n") + 11, stride = (ply.size() - begin) / 6;
+    for (std::size_t i = 0; i < 6; ++i)   // the last of a point's values
+        std::memcpy(&of_points.emplace_back(), ply.data() + begin + (i + 1) * stride - sizeof(std::int32_t), sizeof(std::int32_t));
+    EXPECT_EQ(of_points, (std::vector<std::int32_t>{1, 5, 2, 0, 0, 7})) << "second returns behind their first";
+    scan.channels[0].second = std::vector<std::int32_t>{5};
+    EXPECT_THROW(scans.write(1, scan), DataError) << "of another length";
+    scan.channels[0].second = std::vector<float>{5, -1, -1, 7};
+    EXPECT_THROW(scans.write(1, scan), DataError) << "of another type";
 }
 
 }  // namespace
