@@ -48,9 +48,9 @@ std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const
         const Topic& topic = bag.topics()[t];
         const TopicFacts& facts = survey.facts[t];
         std::string line = fmt::format("topic {}: {}", excerpt(topic.name), excerpt(topic.type));
-        const bool is_capture = topic.encoding == packets::kDatagrams;   // it has no messages: packets are taken some at a time
-        if (!is_capture) line += fmt::format(", {} messages", facts.n);
-        if (!is_capture && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
+        const bool is_run = topic.type == packets::kDatagrams;   // it has no messages of its own: packets are taken some at a time
+        if (!is_run) line += fmt::format(", {} messages", facts.n);
+        if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
         if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic); clouds != survey.clouds.end()) {
             line += clouds_text(*clouds);
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without a point", clouds->n_empty);
