@@ -48,7 +48,8 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
 /// @param first_ray  of the scan in the merged one, where the rays are already
 void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
-    for (auto& [info, values, second] : merged.channels) {
+    for (ScanChannel& channel : merged.channels) {
+        const ChannelInfo& info = channel.info;   // clang 14 captures no structured bindings
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
@@ -59,19 +60,19 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t
                     all[first_ray + i] = glm::vec3(turn * glm::dvec3((*own)[i]));
                 }
         };
-        std::visit(add, values);
-    }
-    for (ScanChannel& channel : merged.channels)
+        std::visit(add, channel.values);
         for (const ScanChannel& own : scan.channels)
-            if (own.info.name == channel.info.name && size(own.second) > 0) append_second(channel, own, first_ray);
+            if (own.info.name == info.name && size(own.second) > 0) append_second(channel, own, first_ray);
+    }
 }
 
 /// Gives scans without second returns none, and rays whose channels say nothing of them nothing.
 void fill_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
-    for (auto& [info, values, second] : merged.channels)
-        if (size(second) > 0) std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(info)); }, second);
+    for (ScanChannel& channel : merged.channels)
+        if (size(channel.second) > 0)
+            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(channel.info)); }, channel.second);
 }
 
 /// Rays in the rig's frame when each was fired, by where sensor and rig were then: between poses a sensor moves along a chord and so does
