@@ -222,42 +222,10 @@ std::vector<std::string> db3_seeds(const fs::path& folder) {
     return {bytes};
 }
 
-void append_big(std::string& bytes, unsigned value) {
-    append(bytes, static_cast<char>(value >> 8)), append(bytes, static_cast<char>(value & 255));
-}
-
-/// Frames of a tagged Ethernet, every second datagram in two fragments.
-std::vector<std::string> pcap_seeds(const fs::path&) {
-    std::string file;
-    for (const std::uint32_t v : {0xA1B23C4Du, 0x00040002u, 0u, 0u, 65535u, 1u}) append(file, v);
-    const auto add_frame = [&](int number, std::string_view payload, unsigned flags) {
-        std::string frame(12, '\0');
-        append_big(frame, 0x8100), append_big(frame, 7), append_big(frame, 0x0800);
-        append_big(frame, 0x4500), append_big(frame, unsigned(20 + payload.size())), append_big(frame, unsigned(number));
-        append_big(frame, flags), append_big(frame, 0x4011), append_big(frame, 0);
-        frame += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);
-        frame += payload;
-        const auto size = std::uint32_t(frame.size());
-        for (const std::uint32_t v : {1700000000u, std::uint32_t(number * 50000000), size, size}) append(file, v);
-        file += frame;
-    };
-    for (int k = 0; k < 6; ++k) {
-        std::string datagram;
-        append_big(datagram, 2368), append_big(datagram, 2368), append_big(datagram, 8 + 1206), append_big(datagram, 0);
-        datagram += packet(k);
-        if (k % 2 == 0) add_frame(k, datagram, 0);
-        else add_frame(k, datagram.substr(0, 800), 0x2000), add_frame(k, datagram.substr(800), 100);
-    }
-    return {file};
-}
-
 template <class Name>
 void read_bag(std::string_view input, const fs::path& folder, Name name) {
     put(folder / name, input);
     load_sequence("rosbag:" + (folder / name).string(), {});
-}
-void read_pcap(std::string_view input, const fs::path& folder) {
-    read_bag(input, folder, "input.pcap");
 }
 void read_mcap(std::string_view input, const fs::path& folder) {
     read_bag(input, folder, "input.mcap");
@@ -341,7 +309,6 @@ std::vector<Harness> bag_harnesses() {
     return {{"mcap", mcap_seeds, read_mcap},
             {"ros1", ros1_seeds, read_ros1},
             {"db3", db3_seeds, read_db3},
-            {"pcap", pcap_seeds, read_pcap},
             {"message", message_seeds, read_message}};
 }
 
