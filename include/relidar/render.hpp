@@ -75,13 +75,22 @@ RenderedIntensities rendered_intensities(const RenderedScan& scan);
 /// The same for the same seed and time, whatever the device. @param scatter  an empty one: intensities stay the likeliest
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter, std::uint64_t seed);
 
+/// What wet ground makes of a ray that meets it.
+struct WetRay {
+    double through_water = 1.0;   ///< share of the ground's light that comes back: wet over dry
+    Echo mirrored{};              ///< what the ray meets when the ground mirrors it
+};
+/// Rays that meet weather otherwise than most. An empty list: there are none.
+struct RaysInWeather {
+    std::span<const std::uint8_t> blind{};   ///< [n] 1 for rays that see nothing of the air, since something at the sensor blocks them
+    std::span<const WetRay> wet{};           ///< [n]
+};
+
 /// Puts weather between a sensor and its scan. Surfaces are darker or none; where something in the air is what a ray returns, its range and
 /// intensity are of that, it belongs to no instance, and channels that say something of surfaces say nothing. The channel `source` says why
 /// there is a point; clear air changes nothing else. The same for the same seed and time, on any number of threads.
 /// @param response  how bright the sensor reports the same surface at a range
-/// @param blind [n] 1 for rays that see nothing of the air, since something at the sensor blocks them; empty: none
-void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, std::span<const std::uint8_t> blind,
-                 std::uint64_t seed);
+void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, const RaysInWeather& special, std::uint64_t seed);
 
 /// The sensor whose scan is wanted.
 struct SensorChoice {

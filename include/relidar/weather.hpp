@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fog, rain and snow between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the air.
+// Fog, rain and snow between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the air; and
+// water on the ground, which darkens it and mirrors what stands on it.
 // Powers are relative: a surface of reflectivity rho at R metres returns rho / R^2 in clear air, rho exp(-2 alpha R) / R^2 in weather.
 // (Not in the paper; docs/method.md has the models and their sources.)
 #pragma once
@@ -13,18 +14,19 @@ namespace relidar {
 
 class Random;
 
-/// What is in the air, everywhere alike.
+/// What is in the air and on the ground, everywhere alike.
 struct Weather {
     double fog_visibility_m = std::numeric_limits<double>::infinity();   ///< where 5 % of the light is left
     double rain_mm_h = 0.0;   ///< millimetres of water an hour
     double snow_mm_h = 0.0;   ///< the same, melted
+    double wet_mm = 0.0;      ///< depth of the water on level ground
 
-    bool clear() const { return fog_visibility_m == std::numeric_limits<double>::infinity() && rain_mm_h == 0.0 && snow_mm_h == 0.0; }
+    bool clear() const { return *this == Weather{}; }
     bool operator==(const Weather&) const = default;
 };
 
-/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", or fog and one of the others with a comma between; "clear" or nothing is
-/// clear air. @throws UsageError for other words, for numbers that are no weather, and for rain and snow at once
+/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", "wet=MILLIMETRES", or several with commas between; "clear" or nothing is
+/// clear air and dry ground. @throws UsageError for other words, for numbers that are no weather, and for rain and snow at once
 Weather parse_weather(const std::string& text);
 /// As parse_weather() reads it; "clear" for clear air.
 std::string to_text(const Weather& weather);
@@ -47,22 +49,42 @@ struct WeatherSensor {
 };
 
 /// Why there is a point: the values of the channel `source`.
-enum class PointSource : std::int32_t { nothing = -1, surface = 0, fog = 1, rain = 2, snow = 3 };
+enum class PointSource : std::int32_t {
+    nothing = -1,
+    surface = 0,
+    fog = 1,
+    rain = 2,
+    snow = 3,
+    mirror = 4   ///< a surface that wet ground mirrors: as far behind the ground as the light went on from there
+};
 
 /// A return of a ray.
 struct Echo {
     double range_m = 0.0;        ///< along the ray; 0: there is none
     double reflectivity = 0.0;   ///< that a surface in clear air would have to return as much; of a surface 0..1
     PointSource source = PointSource::nothing;
+    double through_water = 1.0;  ///< share of it that water on the way leaves; 1 of what look() returns
 };
 
 /// What a sensor with one or two returns says of a ray.
 struct RayEchoes {
     Echo strongest, second;
+    Echo mirrored = {};   ///< by wet ground: of surfaces alone, look() returns none
 };
 
 /// Share of the light that a metre takes away, 1/m: alpha of exp(-alpha R).
 double extinction(const Weather& weather);
+
+/// Share of light that a smooth surface of water mirrors (Fresnel, not polarised, n = 1.33).
+/// @param cosine  of the angle of incidence in air, 0..1
+double mirrored_by_water(double cosine);
+/// What ground under a film of water returns towards the light, over what it returns dry (Lekner and Dorf 1988): light passes the surface
+/// twice, and what the ground scatters is kept in the film by total reflection until it leaves or is absorbed:
+///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a dull surface's light) / n^2
+/// @param albedo  of the dry ground, 0..1
+double wet_over_dry(double cosine, double albedo);
+/// Share of the ground that a film covers: all of it where the water is as deep as the texture of asphalt, 1 mm (an assumption).
+double film_share(double wet_mm);
 
 /// What falls: N(D) = N0 exp(-Lambda D) particles per cubic metre and millimetre of diameter D, as water.
 struct Particles {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather on a scan: what returns along each ray goes through the air, and what comes out is put in its place.
+// Weather on a scan: what returns along each ray goes through air and water, and what comes out is put in its place.
 #include <algorithm>
 #include <bit>
 
@@ -42,13 +42,15 @@ public:
     WeatheredRays(RenderedScan& scan, const Air& air, const IntensityResponse& response)
         : scan_(scan), air_(air), response_(response), channel_(source_channel(scan)) {}
 
-    void look(std::size_t ray, bool is_blind, std::uint64_t seed) {
+    void look(std::size_t ray, const WetRay& wet, bool is_blind, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
         RayEchoes surfaces;
         if (returned(scan_.image.drop_prob[ray], scan_.median_range_m[ray]))
             surfaces.strongest = surface(scan_.median_range_m[ray], scan_.image.intensity[ray]);
         if (has_second) surfaces.second = surface(scan_.second_returns[0].range_m[ray], scan_.second_returns[0].intensity[ray]);
         RayEchoes seen = surfaces;
+        surfaces.strongest.through_water = wet.through_water;
+        surfaces.mirrored = wet.mirrored;
         if (!air_.clear()) {
             seen = air_.look(surfaces, is_blind ? 0.0 : free_m(ray, surfaces), seed);
             put(ray, surfaces.strongest, seen.strongest);
@@ -97,12 +99,13 @@ private:
 
 }  // namespace
 
-void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, std::span<const std::uint8_t> blind,
-                 std::uint64_t seed) {
+void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, const RaysInWeather& special, std::uint64_t seed) {
     const std::uint64_t of_scan = hash64(hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
     WeatheredRays rays(scan, air, response);
-    for_each_block(scan.image.range_m.size(),
-                   [&](std::size_t ray) { rays.look(ray, !blind.empty() && blind[ray] != 0, hash64(of_scan, ray)); });
+    for_each_block(scan.image.range_m.size(), [&](std::size_t ray) {
+        const bool is_blind = !special.blind.empty() && special.blind[ray] != 0;
+        rays.look(ray, special.wet.empty() ? WetRay{} : special.wet[ray], is_blind, hash64(of_scan, ray));
+    });
 }
 
 }  // namespace relidar

@@ -17,6 +17,7 @@
 #include "render/channel_makers.hpp"
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
+#include "render/level_ground.hpp"
 #include "render/resident_scene.hpp"
 
 namespace relidar {
@@ -175,7 +176,8 @@ struct ScanRenderer::Impl {
     float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
     RangeLimits limits_of(const SensorChoice& sensor) const;
     Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
-    void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample) const;
+    std::vector<WetRay> wet_rays(const RenderedScan& scan);
+    void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample);
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
@@ -352,16 +354,53 @@ Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& r
     return {weather, takes};
 }
 
+/// What the water on the ground makes of rays that meet it; empty where the ground is dry. The scene is traced once more along the rays
+/// that it mirrors, each from a little above the ground, which is rougher than a film: what is met below kLowest_m is the ground itself.
+std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
+    constexpr double kLift_m = 0.1, kLowest_m = 0.3;
+    if (weather.wet_mm == 0.0) return {};
+    const std::vector<glm::dvec3> up = level_ground(scan);
+    const double share = film_share(weather.wet_mm);
+    std::vector<WetRay> wet(up.size());
+    std::vector<std::size_t> of_ray;
+    WorldRays mirrored;
+    for (std::size_t i = 0; i < up.size(); ++i) {
+        const Pose pose = scan.world_from_firing(i);
+        const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
+        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
+        if (!(cosine > 0.0)) continue;
+        const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
+        wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
+        wet[i].mirrored = {range_m, 0.0, PointSource::nothing, share * std::pow(mirrored_by_water(cosine), 2)};
+        const glm::dvec3 foot_m = pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
+        mirrored.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
+        mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
+        of_ray.push_back(i);
+    }
+    if (of_ray.empty()) return wet;
+    const Rendering r = scene.renderer().forward(mirrored);
+    for (std::size_t k = 0; k < r.size(); ++k) {
+        const double on_m = r.median_depth[k];
+        const std::size_t ray = of_ray[k];
+        if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
+        if (kLift_m + on_m * glm::dot(glm::dvec3(mirrored.direction[k]), up[ray]) < kLowest_m) continue;
+        Echo& echo = wet[ray].mirrored;
+        echo.range_m += on_m, echo.reflectivity = double(r.intensity[k]), echo.source = PointSource::mirror;
+    }
+    return wet;
+}
+
 /// What a sensor makes of a scan in the end: a sample of what is likely, through the weather, and intensities in the steps that it has.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
-                                 std::optional<std::uint64_t> sample) const {
+                                 std::optional<std::uint64_t> sample) {
     const IntensityScatter& own = scatter[std::size_t(sensor.lidar)];
     if (sample) sample_returns(scan, sweep.lidars[std::size_t(sensor.lidar)].range_noise, own, *sample);
     if (!weather.clear() || find_values<std::int32_t>(scan.channels, "source")) {
         std::vector<std::uint8_t> blind;
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
-        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, blind, sample.value_or(0));
+        const std::vector<WetRay> wet = wet_rays(scan);
+        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, {blind, wet}, sample.value_or(0));
     }
     if (!sample || !weather.clear())
         for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);

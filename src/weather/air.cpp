@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include <relidar/math.hpp>
 
@@ -90,9 +91,10 @@ double Air::fog_power(double range_m) const {
 }
 
 void Air::add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces) const {
-    for (Echo surface : {surfaces.strongest, surfaces.second}) {
+    for (Echo surface : {surfaces.strongest, surfaces.second, surfaces.mirrored}) {
         if (surface.source == PointSource::nothing) continue;
-        const double left = std::exp(-2.0 * alpha_ * surface.range_m), squared_m2 = surface.range_m * surface.range_m;
+        const double left = std::exp(-2.0 * alpha_ * surface.range_m) * std::exchange(surface.through_water, 1.0),
+                     squared_m2 = surface.range_m * surface.range_m;
         const double power = std::max(surface.reflectivity, sensor_.darkest) * left / squared_m2;
         surface.reflectivity *= left;
         if (power >= sensor_.weakest()) candidates.push_back({surface, power});

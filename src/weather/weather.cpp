@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kExpected = "fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H, or fog and one of the others";
+constexpr const char* kExpected = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H or wet=MILLIMETRES, or several of them";
 
 struct Kind {
     std::string_view name;
@@ -31,6 +31,7 @@ constexpr Kind kKinds[] = {
     {"fog", &Weather::fog_visibility_m, 1.0, 1e6, "a visibility of 1 to 1e6 metres"},
     {"rain", &Weather::rain_mm_h, 0.0, 500.0, "0 to 500 mm/h"},
     {"snow", &Weather::snow_mm_h, 0.0, 100.0, "0 to 100 mm/h of melted snow"},
+    {"wet", &Weather::wet_mm, 0.0, 10.0, "0 to 10 mm of water on the ground"},
 };
 
 bool is_weather(const Kind& kind, double value) { return value >= kind.least && value <= kind.most; }

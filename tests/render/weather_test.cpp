@@ -80,7 +80,7 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     RenderedScan scan = wall_at(25.0f, 0.3f);
     std::vector<std::uint8_t> blind(kRays, 0);
     for (std::size_t i = 0; i < kRays; i += 4) blind[i] = 1;
-    add_weather(scan, Air({.fog_visibility_m = 50.0}, {}), {}, blind, 1);
+    add_weather(scan, Air({.fog_visibility_m = 50.0}, {}), {}, {.blind = blind}, 1);
     int fog = 0;
     for (std::size_t i = 0; i < kRays; ++i) {
         const std::int32_t source = sources_of(scan)[i];

@@ -282,7 +282,7 @@ rendering() {
     bad 2 "weather: found fog=0, expected a visibility of 1 to 1e6 metres" render run --out x --weather fog=0
     bad 2 "weather: found rain=-3, expected 0 to 500 mm/h" render run --out x --weather rain=-3
     bad 2 "weather: found rain=3 and snow=1, expected one of them" render run --out x --weather rain=3,snow=1
-    bad 2 "weather: found \"spray\", expected fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H" render run --out x --weather spray
+    bad 2 "weather: found \"spray\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H or wet=MILLIMETRES" render run --out x --weather spray
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz

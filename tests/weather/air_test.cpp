@@ -48,7 +48,7 @@ TEST(Weather, IsReadAsItIsWritten) {
     const Weather both = parse_weather("fog=120, snow=1.5");
     EXPECT_EQ(both.fog_visibility_m, 120.0);
     EXPECT_EQ(both.snow_mm_h, 1.5);
-    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1"}) EXPECT_EQ(to_text(parse_weather(text)), text);
+    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5"}) EXPECT_EQ(to_text(parse_weather(text)), text);
 }
 
 TEST(Weather, WhatIsNoneIsRefusedInALine) {
@@ -60,11 +60,12 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"rain=nan", "weather: found rain=nan, expected 0 to 500 mm/h"},
         {"snow=1e9", "weather: found snow=1e9, expected 0 to 100 mm/h of melted snow"},
         {"rain=5mm", "weather: found rain=5mm, expected 0 to 500 mm/h"},
+        {"wet=11", "weather: found wet=11, expected 0 to 10 mm of water on the ground"},
         {"rain=1,snow=2", "weather: found rain=1 and snow=2, expected one of them"},
         {"fog=50,fog=60", "weather: found fog twice, expected it once"},
-        {"fog", "weather: found \"fog\", expected fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H, or fog and one of the others"},
-        {"spray", "weather: found \"spray\", expected fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H, or fog and one of the others"},
-        {"hail=3", "weather: found \"hail=3\", expected fog=VISIBILITY_m, rain=MM_PER_H or snow=MM_PER_H, or fog and one of the others"}};
+        {"fog", "weather: found \"fog\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H or wet=MILLIMETRES, or several of them"},
+        {"spray", "weather: found \"spray\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H or wet=MILLIMETRES, or several of them"},
+        {"hail=3", "weather: found \"hail=3\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H or wet=MILLIMETRES, or several of them"}};
     for (const auto& [text, line] : refused) {
         try {
             parse_weather(text);
@@ -105,6 +106,61 @@ TEST(Weather, RainIsAsThickAsMeasured) {
         const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
         EXPECT_NEAR(extinction({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
     }
+}
+
+/// Integral of 2 c f(c) over cosines: what a dull surface's light does on average.
+double mean_over_dull(const std::function<double(double)>& f) {
+    double sum = 0.0;
+    for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * f((i + 0.5) / 20'000) / 20'000;
+    return sum;
+}
+
+TEST(WetGround, WaterMirrorsAsFresnelSays) {
+    constexpr double n = 1.33;
+    EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
+    const double brewster = std::cos(std::atan(n));   // only light across the plane of incidence
+    EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001) << "the diffuse reflectance of water in tables";
+}
+
+/// Light that passes into the film, from the ground back to the surface again and again, summed bounce by bounce; what is kept inside by the
+/// integral over directions in water, with total reflection, which the closed form does not ask.
+TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
+    constexpr double n = 1.33;
+    const auto kept_inside = [](double in_water) {
+        const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
+        return squared <= 0.0 ? 1.0 : mirrored_by_water(std::sqrt(squared));
+    };
+    const double kept = mean_over_dull(kept_inside);
+    for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
+        for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
+            const double passes = 1.0 - mirrored_by_water(cosine);
+            double light = passes, returned = 0.0;   // per albedo
+            for (int bounce = 0; bounce < 2000; ++bounce) returned += light, light *= albedo * kept;
+            EXPECT_NEAR(wet_over_dry(cosine, albedo), returned * passes / (n * n), 1e-3) << cosine << ' ' << albedo;
+        }
+    }
+    EXPECT_EQ(film_share(0.0), 0.0);
+    EXPECT_EQ(film_share(0.25), 0.25);
+    EXPECT_EQ(film_share(3.0), 1.0);
+}
+
+/// The weakest return is one of reflectivity 0.005 at 80 m.
+TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
+    const Air air({.wet_mm = 1.0}, sensor_to(80.0));
+    Echo ground = wall(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror, 0.5};
+    ground.through_water = 0.01;   // 0.001 at 40 m: less than the weakest, 0.00125 there
+    const RayEchoes seen = air.look({ground, {}, mirrored}, 40.0, 1);
+    EXPECT_EQ(seen.strongest.source, PointSource::mirror);
+    EXPECT_EQ(seen.strongest.range_m, 60.0);
+    EXPECT_EQ(seen.strongest.reflectivity, 0.25);
+    EXPECT_EQ(seen.second.source, PointSource::nothing);
+    ground.through_water = 0.9;
+    const RayEchoes both = air.look({ground, {}, mirrored}, 40.0, 1);
+    EXPECT_EQ(both.strongest.source, PointSource::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
+    EXPECT_EQ(both.second.source, PointSource::surface);
+    EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
 }
 
 TEST(Weather, AWallIsDarkerByTheFormula) {
