@@ -59,7 +59,9 @@ const std::vector<ChannelInfo>& optional_channels() {
          .meaning = "drop_prob by the surfels alone, before a network corrects it",
          .join = ChannelJoin::drop,
          .none = 1.0},
-        {.name = "source", .meaning = "why there is a point: 0 a surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground; -1 where there is none", .none = -1.0},
+        {.name = "source",
+         .meaning = "why there is a point: 0 a surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground; -1 where there is none",
+         .none = -1.0},
     };
     return channels;
 }

@@ -91,7 +91,7 @@ GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)
         for (int dy = -1; dy <= 1; ++dy)
-            if (const auto cell = cells.find(key_of(p + kCell_m * glm::dvec3(dx, dy, 0.0))); cell != cells.end()) together.add(cell->second);
+            if (const auto cell = cells.find(key_of(p + kCell_m * glm::dvec3(dx, dy, 0))); cell != cells.end()) together.add(cell->second);
     return fit_plane(together);
 }
 
