@@ -355,7 +355,8 @@ Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& r
 }
 
 /// What the water on the ground makes of rays that meet it; empty where the ground is dry. The scene is traced once more along the rays
-/// that it mirrors, each from a little above the ground, which is rougher than a film: what is met below kLowest_m is the ground itself.
+/// that it mirrors strongly enough, each from a little above the ground, which is rougher than a film: what is met below kLowest_m is the
+/// ground itself.
 std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     constexpr double kLift_m = 0.1, kLowest_m = 0.3;
     if (weather.wet_mm == 0.0) return {};
@@ -371,7 +372,9 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         if (!(cosine > 0.0)) continue;
         const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
         wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
-        wet[i].mirrored = {range_m, 0.0, PointSource::nothing, share * std::pow(mirrored_by_water(cosine), 2)};
+        const double mirrors = share * std::pow(mirrored_by_water(cosine), 2);
+        if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;   // nothing farther outshines the ground
+        wet[i].mirrored = {range_m, 0.0, PointSource::nothing, mirrors};
         const glm::dvec3 foot_m = pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
         mirrored.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
         mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
@@ -385,7 +388,7 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
         if (kLift_m + on_m * glm::dot(glm::dvec3(mirrored.direction[k]), up[ray]) < kLowest_m) continue;
         Echo& echo = wet[ray].mirrored;
-        echo.range_m += on_m, echo.reflectivity = double(r.intensity[k]), echo.source = PointSource::mirror;
+        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0), echo.source = PointSource::mirror;
     }
     return wet;
 }
