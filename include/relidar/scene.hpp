@@ -55,6 +55,23 @@ inline constexpr std::array kPrimitives{
 /// The row of a primitive.
 constexpr const PrimitiveKind& kind_of(Primitive primitive) { return kPrimitives[static_cast<std::size_t>(primitive)]; }
 
+/// How a surfel of an actor that walks takes part in its gait, at a phase of p turns (InstancePose::phase, docs/method.md M10):
+///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
+/// All zero: a surfel that is always there and rests.
+struct Gait {
+    float phase = 0.0f;       ///< turns: when it is most there, and where its mean is
+    float sharpness = 0.0f;   ///< 0: there at every phase
+    glm::vec3 swing{0.0f};    ///< [3] metres, model frame
+};
+
+/// Which parameters surfels have.
+struct ParameterSet {
+    Primitive primitive = Primitive::surfel;
+    bool bends = false;   ///< a gait too
+    constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
+    bool operator==(const ParameterSet&) const = default;
+};
+
 /// Surfels as they are stored and optimised (structure of arrays). All frames are the model's own.
 struct Surfels {
     std::vector<glm::vec3> mean;          ///< [n,3] metres
@@ -63,12 +80,18 @@ struct Surfels {
     std::vector<float> opacity_logit;     ///< [n]
     std::vector<float> sh;                ///< [n,3,16] channel-major: value = 0.5 + basis(direction) . coefficients
     std::vector<float> log_scale_w;       ///< [n] ln metres along the third axis of primitives with a third scale; empty for others
+    std::vector<Gait> gait;               ///< [n] where any of them bends; else empty
     Primitive primitive = Primitive::surfel;
+    bool bends = false;                   ///< there is a gait
 
     std::size_t size() const { return mean.size(); }
-    void resize(std::size_t n) { resize(n, primitive); }
-    void resize(std::size_t n, Primitive of);
-    /// Appends the surfels of another set; an empty set takes its primitive. @throws DataError where the primitives differ
+    ParameterSet parameters() const { return {primitive, bends}; }
+    void resize(std::size_t n) { resize(n, parameters()); }
+    void resize(std::size_t n, ParameterSet of);
+    /// Gives surfels without a gait one in which they rest.
+    void add_gait();
+    /// Appends the surfels of another set; an empty set takes its primitive. Where one of the two has a gait, the other rests in it.
+    /// @throws DataError where the primitives differ
     void append(const Surfels& other);
     /// Reorders: surfel i of the result is surfel order[i] of this set.
     Surfels permuted(const std::vector<std::uint32_t>& order) const;
@@ -87,6 +110,7 @@ struct Model {
     std::uint32_t first = 0;
     std::uint32_t count = 0;
     glm::vec3 half_size_m{0.0f};   ///< of the box around the origin that its surfels belong in, model frame; 0 = unbounded
+    float stride_m = 0.0f;         ///< way of one turn of its gait (two steps of a person); 0: it is rigid
 };
 
 /// A model placed in the world. Instance 0 is the background with the identity pose.
@@ -131,6 +155,9 @@ Scene make_background_scene(Surfels surfels);
 
 /// The scene with another background, which is put into kd order, and without blocks.
 Scene with_background(const Scene& scene, const Surfels& background);
+
+/// Appends a model of another scene, with its surfels. @return its number
+std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
 
 /// The same scene with a model of its own for every instance: the surfels of a model placed n times are there n times.
 Scene own_models(Scene scene);
@@ -197,6 +224,8 @@ struct InitialiseOptions {
     std::string actor_classes = "all";
     bool mask_others = true;           ///< moving boxes of other classes are left out; false = they belong to the background (paper)
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
+    /// comma-separated kinds or classes of actors whose surfels follow a gait, where their points show one; empty = all are rigid (paper)
+    std::string deform = "person,cyclist";
     int actor_points = 8000;           ///< an actor has at most so many surfels
     int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)
     int actor_min_points = 20;        ///< a box with fewer points is masked instead
@@ -209,6 +238,7 @@ struct InstancePose {
     Pose world_from_model;
     bool present = true;
     double time_s = 0.0;   ///< place_instances: the moment at which its track was asked
+    double phase = 0.0;    ///< turns of its model's gait
 };
 
 /// What moves without a label: returns of training frames, within 40 m, that others see through, linked and placed as upright boxes of one
@@ -232,8 +262,9 @@ Surfels initialise_background(const Sequence& sequence, const std::vector<int>& 
 /// The background and one model and instance for every moving box of the wanted classes, or for the wanted tracks, in the frame of the
 /// box (Eq. 4-5). Points that lie in two boxes go into both models.
 /// Points come from training frames only. @throws DataError as initialise_background
+/// @param notes  output: which actors of InitialiseOptions::deform are rigid all the same, and why
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                       const Progress& progress = {});
+                       const Progress& progress = {}, std::vector<std::string>* notes = nullptr);
 
 /// Boxes that separate_boxes() leaves out of the background and no instance stands for: of an unwanted class, or with too few points. Their
 /// rays teach nothing and their returns are missing from what is rendered.

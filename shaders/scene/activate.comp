@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Records of surfels from their parameters (docs/method.md section 2): normalised rotation, exp scale, sigmoid opacity; channel
-// values where SH are evaluated once a surfel, in the direction view origin -> mean. One thread a surfel of any model.
-// Input: surfels, models, view_origins. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0 and is
+// values where SH are evaluated once a surfel, in the direction view origin -> mean; where and how much it is there at its model's phase of a
+// gait. One thread a surfel of any model.
+// Input: surfels, models, view_origins, phases. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0 and is
 // never hit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -10,6 +11,7 @@
 #include "../shared/scene.h"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
+#include "../gaussian/gait.glsl"
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateParams);
 
@@ -42,8 +44,10 @@ void main() {
     if (!STAGED && !is_surfel) return;   // else its threads load for others
     uint surfel = is_surfel ? i : 0u;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;
+    uint model = find_model(params.models, params.n_models, surfel);
+    Gait gait = gait_of(params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
     SurfelRecord s;
-    s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]);
+    s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
     vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2], rotation.at[4 * surfel + 3]);
     float q_length2 = dot(q, q);   // under- and overflow would leave some other rotation
     mat3 r = rotation_matrix(q);
@@ -51,10 +55,9 @@ void main() {
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
-    s.opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
+    s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;
-    vec3 view_origin = params.view_origins.at[find_model(params.models, params.n_models, surfel)];
-    bool finite_sh = channels(i, is_surfel, normalize(s.mean - view_origin), values);
+    bool finite_sh = channels(i, is_surfel, normalize(s.mean - params.view_origins.at[model]), values);
     bool evaluate = params.sh_per_surfel != 0u;
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;

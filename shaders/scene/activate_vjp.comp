@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameter gradients from record gradients: the chain rule of activate.comp, once a frame instead of once a hit (docs/method.md
 // section 4, reduction a). One thread a surfel of any model.
-// Input: surfels, d_records, models, more_rows, view_origins. Output: d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
+// Input: surfels, d_records, models, more_rows, view_origins, phases. Output: d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -9,6 +9,7 @@
 #include "../shared/scene.h"
 #include "../gaussian/quaternion.glsl"
 #include "../gaussian/sh.glsl"
+#include "../gaussian/gait.glsl"
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
@@ -57,6 +58,7 @@ bool load_row(uint surfel, ModelEntry model, out float row[16]) {
 }
 
 bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
+bool has_gait() { return !is_null(params.surfels.gait); }
 
 void store_zero(uint surfel) {
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = 0.0;
@@ -64,12 +66,13 @@ void store_zero(uint surfel) {
     for (uint k = 0u; k < 2u; ++k) params.d_surfels.log_scale.at[2 * surfel + k] = 0.0;
     if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
     params.d_surfels.opacity_logit.at[surfel] = 0.0;
+    if (has_gait()) for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = 0.0;
     if (STAGED || params.sh_per_surfel == 0u) return;
     for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
 }
 
 /// All groups but the harmonics.
-void store_geometry(uint surfel, vec3 d_mean, float row[16]) {
+void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);
     vec3 d_normal = vec3(row[12], row[13], row[14]);
@@ -85,7 +88,11 @@ void store_geometry(uint surfel, vec3 d_mean, float row[16]) {
     params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;   // axis_u = a_u exp(-log_scale)
     params.d_surfels.log_scale.at[2 * surfel + 1] = -dot(d_axis_v, r[1]) * inverse_scale.y;
     if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
-    params.d_surfels.opacity_logit.at[surfel] = row[3] * opacity * (1.0 - opacity);
+    params.d_surfels.opacity_logit.at[surfel] = row[3] * gait.presence * opacity * (1.0 - opacity);
+    if (!has_gait()) return;
+    float d_gait[5];
+    gait_vjp(gait, d_mean, row[3] * opacity, d_gait);
+    for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
 void main() {
@@ -97,9 +104,10 @@ void main() {
     bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
     if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
 
+    Gait gait = gait_of(params.surfels.gait, surfel, has_gait() ? params.phases.at[model] : -1.0);
     vec3 d_to_mean = vec3(0.0);
     if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
-        vec3 to_mean = any_gradient ? load3(params.surfels.mean, 3 * surfel) - params.view_origins.at[model] : vec3(1.0);
+        vec3 to_mean = any_gradient ? load3(params.surfels.mean, 3 * surfel) + gait.sine * gait.swing - params.view_origins.at[model] : vec3(1.0);
         float inverse_length = inversesqrt(dot(to_mean, to_mean));
         vec3 direction = to_mean * inverse_length;
         choose_moves(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
@@ -107,7 +115,7 @@ void main() {
         d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
     }
     if (any_gradient) {
-        store_geometry(surfel, vec3(row[0], row[1], row[2]) + d_to_mean, row);
+        store_geometry(surfel, gait, vec3(row[0], row[1], row[2]) + d_to_mean, row);
         store_view(surfel, -d_to_mean);
     } else if (is_surfel) {
         if (params.zero_untouched != 0u) store_zero(surfel);

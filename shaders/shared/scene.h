@@ -15,6 +15,7 @@ struct SurfelPointers {
     RELIDAR_OF(Floats, OpacityLogits) opacity_logit;   // [n]
     RELIDAR_OF(Floats, Harmonics) sh;                  // [n,3,16]
     RELIDAR_OF(Floats, ThirdLogScales) log_scale_w;    // [n] of 3D Gaussians, else address 0
+    RELIDAR_OF(Floats, Gaits) gait;                    // [n,5] where actors bend, else address 0
 };
 
 /// Records of all surfels from their parameters (scene/activate.comp).
@@ -23,6 +24,7 @@ struct ActivateParams {
     Records records;          // output [n]
     Models models;            // input [n_models]
     Vec3s view_origins;       // input [n_models] where SH directions start, model frame, m (SH a surfel only)
+    RELIDAR_OF(Floats, GaitPhases) phases;   // input [n_models] turns, below 0 of models that are rigid; where there is a gait
     float alpha_min;          // surfels of lower opacity get opacity 0
     uint n_surfels;
     uint n_models;
@@ -37,6 +39,7 @@ struct ActivateVjpParams {
     Models models;                                   // input [n_models]
     RELIDAR_OF(Uints, FurtherRows) more_rows;        // input first row of each further placement, model by model
     Vec3s view_origins;                              // input [n_models] as of the activation
+    RELIDAR_OF(Floats, GaitPhases) phases;           // input [n_models] as of the activation
     SurfelPointers d_surfels;                        // output; sh is accumulated where SH are evaluated a hit
     RELIDAR_OF(Uints, TouchedSurfels) touched;       // output [n] 1 where any record gradient is not zero
     // output [n,3] dL/d(view origin) by way of each surfel (SH a surfel only), or address 0

@@ -48,7 +48,7 @@ void StateWriter::put(const std::string& name, const char* dtype, std::vector<st
 
 void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
     const Surfels host = surfels.download();
-    for (const ParameterGroup& group : groups_of(surfels.primitive))
+    for (const ParameterGroup& group : groups_of(surfels.parameters()))
         put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
     checkpoint_.texts[name + "/" + kPrimitiveKey] = kind_of(surfels.primitive).name;
 }
@@ -71,14 +71,14 @@ Surfels StateReader::surfels(const std::string& name) const {
 }
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
-    const Primitive primitive = stored_primitive(checkpoint_.texts, name + "/" + kPrimitiveKey, [&](const char* group) {
+    const ParameterSet parameters = stored_parameters(checkpoint_.texts, name + "/" + kPrimitiveKey, [&](const char* group) {
         return find_array(checkpoint_.arrays, name + "/" + group) != nullptr;
     });
-    for (const ParameterGroup& group : groups_of(primitive))   // before anything is allocated
+    for (const ParameterGroup& group : groups_of(parameters))   // before anything is allocated
         find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;
-    host.resize(n, primitive);
-    for (const ParameterGroup& group : groups_of(primitive))
+    host.resize(n, parameters);
+    for (const ParameterGroup& group : groups_of(parameters))
         copy(checkpoint_.array(name + "/" + group.name), group.mutable_values(host).data());
     return host;
 }

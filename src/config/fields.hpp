@@ -142,6 +142,9 @@ void visit_scene(C& c, Visitor&& f) {
              "background (paper)"));
     f("init.actor_tracks", c.init.actor_tracks, anything(),
       expert("tracks that become actors, whatever their class and motion, separated by commas; empty: by class"));
+    f("init.deform", c.init.deform, anything(),
+      "actors that bend as they walk, where their points show a gait: vehicle, cyclist, person, other, or a dataset's own class, separated "
+      "by commas; empty: all are rigid (paper)");
     f("init.actor_pad_to", c.init.actor_pad_to, between(0, 1e6),
       expert("an actor with fewer points is filled up with random points of its box; 0: not; paper: 8000"));
     f("init.actor_min_points", c.init.actor_min_points, between(10, 1e6), expert("a box with fewer points is masked instead"));

@@ -19,6 +19,7 @@ Config paper() {
     config.init.actor_classes = "vehicle";   // as it says; people and cyclists are left in the background
     config.init.mask_others = false;
     config.init.actor_min_points = 100;
+    config.init.deform = "";
     config.init.actor_pad_to = 8000;
     config.render.range = "expected";
     config.densify.strategy = DensifyStrategy::adaptive;

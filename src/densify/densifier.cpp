@@ -54,7 +54,7 @@ struct Densifier::Impl {
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
         : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.primitive),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.parameters()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
           reset_opacity(d, "densify/reset_opacity"), jitter(d, "densify/jitter") {
@@ -108,7 +108,7 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 /// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    const double others = 4.0 * (3.0 * floats_per_surfel(scene.primitive()) + 16.0);   // parameters, moments and records
+    const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);   // parameters, moments and records
     const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();

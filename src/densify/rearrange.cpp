@@ -10,9 +10,9 @@
 
 namespace relidar {
 
-Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, Primitive primitive)
+Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of)
     : device_(device), prefix_sum_(device), allot_(device, "densify/allot"), move_(device, "densify/move") {
-    spare_.primitive = primitive;
+    spare_.primitive = of.primitive, spare_.bends = of.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve(n_surfels);
     Stream stream(device);
@@ -40,7 +40,7 @@ std::uint32_t Rearrangement::capacity() const {
     return std::min(spare_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
 }
 
-std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_surfel(spare_.primitive) + 6 + 2 * statistics.n_words); }
+std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_surfel(spare_.parameters()) + 6 + 2 * statistics.n_words); }
 
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
@@ -73,7 +73,7 @@ void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, s
 }
 
 void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
-    for (const ParameterGroup& group : groups_of(set.primitive))
+    for (const ParameterGroup& group : groups_of(set.parameters()))
         move_rows(stream, group.mutable_device(set), group.mutable_device(spare_), group.floats(), fresh);
     set.n = after;
 }

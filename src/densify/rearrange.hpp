@@ -13,7 +13,7 @@ namespace relidar {
 
 class Rearrangement {
 public:
-    Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, Primitive primitive);
+    Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of);
     /// Makes room for so many surfels. Nothing may be in flight. @throws DeviceError where memory is exhausted: nothing is lost
     void reserve(std::uint32_t capacity);
     std::uint32_t capacity() const;

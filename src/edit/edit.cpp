@@ -56,7 +56,8 @@ void drop_unused_models(Scene& scene) {
             m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
         if (!used) continue;
         moved_to[m] = static_cast<std::uint32_t>(models.size());
-        models.push_back({model.name, static_cast<std::uint32_t>(surfels.size()), model.count, model.half_size_m});
+        models.push_back(model);
+        models.back().first = static_cast<std::uint32_t>(surfels.size());
         surfels.append(scene.surfels.slice(model.first, model.count));
     }
     for (Instance& instance : scene.instances) instance.model = moved_to[instance.model];
@@ -174,13 +175,11 @@ DrivingScene copy_track(DrivingScene driving, const std::string& track, const St
 }
 
 DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track, const Start& start) {
-    const Model& model = other.scene.models[other.scene.instances[find_actor(other, track)].model];
     DrivingScene source = other;
     BoxTrack box = box_of(source, track);
     if (is_taken(driving, box.id)) box.id = free_id(driving, track + "-insert");
-    driving.scene.models.push_back({model.name, static_cast<std::uint32_t>(driving.scene.surfels.size()), model.count, model.half_size_m});
-    driving.scene.surfels.append(other.scene.surfels.slice(model.first, model.count));
-    add_instance(driving, static_cast<std::uint32_t>(driving.scene.models.size() - 1), std::move(box), start);
+    add_instance(driving, append_model(driving.scene, other.scene, other.scene.instances[find_actor(other, track)].model), std::move(box),
+                 start);
     return driving;
 }
 

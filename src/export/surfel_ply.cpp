@@ -31,7 +31,7 @@ constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 constexpr std::size_t kMaxModels = 1u << 24;    // an index is stored as a float
 
-const auto& [kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
+const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
 /// What a property is: a float of a group of parameters, or one of those that other tools want. Colours two and three repeat the first.
 struct Property {
@@ -42,7 +42,7 @@ struct Property {
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
-std::vector<Property> properties(Primitive primitive) {
+std::vector<Property> properties(ParameterSet of) {
     std::vector<Property> list;
     const auto add = [&](const std::string& prefix, std::uint32_t n, const ParameterGroup& group, std::uint32_t first) {
         for (std::uint32_t k = 0; k < n; ++k) list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
@@ -53,11 +53,12 @@ std::vector<Property> properties(Primitive primitive) {
     for (std::uint32_t k = 0; k < kColours * kRest; ++k) list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (kind_of(primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
+    if (kind_of(of.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, Property::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
+    if (of.bends) add("gait_", kGait.floats(), kGait, 0);
     list.push_back({"model", nullptr, 0, true, Property::model});
     return list;
 }
@@ -157,9 +158,9 @@ struct Columns {
     std::vector<std::size_t> offset;
 };
 
-Columns find_columns(const Layout& layout, Primitive primitive) {
+Columns find_columns(const Layout& layout, ParameterSet of) {
     Columns columns;
-    for (const Property& p : properties(primitive)) {
+    for (const Property& p : properties(of)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == p.name; });
         if (it == layout.fields.end())
@@ -207,18 +208,18 @@ std::size_t find_end_of_header(const std::string& start) {
     return at;
 }
 
-Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Primitive primitive) {
+Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, ParameterSet of) {
     const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxPlyHeader));
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
     const Layout layout = parse_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
-    const Columns columns = find_columns(layout, primitive);
+    const Columns columns = find_columns(layout, of);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count, layout.stride));
     Surfels surfels;
-    surfels.resize(layout.count, primitive);
+    surfels.resize(layout.count, of);
     std::vector<std::uint32_t> model(layout.count);
     for (std::size_t i = 0; i < layout.count; ++i)
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
@@ -255,7 +256,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         scene.surfels.check_shapes();
         check_models(scene);
-        const std::vector<Property> list = properties(scene.surfels.primitive);
+        const std::vector<Property> list = properties(scene.surfels.parameters());
         export_detail::OutputFile file(temporary);
         file.write(header_of(scene, list));
         std::vector<float> record(list.size());
@@ -271,7 +272,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
-        return parse(file, layout, primitive);
+        return parse(file, layout, {primitive, std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; })});
     } catch (const DataError& error) {
         throw DataError(fmt::format("reading PLY '{}': {}", path.string(), error.what()));
     }

@@ -66,9 +66,11 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
     Impl& r = *impl_;
     if (!r.placed) return place(placed, view_origin_m);
     r.view_origin_m = view_origin_m;
+    const bool bends = r.scene.bends_otherwise(placed);
     r.scene.place(r.stream, placed);
-    if (r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
-    r.accel->move(r.stream, r.scene);
+    if (bends || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
+    if (bends) r.accel->update(r.stream, r.scene);
+    else r.accel->move(r.stream, r.scene);
 }
 
 void Renderer::record_forward(const RayBatch& rays) {

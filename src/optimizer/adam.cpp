@@ -38,17 +38,17 @@ struct Adam::Impl {
     Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
 
-    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, Primitive primitive)
+    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
         : options(o),
           per_float(coalesces(device)),
-          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", primitive),
-          moment2(device, moment1.n, "second moment", primitive),
+          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", of),
+          moment2(device, moment1.n, "second moment", of),
           max_log_scale(device, 0, "bounds of scales"),
           kernel(device, "optimizer/adam", constants(per_float)) {}
 };
 
-Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive)
-    : impl_(new Impl(device, n_surfels, options, primitive)) {
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of)
+    : impl_(new Impl(device, n_surfels, options, of)) {
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
@@ -73,7 +73,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
-    for (const ParameterGroup& group : groups_of(p.primitive)) {
+    for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
         const std::size_t from = std::size_t(first) * stride;

@@ -28,7 +28,7 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       model_(config.image),
       options_(options),
       memory_bytes_(config.render.memory_mib * kMiB),
-      owns_models_(config.image.sh_direction == ShDirection::surfel),
+      owns_models_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends),
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
     if (scene.blocks.empty()) renderer_.emplace(device, owns_models_ ? own_models(scene) : scene, model_, options_);

@@ -61,6 +61,11 @@ glm::vec3 read_half_size(const JsonField& model) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
+/// Of a model that bends.
+float read_stride(const JsonField& model) {
+    return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e3)) : 0.0f;
+}
+
 void read_layout(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
@@ -71,8 +76,8 @@ void read_layout(const JsonField& layout, Scene& scene) {
         if (first != next)
             m.at("first").fail(fmt::format("found {}", first), fmt::format("expected {}, where the model before ends", next));
         next = first + count;
-        scene.models.push_back(
-            {m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count), read_half_size(m)});
+        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count),
+                                read_half_size(m), read_stride(m)});
     }
     if (next != n) models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
     if (models.size() == 0 || instances.size() == 0) models.fail("found no model or no instance", "expected at least one each");
@@ -140,11 +145,11 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
 
 std::string layout_to_json(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
-    for (const Model& m : scene.models)
-        json["models"].push_back({{"name", m.name},
-                                  {"first", m.first},
-                                  {"count", m.count},
-                                  {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
+    for (const Model& m : scene.models) {
+        nlohmann::ordered_json& model = json["models"].emplace_back(nlohmann::ordered_json{
+            {"name", m.name}, {"first", m.first}, {"count", m.count}, {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
+        if (m.stride_m > 0.0f) model["stride_m"] = m.stride_m;
+    }
     for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
@@ -157,7 +162,7 @@ void read_layout_json(const std::string& text, const std::string& where, Scene& 
 void save_model(const std::filesystem::path& path, const Scene& scene) {
     scene.surfels.check_shapes();
     std::vector<NamedArray> arrays;
-    for (const ParameterGroup& group : groups_of(scene.surfels.primitive)) {
+    for (const ParameterGroup& group : groups_of(scene.surfels.parameters())) {
         check_finite(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
         arrays.push_back(make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
@@ -182,17 +187,17 @@ Scene load_model(const std::filesystem::path& path) {
     const NamedArray& mean = array_of(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    const Primitive primitive =
-        stored_primitive(metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    for (const ParameterGroup& group : groups_of(primitive)) {   // row counts first: nothing is allocated for a file that lies
+    const ParameterSet parameters =
+        stored_parameters(metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
+    for (const ParameterGroup& group : groups_of(parameters)) {   // row counts first: nothing is allocated for a file that lies
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name,
                                         fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
-    scene.surfels.resize(mean.shape[0], primitive);
-    for (const ParameterGroup& group : groups_of(primitive)) read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
+    scene.surfels.resize(mean.shape[0], parameters);
+    for (const ParameterGroup& group : groups_of(parameters)) read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     if (const auto blocks = metadata.find(kBlocks); blocks != metadata.end())

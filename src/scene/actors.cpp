@@ -15,6 +15,7 @@
 
 #include "core/list_text.hpp"
 #include "core/random.hpp"
+#include "scene/gait.hpp"
 #include "scene/point_surfels.hpp"
 #include "core/progress_blocks.hpp"
 
@@ -24,12 +25,11 @@ namespace {
 
 constexpr double kPointMargin_m = 0.1;    ///< labels fit loosely
 constexpr double kGround_m = 0.15;        ///< the lowest part of a box is ground
-constexpr double kVoxel_m = 0.06;         ///< label jitter blurs anything finer
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the points of one frame that lie in boxes, each in its box's frame.
 void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, bool second_returns,
-               std::vector<std::vector<Sample>>& samples) {
+               const std::vector<Walk>& walks, std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
@@ -40,7 +40,8 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
             const Pose box_from_world = inverse(boxes[b].world_from_box.at(w.time_s));
             const glm::dvec3 local = box_from_world * w.point_m;
             if (local.z < -0.5 * boxes[b].size_m.z + kGround_m) continue;
-            samples[b].push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction)});
+            samples[b].push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction),
+                                  static_cast<float>(walks[b].at(w.time_s)), frame.index});
         }
     });
 }
@@ -48,36 +49,16 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
 /// Points of the training frames in boxes, each in its box's frame. @return [boxes]
 std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes,
                                              const InitialiseOptions& options, const Progress& progress) {
+    std::vector<Walk> walks;
+    for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
     for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) {
-        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, of_frame[i]);
+        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, walks, of_frame[i]);
     });
     for (const std::vector<std::vector<Sample>>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b) samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
     return samples;
-}
-
-/// First sample of each voxel: averaging over jittering labels would only shrink the box.
-std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most) {
-    std::unordered_map<std::uint64_t, char> seen;
-    std::vector<Sample> kept;
-    for (const Sample& s : samples) {
-        const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(s.position) / kVoxel_m)) + 512;
-        const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 | std::uint64_t(cell.z & 1023);
-        if (seen.try_emplace(key, 1).second) kept.push_back(s);
-    }
-    if (kept.size() > most) {
-        std::sort(kept.begin(), kept.end(), [](const Sample& a, const Sample& b) {
-            const auto order = [](const Sample& s) {
-                return hash64(std::uint64_t(std::int64_t(s.position.x * 1e4f)),
-                              std::uint64_t(std::int64_t(s.position.y * 1e4f + s.position.z * 1e7f)));
-            };
-            return order(a) < order(b);
-        });
-        kept.resize(most);
-    }
-    return kept;
 }
 
 bool lists(const std::string& list, const std::string& word) {
@@ -90,6 +71,18 @@ bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
     if (!options.actor_tracks.empty()) return lists(options.actor_tracks, box.id);
     return options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) ||
            lists(options.actor_classes, name_of(object_kind(box.category)));
+}
+
+/// What a box holds: of one that was discovered, by its size.
+ObjectKind kind_in(const BoxTrack& box) {
+    if (box.category != kDiscoveredCategory) return object_kind(box.category);
+    const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
+    if (width > 1.1 || box.size_m.z < 1.2) return ObjectKind::other;
+    return length < 1.3 ? ObjectKind::person : length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
+}
+
+bool bends(const BoxTrack& box, const InitialiseOptions& options) {
+    return options.deform == kEveryClass || lists(options.deform, box.category) || lists(options.deform, name_of(kind_in(box)));
 }
 
 /// @throws DataError for a box that cannot hold anything
@@ -132,6 +125,30 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
+struct ActorStart {
+    const InitialiseOptions& options;
+    double incidence;                  ///< of IntensityResponse
+    std::vector<std::string>* notes;
+};
+
+/// Appends an actor; none where it has too few points.
+void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples, const ActorStart& start) {
+    const auto& [options, incidence, notes] = start;
+    const std::optional<StrideRange> range = bends(box, options) ? stride_range(kind_in(box)) : std::nullopt;
+    const FoundStride found = range ? find_stride(samples, *range) : FoundStride{};
+    std::vector<Sample> rigid = actor_samples(samples, box, options);
+    if (rigid.size() < std::size_t(options.actor_min_points)) return;
+    if (notes && range && found.stride_m <= 0.0) notes->push_back(fmt::format("{} ({}) is rigid: {}", box.id, box.category, found.why_none));
+    if (notes && found.stride_m > 0.0) notes->push_back(fmt::format("{} ({}) walks with strides of {:.2f} m", box.id, box.category, found.stride_m));
+    const Surfels surfels = found.stride_m > 0.0
+                                ? surfels_that_walk(samples, found.stride_m, options, incidence, std::size_t(options.actor_points))
+                                : surfels_from_points(rigid, options, incidence);
+    scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
+    scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
+                            glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m)});
+    scene.surfels.append(surfels);
+}
+
 /// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the sweep is taken.
 InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const SweepMoment& sweep) {
     const Pose world_from_sensor =
@@ -139,6 +156,17 @@ InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_b
     const double facing_s =
         facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep);
     return {world_from_box.at(facing_s), true, facing_s};
+}
+
+/// How far an actor had come when a caller's track of it begins: as far as on its own track where it was nearest, and how far it is ahead
+/// of that place now. Steps follow the way wherever it is put.
+double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
+    const Pose& at = track.pose.front();
+    const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
+    const auto nearest = std::ranges::min_element(own.world_from_box.pose, {}, place_m);
+    const double time_s = own.world_from_box.time_s[std::size_t(nearest - own.world_from_box.pose.begin())];
+    const glm::dvec3 ahead = at.rotation * glm::dvec3(1.0, 0.0, 0.0);
+    return Walk(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
 }
 
 /// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
@@ -152,6 +180,12 @@ std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence,
         }
         const PoseTrack* track = track_of(instance.track);
         placed.push_back(track ? facing_pose(sequence, *track, sweep) : InstancePose{{}, false});
+        const double stride_m = double(scene.models[instance.model].stride_m);
+        if (!track || stride_m <= 0.0) continue;
+        const BoxTrack* own = find_box(sequence, instance.track);
+        const bool is_own = own && &own->world_from_box == track;
+        const double before_m = own && !is_own && !own->world_from_box.pose.empty() ? begins_at_m(*own, *track) : 0.0;
+        placed.back().phase = (before_m + Walk(*track).at(placed.back().time_s)) / stride_m;
     }
     return placed;
 }
@@ -170,20 +204,13 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
 }
 
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                       const Progress& progress) {
+                       const Progress& progress, std::vector<std::string>* notes) {
     Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
     std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
     std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, options, progress);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
-        const BoxTrack& box = wanted[i];
-        const std::vector<Sample> samples = actor_samples(std::move(in_boxes[i]), box, options);
-        if (samples.size() < std::size_t(options.actor_min_points)) continue;
-        const Surfels surfels = surfels_from_points(samples, options, sequence.intensity_response.incidence);
-        scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-        scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
-                                glm::vec3(0.5 * box.size_m + kPointMargin_m)});
-        scene.surfels.append(surfels);
+        add_actor(scene, wanted[i], in_boxes[i], {options, sequence.intensity_response.incidence, notes});
     }
     return scene;
 }

@@ -3,6 +3,7 @@
 #include <relidar/stages/scene.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include <fmt/format.h>
@@ -115,7 +116,7 @@ struct DeviceScene::Impl {
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           models(device, model_table(scene, placements), "model table"),
           more_rows(device, placements.more, "rows of further placements"),
-          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.primitive),
+          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.parameters()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", activation_constants(stage_harmonics)),
@@ -150,6 +151,18 @@ struct DeviceScene::Impl {
             origins.push_back(i < 0 ? world : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) * glm::dvec3(world)));
         return impl_of(stream).values(origins);
     }
+
+    /// Of the gait of each model, as its first instance walks. @return [models] turns, below 0 of rigid ones; null where none has a gait
+    Address<float> phases(Stream& stream) const {
+        if (!parameters.bends) return {};
+        std::vector<float> all;
+        for (std::size_t m = 0; m < layout.models.size(); ++m) {
+            const std::int64_t i = placements.first_instance[m];
+            const double turns = i < 0 ? 0.0 : poses[static_cast<std::size_t>(i)].phase;
+            all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns)) : -1.0f);
+        }
+        return impl_of(stream).values(all);
+    }
 };
 
 DeviceScene::DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics) {
@@ -181,6 +194,7 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
          .records = impl_->records.address(),
          .models = impl_->models.address(),
          .view_origins = impl_->view_origins(stream, view_origin_m),
+         .phases = impl_->phases(stream).as<shared::GaitPhases>(),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
          .n_models = impl_->n_models(),
@@ -196,6 +210,7 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
          .view_origins = impl_->view_origins(stream, view_origin_m),
+         .phases = impl_->phases(stream).as<shared::GaitPhases>(),
          .d_surfels = pointers_of(*g.d_surfels),
          .touched = g.touched->address(),
          .d_view = address_of(g.d_view),
@@ -220,6 +235,15 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     impl_->placements = Placements(impl_->layout, n);   // as many as before: instances do not change
     impl_->models.upload(model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);
+}
+
+bool DeviceScene::bends_otherwise(const std::vector<InstancePose>& placed) const {
+    if (!impl_->parameters.bends) return false;
+    for (std::size_t i = 0; i < std::min(placed.size(), impl_->poses.size()); ++i) {
+        const bool bends = impl_->layout.models[impl_->layout.instances[i].model].stride_m > 0.0f;
+        if (bends && placed[i].present && placed[i].phase != impl_->poses[i].phase) return true;
+    }
+    return false;
 }
 
 const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }

@@ -11,18 +11,23 @@
 
 namespace relidar {
 
+std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model) {
+    Model added = other.models[model];   // with its box and stride
+    const Surfels surfels = other.surfels.slice(added.first, added.count);
+    added.first = static_cast<std::uint32_t>(scene.surfels.size());
+    scene.models.push_back(std::move(added));
+    scene.surfels.append(surfels);
+    return static_cast<std::uint32_t>(scene.models.size() - 1);
+}
+
 Scene own_models(Scene scene) {
     std::vector<bool> owned(scene.models.size(), false);
     for (Instance& instance : scene.instances) {
-        const Model model = scene.models[instance.model];
         if (!owned[instance.model]) {
             owned[instance.model] = true;
             continue;
         }
-        instance.model = static_cast<std::uint32_t>(scene.models.size());
-        scene.models.push_back(model);   // with its box
-        scene.models.back().first = static_cast<std::uint32_t>(scene.surfels.size());
-        scene.surfels.append(scene.surfels.slice(model.first, model.count));
+        instance.model = append_model(scene, scene, instance.model);
         owned.push_back(true);
     }
     return scene;

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <unordered_set>
 
 #include <Eigen/Eigenvalues>
 #include <nanoflann.hpp>
@@ -208,7 +209,7 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
 }  // namespace
 
 Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence,
-                            const Progress& progress) {
+                            const Progress& progress, std::vector<std::uint32_t>* order) {
     const Cloud cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
@@ -216,7 +217,32 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
     for_each_block_told(samples.size(), progress, "normals",
                         [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
-    return surfels.permuted(kd_order(surfels.mean));
+    const std::vector<std::uint32_t> sorted = kd_order(surfels.mean);
+    if (order) *order = sorted;
+    return surfels.permuted(sorted);
+}
+
+std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most, std::vector<std::uint32_t>* kept) {
+    constexpr double kVoxel_m = 0.06;   // label jitter blurs anything finer
+    std::unordered_set<std::uint64_t> seen;
+    std::vector<std::uint32_t> first;
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+        const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kVoxel_m)) + 512;
+        const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 | std::uint64_t(cell.z & 1023);
+        if (seen.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
+    }
+    if (first.size() > most) {
+        const auto order = [&](std::uint32_t i) {
+            const glm::vec3& p = samples[i].position;
+            return hash64(std::uint64_t(std::int64_t(p.x * 1e4f)), std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
+        };
+        std::sort(first.begin(), first.end(), [&](std::uint32_t a, std::uint32_t b) { return order(a) < order(b); });
+        first.resize(most);
+    }
+    std::vector<Sample> thin;
+    for (const std::uint32_t i : first) thin.push_back(samples[i]);
+    if (kept) *kept = std::move(first);
+    return thin;
 }
 
 }  // namespace relidar

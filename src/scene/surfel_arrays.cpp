@@ -22,19 +22,21 @@ std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
     return {n};
 }
 
-Primitive stored_primitive(const std::map<std::string, std::string>& texts, const std::string& key,
+ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
                            const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = texts.find(key);
     const bool third_scale = has_array(kParameterGroups.back().name);
     for (const PrimitiveKind& kind : kPrimitives)
-        if (text == texts.end() ? kind.third_scale == third_scale : kind.name == text->second) return kind.primitive;
+        if (text == texts.end() ? kind.third_scale == third_scale : kind.name == text->second)
+            return {kind.primitive, has_array(kParameterGroups.front().name)};
     throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40), fmt::join(names, ", ")));
 }
 
-SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, Primitive kind) : n(count), primitive(kind) {
-    for (const ParameterGroup& group : groups_of(kind))
+SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, ParameterSet of)
+    : n(count), primitive(of.primitive), bends(of.bends) {
+    for (const ParameterGroup& group : groups_of(of))
         group.mutable_device(*this) = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
@@ -43,13 +45,16 @@ void SurfelArrays::upload(const Surfels& s) {
     if (s.size() > 0 && s.primitive != primitive)
         throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays", kind_of(s.primitive).label,
                                     kind_of(primitive).label));
-    for (const ParameterGroup& group : groups_of(primitive)) group.mutable_device(*this).upload(group.values(s));
+    if (s.size() > 0 && s.bends != bends)
+        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays", s.bends ? "a gait" : "none of a gait",
+                                    bends ? "a gait" : "none"));
+    for (const ParameterGroup& group : groups_of(parameters())) group.mutable_device(*this).upload(group.values(s));
 }
 
 Surfels SurfelArrays::download() const {
     Surfels s;
-    s.resize(n, primitive);
-    for (const ParameterGroup& group : groups_of(primitive)) {
+    s.resize(n, parameters());
+    for (const ParameterGroup& group : groups_of(parameters())) {
         const std::span<float> values = group.mutable_values(s);
         if (n > 0) group.device(*this).buffer().download(values.data(), values.size_bytes());
     }
@@ -58,17 +63,17 @@ Surfels SurfelArrays::download() const {
 
 std::uint32_t SurfelArrays::capacity() const {
     std::size_t least = std::numeric_limits<std::uint32_t>::max();
-    for (const ParameterGroup& group : groups_of(primitive)) least = std::min(least, group.device(*this).size() / group.floats());
+    for (const ParameterGroup& group : groups_of(parameters())) least = std::min(least, group.device(*this).size() / group.floats());
     return static_cast<std::uint32_t>(least);
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
-    for (const ParameterGroup& group : groups_of(primitive))
+    for (const ParameterGroup& group : groups_of(parameters()))
         group.mutable_device(*this).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {
-    for (const ParameterGroup& group : groups_of(primitive)) stream.fill(group.device(*this));
+    for (const ParameterGroup& group : groups_of(parameters())) stream.fill(group.device(*this));
 }
 
 shared::SurfelPointers pointers_of(const SurfelArrays& a) {
@@ -77,7 +82,8 @@ shared::SurfelPointers pointers_of(const SurfelArrays& a) {
             .log_scale = a.log_scale.address(),
             .opacity_logit = a.opacity_logit.address(),
             .sh = a.sh.address(),
-            .log_scale_w = a.log_scale_w.address()};
+            .log_scale_w = a.log_scale_w.address(),
+            .gait = a.gait.address()};
 }
 
 }  // namespace relidar

@@ -22,18 +22,31 @@ constexpr bool are_in_order() {
 }
 static_assert(are_in_order(), "the numbers of primitives count up from 0");
 
+/// Whether surfels have the parameters of a group.
+bool have(ParameterSet of, const ParameterGroup& group) {
+    switch (group.of) {
+        case ParameterGroup::Of::third_scale: return kind_of(of.primitive).third_scale;
+        case ParameterGroup::Of::bends: return of.bends;
+        default: return true;
+    }
+}
+
 }  // namespace
 
-void Surfels::resize(std::size_t n, Primitive of) {
-    primitive = of;
-    const std::span<const ParameterGroup> groups = groups_of(primitive);
-    for (const ParameterGroup& group : groups) group.resize(*this, n * group.floats());
-    for (const ParameterGroup& group : std::span(kParameterGroups).subspan(groups.size())) group.resize(*this, 0);  // not of this primitive
+void Surfels::resize(std::size_t n, ParameterSet of) {
+    primitive = of.primitive;
+    bends = of.bends;
+    for (const ParameterGroup& group : kParameterGroups) group.resize(*this, have(of, group) ? n * group.floats() : 0);
+}
+
+void Surfels::add_gait() {
+    bends = true;
+    gait.resize(size());
 }
 
 void Surfels::check_shapes() const {
     for (const ParameterGroup& group : kParameterGroups) {
-        const bool is_there = !group.third_scale || kind_of(primitive).third_scale;
+        const bool is_there = have(parameters(), group);
         const std::size_t found = group.values(*this).size(), expected = is_there ? size() * group.floats() : 0;
         if (found != expected)
             throw DataError(fmt::format("reading {}: {} has {} values, expected {}: {} for each of the {} means", kind_of(primitive).label,
@@ -46,18 +59,21 @@ void Surfels::append(const Surfels& other) {
         throw DataError(fmt::format("joining {} surfels and {}: found {} beside {}, expected one primitive (image.primitive)", size(),
                                     other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
+    if (other.bends) add_gait();
+    const std::size_t n = size() + other.size();
     for (const ParameterGroup& group : kParameterGroups) {
         const std::size_t before = group.values(*this).size();
         const std::span<const float> more = group.values(other);
         group.resize(*this, before + more.size());
         std::ranges::copy(more, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(before));
     }
+    if (bends) gait.resize(n);   // those of a set without one rest
 }
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
     Surfels result;
-    result.resize(order.size(), primitive);
-    for (const ParameterGroup& group : groups_of(primitive)) {
+    result.resize(order.size(), parameters());
+    for (const ParameterGroup& group : groups_of(parameters())) {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
         const std::size_t n = group.floats();

@@ -31,8 +31,12 @@ InitialiseOptions start_options(const Config& config) {
 }
 
 /// What training starts from.
-Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const Progress& progress) {
-    Scene scene = initialise_scene(sequence, split.train, start_options(config), progress);
+Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session,
+                  const Progress& progress) {
+    std::vector<std::string> notes;
+    Scene scene = initialise_scene(sequence, split.train, start_options(config), progress, &notes);
+    for (const std::string& note : notes)
+        if (session.note) session.note(note);
     make_primitive(scene.surfels, config.image.primitive, config.init.thickness);
     return scene;
 }
@@ -77,7 +81,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     TrainResult result;
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
-    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session.progress);
+    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session, session.progress);
     result.initialise_s = seconds_since(begin);
     tell_masked(initial, sequence, config, session);
 

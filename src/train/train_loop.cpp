@@ -51,13 +51,14 @@ constexpr int kGrowthEvery = 32;   // iterations between two looks at how the tr
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
     const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
-    return {exponential_schedule(c.mean_rate, c.mean_rate_final, step, c.iterations) * extent_m,
-            c.rotation_rate * decay,
-            c.scale_rate * decay,
-            c.opacity_rate * decay,
-            c.sh_rate * decay,
-            kShRestFactor,
-            c.intensity_factor};
+    return {.mean = exponential_schedule(c.mean_rate, c.mean_rate_final, step, c.iterations) * extent_m,
+            .rotation = c.rotation_rate * decay,
+            .log_scale = c.scale_rate * decay,
+            .opacity_logit = c.opacity_rate * decay,
+            .sh = c.sh_rate * decay,
+            .sh_rest_factor = kShRestFactor,
+            .gait = LearningRates{}.gait * decay,
+            .intensity_factor = c.intensity_factor};
 }
 
 /// Means learn at a rate in proportion to the extent of their own model: steps that suit a street would throw an actor's out of its box.
@@ -145,7 +146,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
                 {backward_options(config), refiner_.wanted(), all_have_gradients(config)}),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
-      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.primitive),
+      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.parameters()),
       densifier_(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
                  config.train.seed),
       reports_(device),

@@ -150,7 +150,7 @@ TEST_F(ManyActors, Train) {
         EXPECT_LT(losses.back(), 0.8f * losses.front());
         for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
         const Surfels end = passes.renderer.scene().parameters().download();
-        for (const ParameterGroup& group : groups_of(end.primitive))
+        for (const ParameterGroup& group : groups_of(end.parameters()))
             for (const float x : group.values(end)) ASSERT_TRUE(std::isfinite(x)) << group.name;
     }
 }

@@ -106,6 +106,16 @@ glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degr
     return value;
 }
 
+Surfel at_phase(const Surfel& surfel, double turns) {
+    const double angle = 2.0 * kPi * (turns - surfel.gait_phase);
+    const double presence = std::exp(-surfel.gait_sharpness * surfel.gait_sharpness * (1.0 - std::cos(angle)));
+    const double opacity = presence / (1.0 + std::exp(-surfel.opacity_logit));
+    Surfel placed = surfel;
+    placed.mean += std::sin(angle) * surfel.gait_swing;
+    placed.opacity_logit = std::log(opacity / (1.0 - opacity));
+    return placed;
+}
+
 DoubleRecord make_record(const Surfel& surfel) {
     const Activated a = activate(surfel);
     return {a.mean,

@@ -24,6 +24,9 @@ struct Surfel {
     glm::dvec2 log_scale{0.0};               ///< ln metres
     std::optional<double> log_scale_w;       ///< ln metres along the normal: there for a 3D Gaussian
     double opacity_logit = 0.0;
+    double gait_phase = 0.0;                 ///< turns
+    double gait_sharpness = 0.0;
+    glm::dvec3 gait_swing{0.0};              ///< metres
     std::array<double, kShFloats> sh{};      ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 
@@ -66,6 +69,8 @@ using DoubleRecord = Record<double>;
 
 /// Computed in double; the float record is rounded at the end.
 DoubleRecord make_record(const Surfel& surfel);
+/// The surfel at a phase of its gait (M10): where its mean has moved to, and with the opacity it is left with.
+Surfel at_phase(const Surfel& surfel, double turns);
 FloatRecord make_float_record(const Surfel& surfel);
 
 /// A ray in a model's frame. The direction keeps the length it has in the world, so t is the same in both.

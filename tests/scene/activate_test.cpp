@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // scene/activate and scene/activate_vjp alone, against the reference activations and their differences, record lane by record lane, with
-// harmonics read by each thread and moved through shared memory; kd order.
+// harmonics read by each thread and moved through shared memory, of actors that are rigid and that walk; kd order.
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <random>
 #include <tuple>
 
@@ -19,11 +20,37 @@
 namespace relidar {
 namespace {
 
-/// In both primitives, with the access to harmonics that suits a CPU and the one that suits a GPU.
-class Activate : public test::DeviceTest, public testing::WithParamInterface<std::tuple<Primitive, bool>> {
+constexpr std::uint32_t kOfBackground = 70;   // surfels: no whole workgroups
+constexpr double kPhase = 0.3;              // of the actor's gait, turns
+
+/// In both primitives, with the access to harmonics that suits a CPU and the one that suits a GPU; an actor that is rigid or walks.
+class Activate : public test::DeviceTest, public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
 protected:
     Primitive primitive() const { return std::get<0>(GetParam()); }
     bool stages_harmonics() const { return std::get<1>(GetParam()); }
+    ParameterSet parameters() const { return {primitive(), bends()}; }
+    bool bends() const { return std::get<2>(GetParam()); }
+
+    /// More than two workgroups of 64; all have a gait where the actor walks, the background's too, which has to rest.
+    std::vector<reference::Surfel> some_surfels() const {
+        test::RandomSceneOptions options;
+        options.seed = 8;
+        options.background_surfels = 150;
+        options.primitive = primitive();
+        std::vector<reference::Surfel> surfels = test::make_random_scene(options, {}).world.surfels;
+        std::mt19937_64 random(21);
+        std::uniform_real_distribution<float> u(-1.0f, 1.0f);
+        for (reference::Surfel& s : surfels) {
+            if (!bends()) break;
+            s.gait_phase = u(random), s.gait_sharpness = 0.8f * u(random);
+            s.gait_swing = {0.5f * u(random), 0.5f * u(random), 0.5f * u(random)};
+        }
+        return surfels;
+    }
+    /// A surfel as it is in the scene of on_device().
+    reference::Surfel in_scene(const reference::Surfel& s, std::size_t i) const {
+        return bends() && i >= kOfBackground ? reference::at_phase(s, kPhase) : s;
+    }
 
     ImageModel image_model(int sh_degree) const {
         ImageModel model;
@@ -32,17 +59,22 @@ protected:
         model.sh_degree = sh_degree;
         return model;
     }
-    /// Two models, of which the first fills no whole workgroups, both placed at the origin.
-    DeviceScene on_device(const Surfels& surfels) {
+    /// Two models, both placed at the origin.
+    std::unique_ptr<DeviceScene> on_device(const Surfels& surfels) {
         Scene scene = make_background_scene(surfels);
         const auto n = static_cast<std::uint32_t>(surfels.size());
-        scene.models = {{"background", 0, 70}, {"actor", 70, n - 70}};
+        scene.models = {{"background", 0, kOfBackground}, {"actor", kOfBackground, n - kOfBackground}};
+        if (bends()) scene.models[1].stride_m = 1.4f;
         scene.instances.push_back({1, "actor"});
-        return DeviceScene(device(), scene, stages_harmonics());
+        auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
+        Stream stream(device());
+        on_device->place(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});   // turns before do not count
+        stream.finish();
+        return on_device;
     }
 };
 INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
-                         testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool()));
+                         testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool(), testing::Bool()));
 
 /// The 16 floats of a record in double, as shaders/shared/scene.h orders them.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
@@ -64,30 +96,25 @@ std::vector<double> record_tolerance(const reference::Surfel& s, const std::vect
         for (std::size_t k = 4 * axis + 4; k < 4 * axis + 7; ++k)
             tolerance[k] = kElement * std::exp(-log_scale[axis]) + std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
     tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
+    // Vulkan's sine and cosine may be off by 2^-11 within half a turn
+    for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(s.gait_swing[int(k)]) / 2048.0;
+    tolerance[3] += s.gait_sharpness * s.gait_sharpness / 2048.0;
     return tolerance;
 }
 
-/// More than two workgroups of 64.
-std::vector<reference::Surfel> some_surfels(Primitive primitive) {
-    test::RandomSceneOptions options;
-    options.seed = 8;
-    options.background_surfels = 150;
-    options.primitive = primitive;
-    return test::make_random_scene(options, {}).world.surfels;
-}
-
 TEST_P(Activate, RecordsAgreeWithReference) {
-    const std::vector<reference::Surfel> surfels = some_surfels(primitive());
+    const std::vector<reference::Surfel> surfels = some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    DeviceScene scene = on_device(test::to_surfels(surfels));
+    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
+    DeviceScene& scene = *placed;
     for (const int degree : {3, 1}) {
         Stream stream(device());
         scene.activate(stream, image_model(degree), view);
         stream.finish();
         const std::vector<float> actual = test::floats_of(scene.records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
-            const std::vector<double> expected = record_of(surfels[i], glm::dvec3(view), degree);
-            const std::vector<double> tolerance = record_tolerance(surfels[i], expected);
+            const std::vector<double> expected = record_of(in_scene(surfels[i], i), glm::dvec3(view), degree);
+            const std::vector<double> tolerance = record_tolerance(in_scene(surfels[i], i), expected);
             for (std::size_t k = 0; k < 16; ++k)
                 EXPECT_NEAR(actual[16 * i + k], expected[k], tolerance[k]) << "surfel " << i << " lane " << k;
         }
@@ -96,7 +123,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
 
 /// Kernels search the model of a surfel among ranges in order.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
-    Scene scene = make_background_scene(test::to_surfels(some_surfels(primitive())));
+    Scene scene = make_background_scene(test::to_surfels(some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
     using Ranges = std::vector<Model>;
     for (const Ranges& ranges : {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}},
@@ -107,11 +134,12 @@ TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
 }
 
 TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
-    Surfels surfels = test::to_surfels(some_surfels(primitive()));
+    Surfels surfels = test::to_surfels(some_surfels());
     surfels.sh[kShFloats * 5 + 17] = std::numeric_limits<float>::quiet_NaN();
     surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
     surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();   // not active
-    DeviceScene scene = on_device(surfels);
+    const std::unique_ptr<DeviceScene> placed = on_device(surfels);
+    DeviceScene& scene = *placed;
     Stream stream(device());
     scene.activate(stream, image_model(1), glm::vec3(0.0f));
     stream.finish();
@@ -130,15 +158,16 @@ std::vector<float> some_record_gradients(std::size_t n) {
 }
 
 TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
-    std::vector<reference::Surfel> surfels = some_surfels(primitive());
+    std::vector<reference::Surfel> surfels = some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
     glm::dvec3 seen_from(view);
     const std::vector<float> d_records = some_record_gradients(surfels.size());
-    DeviceScene scene = on_device(test::to_surfels(surfels));
+    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
+    DeviceScene& scene = *placed;
     const auto n = static_cast<std::uint32_t>(surfels.size());
     for (const int degree : {3, 1}) {
         Stream stream(device());
-        SurfelArrays d_surfels(device(), n, "gradient", primitive());
+        SurfelArrays d_surfels(device(), n, "gradient", parameters());
         Array<std::uint32_t, shared::TouchedSurfels> touched(device(), n, "touched");
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
@@ -152,7 +181,7 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         test::GradientTable table;
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const auto terms = [&] {
-                std::vector<double> sum = record_of(surfels[i], seen_from, degree);
+                std::vector<double> sum = record_of(in_scene(surfels[i], i), seen_from, degree);
                 for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
                 return sum;
             };
@@ -165,6 +194,12 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
                 table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
             table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms),
                           row(&actual.opacity_logit[i], 1));
+            if (bends()) {
+                table.add_row("gait phase", test::central_differences(&surfels[i].gait_phase, 1, terms), row(&actual.gait[i].phase, 1));
+                table.add_row("gait sharpness", test::central_differences(&surfels[i].gait_sharpness, 1, terms),
+                              row(&actual.gait[i].sharpness, 1));
+                table.add_row("gait swing", test::central_differences(&surfels[i].gait_swing.x, 3, terms), row(&actual.gait[i].swing.x, 3));
+            }
             const int active = (degree + 1) * (degree + 1);
             for (int first = 0; first < kShFloats; first += kShCoefficients)
                 table.add_row("sh", test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep),
@@ -179,13 +214,14 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
 }
 
 TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
-    const std::vector<reference::Surfel> surfels = some_surfels(primitive());
+    const std::vector<reference::Surfel> surfels = some_surfels();
     const std::vector<float> d_records = some_record_gradients(surfels.size());
     const auto n = static_cast<std::uint32_t>(surfels.size());
-    DeviceScene scene = on_device(test::to_surfels(surfels));
-    SurfelArrays d_surfels(device(), n, "gradient", primitive());
+    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
+    DeviceScene& scene = *placed;
+    SurfelArrays d_surfels(device(), n, "gradient", parameters());
     Surfels before;
-    before.resize(n, primitive());
+    before.resize(n, parameters());
     std::fill(before.sh.begin(), before.sh.end(), 7.0f);
     std::fill(before.mean.begin(), before.mean.end(), glm::vec3(7.0f));
     d_surfels.upload(before);

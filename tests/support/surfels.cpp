@@ -13,6 +13,10 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         s.log_scale = glm::dvec2(surfels.log_scale[i]);
         s.opacity_logit = double(surfels.opacity_logit[i]);
         if (kind_of(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
+        if (surfels.bends) {
+            const Gait& gait = surfels.gait[i];
+            s.gait_phase = double(gait.phase), s.gait_sharpness = double(gait.sharpness), s.gait_swing = glm::dvec3(gait.swing);
+        }
         for (int k = 0; k < kShFloats; ++k) s.sh[k] = double(surfels.sh[i * kShFloats + k]);
     }
     return result;
@@ -25,11 +29,14 @@ Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
         result.rotation.emplace_back(s.rotation);
         result.log_scale.emplace_back(s.log_scale);
         result.opacity_logit.push_back(float(s.opacity_logit));
+        result.gait.push_back({float(s.gait_phase), float(s.gait_sharpness), glm::vec3(s.gait_swing)});
+        result.bends = result.bends || s.gait_sharpness != 0.0 || s.gait_swing != glm::dvec3(0.0);
         result.sh.insert(result.sh.end(), s.sh.begin(), s.sh.end());
         if (!s.log_scale_w) continue;
         result.primitive = Primitive::gaussian;
         result.log_scale_w.push_back(float(*s.log_scale_w));
     }
+    if (!result.bends) result.gait.clear();
     return result;
 }
 

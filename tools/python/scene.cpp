@@ -15,7 +15,7 @@
 namespace relidar::python {
 namespace {
 
-constexpr std::string_view kThirdScale = "log_scale_w";
+constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
 /// The groups of Surfels with their shapes: calls take(name, vector, number of floats a surfel as a shape).
 template <class Set, class Take>
@@ -26,6 +26,13 @@ void for_each_group(Set& surfels, Take&& take) {
     take("opacity_logit", surfels.opacity_logit, Shape{});
     take("sh", surfels.sh, Shape{kShChannels, kShCoefficients});
     take(kThirdScale.data(), surfels.log_scale_w, Shape{});
+    take(kGait.data(), surfels.gait, Shape{5});
+}
+
+/// Whether surfels have a group.
+bool has_group(const Surfels& surfels, std::string_view name) {
+    if (name == kGait) return surfels.bends;
+    return name != kThirdScale || kind_of(surfels.primitive).third_scale;
 }
 
 Shape rows_of(py::ssize_t n, const Shape& row) {
@@ -39,7 +46,7 @@ py::dict view_of(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
     for_each_group(surfels, [&](const char* name, const auto& values, const Shape& row) {
-        if (name == kThirdScale && !kind_of(surfels.primitive).third_scale) return;
+        if (!has_group(surfels, name)) return;
         dict[name] = view<float>(values, rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
     });
     return dict;
@@ -57,8 +64,10 @@ Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::di
     if (models) {
         scene.models.clear();
         for (const py::dict& model : *models)
-            scene.models.push_back(
-                {model["name"].cast<std::string>(), count_of(model, "first", "models"), count_of(model, "count", "models")});
+            scene.models.push_back({.name = model["name"].cast<std::string>(),
+                                    .first = count_of(model, "first", "models"),
+                                    .count = count_of(model, "count", "models"),
+                                    .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
     }
     if (models || instances) {
         scene.instances.clear();
@@ -93,7 +102,7 @@ Surfels surfels_of(const py::dict& arrays) {
         names.emplace_back(name);
         if (arrays.contains(name))
             values = copied<float, Element>(arrays[name], fmt::format("surfels: {}", name), rows_of(kAny, row));
-        else if (name != kThirdScale)
+        else if (name != kThirdScale && name != kGait)
             throw DataError(fmt::format("surfels: found no array \"{}\", expected mean, rotation, log_scale, opacity_logit and sh", name));
     });
     for (const auto& [name, array] : arrays) {
@@ -103,17 +112,17 @@ Surfels surfels_of(const py::dict& arrays) {
                                          fmt::join(names, ", ")));
     }
     // a dict says what it is made of by the arrays it has, as files did that had no word for it
-    surfels.primitive = stored_primitive({}, "", [&](const char* name) { return arrays.contains(name); });
+    const ParameterSet of = stored_parameters({}, "", [&](const char* name) { return arrays.contains(name); });
+    surfels.primitive = of.primitive, surfels.bends = of.bends;
     surfels.check_shapes();
     return surfels;
 }
 
 py::dict to_dict(Surfels&& surfels) {
     const auto n = static_cast<py::ssize_t>(surfels.size());
-    const bool third_scale = kind_of(surfels.primitive).third_scale;
     py::dict dict;
     for_each_group(surfels, [&](const char* name, auto& values, const Shape& row) {
-        if (name == kThirdScale && !third_scale) return;
+        if (!has_group(surfels, name)) return;
         dict[name] = owned<float>(std::move(values), rows_of(n, row));
     });
     return dict;
@@ -125,8 +134,9 @@ void add_scene(py::module_& module) {
         .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(), py::arg("instances") = py::none(),
              "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, log_scale [n,2] ln metres, "
              "opacity_logit [n],\n"
-             "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] makes them 3D Gaussians\n"
-             "models: dicts of name, first, count: ranges of the surfels, one behind the other; None: one of all, the background\n"
+             "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] makes them 3D Gaussians,\n"
+             "    gait [n,5] lets models with a stride bend (phase in turns, sharpness, swing in metres)\n"
+             "models: dicts of name, first, count and, of one that bends, stride_m: ranges of the surfels, one behind the other; None: one of all, the background\n"
              "instances: dicts of model (its index) and track (\"\" for the background); None: one of each model\n\n"
              "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit is checked by who renders them.")
         .def_property_readonly(

@@ -46,10 +46,7 @@ std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
 /// Appends the model of an asset to a scene.
 std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
     const Run asset = load_run(folder);
-    const Model& model = asset.scene.models[model_of_actor(asset.scene, only_track(asset))];
-    scene.models.push_back({model.name, std::uint32_t(scene.surfels.size()), model.count, model.half_size_m});
-    scene.surfels.append(asset.scene.surfels.slice(model.first, model.count));
-    return std::uint32_t(scene.models.size() - 1);
+    return append_model(scene, asset.scene, model_of_actor(asset.scene, only_track(asset)));
 }
 
 }  // namespace

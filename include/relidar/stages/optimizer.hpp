@@ -25,7 +25,7 @@ double exponential_schedule(double start, double end, int step, int n_steps);
 
 class Adam {
 public:
-    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, Primitive primitive = Primitive::surfel);
+    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of = {});
     ~Adam();
     /// Records one step. @param step counts from 1
     /// @param touched [n] 1 where a surfel has a gradient, that of the others counts as zero whatever it is; null: all have

@@ -27,6 +27,7 @@ struct LogScales;
 struct OpacityLogits;
 struct Harmonics;
 struct ThirdLogScales;
+struct Gaits;
 struct RecordGradients;
 struct TouchedSurfels;
 struct ViewGradients;
@@ -40,12 +41,15 @@ struct SurfelArrays {
     Array<float, shared::OpacityLogits> opacity_logit;
     Array<float, shared::Harmonics> sh;
     Array<float, shared::ThirdLogScales> log_scale_w;   ///< of 3D Gaussians; not allocated for surfels
+    Array<float, shared::Gaits> gait;                   ///< of scenes with actors that bend; not allocated for others
     std::uint32_t n = 0;                                ///< surfels; the arrays may hold more
     Primitive primitive = Primitive::surfel;
+    bool bends = false;
 
     SurfelArrays() = default;
-    SurfelArrays(Device& device, std::uint32_t n, const std::string& what, Primitive primitive = Primitive::surfel);
-    /// @throws DataError where arrays or primitive disagree
+    SurfelArrays(Device& device, std::uint32_t n, const std::string& what, ParameterSet of = {});
+    ParameterSet parameters() const { return {primitive, bends}; }
+    /// @throws DataError where arrays, primitive or gait disagree
     void upload(const Surfels& surfels);
     Surfels download() const;
     /// Surfels there is room for in every group.
@@ -64,6 +68,7 @@ struct LearningRates {
     double opacity_logit = 0.05;
     double sh = 2.5e-3;            ///< DC coefficient of each channel
     double sh_rest_factor = 0.05;  ///< of the other coefficients
+    double gait = 1e-4;            ///< turns, metres
     double intensity_factor = 1.0; ///< of all coefficients of the intensity, over those of the drop logits
     const Array<shared::ModelEntry>* models = nullptr;   ///< DeviceScene::models(), where there are factors of them
     std::vector<float> mean_factors = {};                ///< [models] of the means of each; none: 1
@@ -76,7 +81,7 @@ struct ParameterGroup {
     double LearningRates::*rate;
     bool harmonics;                                      ///< the last dimension is the coefficients of the SH basis
     bool scales;                                         ///< standard deviations, which may be bounded
-    bool third_scale;                                    ///< of primitives that have one alone
+    enum class Of { all, third_scale, bends } of;        ///< which surfels have it: all, or those with what is named alone
     const Array<float>& (*device)(const SurfelArrays&);  ///< [n, floats()]
     Array<float>& (*mutable_device)(SurfelArrays&);      ///< the same, to be written
     std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
@@ -90,10 +95,11 @@ struct ParameterGroup {
 /// A group that the host keeps in the member kHost of Surfels.
 template <auto kHost, auto kDevice>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row, double LearningRates::*rate,
-                                        bool harmonics = false, bool scales = false, bool third_scale = false) {
+                                        bool harmonics = false, bool scales = false,
+                                        ParameterGroup::Of of = ParameterGroup::Of::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
-    return {name, row, rate, harmonics, scales, third_scale,
+    return {name, row, rate, harmonics, scales, of,
             [](const SurfelArrays& arrays) -> const Array<float>& { return arrays.*kDevice; },
             [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
             [](const Surfels& s) { return std::span(reinterpret_cast<const float*>((s.*kHost).data()), kFloats * (s.*kHost).size()); },
@@ -101,33 +107,37 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Every group there is; those that not all primitives have come last. A new parameter is a member of Surfels and of SurfelArrays, a
-/// pointer for kernels, and a row here.
-inline constexpr std::array<ParameterGroup, 6> kParameterGroups{{
+/// Every group there is; those that not all surfels have are the first and the last, so that the others and any of the two are a range.
+/// A new parameter is a member of Surfels and of SurfelArrays, a pointer for kernels, and a row here.
+inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
+    describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false, ParameterGroup::Of::bends),
     describe_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
     describe_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1}, &LearningRates::rotation),
     describe_group<&Surfels::log_scale, &SurfelArrays::log_scale>("log_scale", {2, 1}, &LearningRates::log_scale, false, true),
     describe_group<&Surfels::opacity_logit, &SurfelArrays::opacity_logit>("opacity_logit", {1, 1}, &LearningRates::opacity_logit),
     describe_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients}, &LearningRates::sh, true),
-    describe_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>("log_scale_w", {1, 1}, &LearningRates::log_scale, false, true, true),
+    describe_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>("log_scale_w", {1, 1}, &LearningRates::log_scale, false, true,
+                                                                     ParameterGroup::Of::third_scale),
 }};
 
-/// The groups of a primitive.
-constexpr std::span<const ParameterGroup> groups_of(Primitive primitive) {
-    return std::span(kParameterGroups).first(kParameterGroups.size() - (kind_of(primitive).third_scale ? 0 : 1));
+/// The groups of surfels.
+constexpr std::span<const ParameterGroup> groups_of(ParameterSet of) {
+    const std::size_t first = of.bends ? 0 : 1, last = kParameterGroups.size() - (kind_of(of.primitive).third_scale ? 0 : 1);
+    return std::span(kParameterGroups).subspan(first, last - first);
 }
 
 /// Where models and checkpoints say what they are made of.
 inline constexpr const char* kPrimitiveKey = "primitive";
-/// What a file says that it is made of. The first files did not say it: theirs is the first primitive that has the arrays there are.
+/// What a file says that it is made of, and whether it has a gait. The first files did not say it: theirs is the first primitive that has
+/// the arrays there are.
 /// @param texts  of the file @param key  of the one that says it @param has_array  whether the file has an array of a group of this name
 /// @throws DataError for a name that is none
-Primitive stored_primitive(const std::map<std::string, std::string>& texts, const std::string& key,
+ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
                            const std::function<bool(const char*)>& has_array);
 /// Parameters of a surfel.
-constexpr std::uint32_t floats_per_surfel(Primitive primitive) {
+constexpr std::uint32_t floats_per_surfel(ParameterSet of) {
     std::uint32_t sum = 0;
-    for (const ParameterGroup& group : groups_of(primitive)) sum += group.floats();
+    for (const ParameterGroup& group : groups_of(of)) sum += group.floats();
     return sum;
 }
 
@@ -163,6 +173,8 @@ public:
     /// move.
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
+    /// Whether an actor that bends would be at another phase of its gait than it is: then records are stale once it is placed.
+    bool bends_otherwise(const std::vector<InstancePose>& placed) const;
     /// Records the activation kernel: records from parameters (M1, M2, M9), channels too with ShDirection::surfel.
     /// @throws UsageError where the model is of another primitive than the scene
     /// @param view_origin_m [3] world. A model placed twice sees it from its first instance (see own_models).

@@ -81,7 +81,7 @@ std::string hash_poses(const Sequence& sequence) {
 
 void add(Hash& hash, const Surfels& surfels) {
     if (surfels.size() == 0) return;
-    for (const ParameterGroup& group : groups_of(surfels.primitive)) {
+    for (const ParameterGroup& group : groups_of(surfels.parameters())) {
         const std::span<const float> values = group.values(surfels);
         hash.add(values.data(), values.size_bytes());
     }

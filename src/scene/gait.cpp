@@ -1,0 +1,291 @@
+// SPDX-License-Identifier: Apache-2.0
+// Strides found in the points of a box, and the surfels that swing with them.
+#include "scene/gait.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <memory>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <nanoflann.hpp>
+
+#include "core/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kAverage_s = 1.0;       // labels jitter
+constexpr double kStands_mps = 0.2;
+
+struct PhaseCloud {
+    const std::vector<Sample>& samples;
+    std::vector<std::uint32_t> of;   ///< numbers of samples
+
+    std::size_t kdtree_get_point_count() const { return of.size(); }
+    float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[of[i]].position[int(axis)]; }
+    template <class Box>
+    bool kdtree_get_bbox(Box&) const { return false; }
+};
+using PhaseTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, PhaseCloud>, PhaseCloud, 3, std::size_t>;
+
+/// Samples of a part of them, searched by place.
+struct Index {
+    PhaseCloud cloud;
+    PhaseTree tree;
+    Index(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
+        : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+
+    /// To the nearest of them; `most_m` where none is nearer.
+    double distance_m(const glm::vec3& p, double most_m) const {
+        if (cloud.of.empty()) return most_m;
+        std::size_t nearest;
+        float distance2;
+        tree.knnSearch(&p.x, 1, &nearest, &distance2);
+        return std::min(most_m, std::sqrt(double(distance2)));
+    }
+    /// Numbers of the samples within a distance, the nearest first, at most so many.
+    std::vector<std::uint32_t> within(const glm::vec3& p, double radius_m, std::size_t most) const {
+        std::vector<std::size_t> found(most);
+        std::vector<float> distance2(most);
+        if (cloud.of.empty()) return {};
+        found.resize(tree.knnSearch(&p.x, most, found.data(), distance2.data()));
+        std::vector<std::uint32_t> numbers;
+        for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k) numbers.push_back(cloud.of[found[k]]);
+        return numbers;
+    }
+};
+
+double turn(double turns) { return turns - std::floor(turns); }
+/// From one phase to another the short way round, -0.5 .. 0.5.
+double apart(double a, double b) { return b - a - std::round(b - a); }
+
+}  // namespace
+
+Walk::Walk(const PoseTrack& track) : time_s_(track.time_s) {
+    const auto average = [&](double t_s) {
+        const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
+        constexpr int kSteps = 5;   // to each side
+        glm::dvec3 sum(0.0);
+        for (int k = -kSteps; k <= kSteps; ++k) sum += track.at(t_s + half * k / kSteps).translation;
+        return sum / double(2 * kSteps + 1);
+    };
+    glm::dvec3 before(0.0);
+    double sum = 0.0;
+    for (std::size_t i = 0; i < time_s_.size(); ++i) {
+        const glm::dvec3 at = average(time_s_[i]);
+        const double step = i == 0 ? 0.0 : glm::distance(before, at);
+        if (i > 0 && step > kStands_mps * (time_s_[i] - time_s_[i - 1])) sum += step;
+        walked_m_.push_back(sum);
+        before = at;
+    }
+}
+
+double Walk::at(double t_s) const {
+    if (time_s_.size() < 2) return 0.0;
+    const auto after = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
+    const std::size_t i = std::size_t(after - time_s_.begin());
+    const double s = (t_s - time_s_[i - 1]) / (time_s_[i] - time_s_[i - 1]);
+    return walked_m_[i - 1] + s * (walked_m_[i] - walked_m_[i - 1]);
+}
+
+std::optional<StrideRange> stride_range(ObjectKind kind) {
+    if (kind == ObjectKind::person) return StrideRange{0.7, 2.4};
+    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};   // a turn of the pedals
+    return std::nullopt;
+}
+
+namespace {
+
+constexpr double kTurns = 2.0;        // at the least that a stride has to be seen
+constexpr double kNear_m = 0.3;       // farther is not looked
+
+/// How far some samples are from the nearest points of each frame.
+struct FrameGaps {
+    std::vector<double> walked_m;                 ///< [frames] when it was taken
+    std::vector<std::size_t> frame;               ///< [samples] each is of
+    std::vector<std::vector<float>> distance_m;   ///< [samples][frames]
+};
+
+FrameGaps frame_gaps(const std::vector<Sample>& samples) {
+    constexpr std::size_t kMost = 3000;
+    std::map<int, std::vector<std::uint32_t>> numbers;
+    for (std::size_t i = 0; i < samples.size(); ++i) numbers[samples[i].frame].push_back(std::uint32_t(i));
+    std::vector<std::unique_ptr<Index>> frames;
+    FrameGaps gaps;
+    std::map<int, std::size_t> place;
+    for (auto& [frame, of_frame] : numbers) {
+        place[frame] = frames.size();
+        gaps.walked_m.push_back(samples[of_frame[of_frame.size() / 2]].walked_m);
+        frames.push_back(std::make_unique<Index>(samples, std::move(of_frame)));
+    }
+    const std::size_t step = samples.size() / kMost + 1;
+    for (std::size_t i = 0; i < samples.size(); i += step) gaps.frame.push_back(place[samples[i].frame]);
+    gaps.distance_m.resize(gaps.frame.size());
+    run_parallel(int(gaps.frame.size()), [&](int k) {
+        for (const std::unique_ptr<Index>& frame : frames)
+            gaps.distance_m[std::size_t(k)].push_back(float(frame->distance_m(samples[std::size_t(k) * step].position, kNear_m)));
+    });
+    return gaps;
+}
+
+/// How much nearer frames of the same phase lie than those of others: about 1 where a stride means nothing; more than that where no two
+/// frames are of the same phase.
+double misfit_share(const FrameGaps& gaps, double stride_m) {
+    constexpr double kSame = 0.06, kOther = 0.15;   // turns apart
+    constexpr double kWorst = 2.0;
+    double same = 0.0, other = 0.0;
+    std::size_t n_same = 0, n_other = 0;
+    for (std::size_t k = 0; k < gaps.frame.size(); ++k)
+        for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
+            const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m, off = std::abs(apart(0.0, turns));
+            if (std::abs(turns) < 0.5) continue;   // it looks like itself a moment ago
+            if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
+            if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
+        }
+    if (n_same < gaps.frame.size() || n_other < gaps.frame.size()) return kWorst;   // not even one frame each
+    return same / double(n_same) / std::max(other / double(n_other), 1e-9);
+}
+
+}  // namespace
+
+FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
+    constexpr std::size_t kFewest = 200;
+    constexpr double kClearly = 0.9, kStep = 1.01;
+    constexpr std::size_t kBeside = 2;
+    if (samples.size() < kFewest) return {0.0, fmt::format("{} points, expected {} or more", samples.size(), kFewest)};
+    const auto [first, last] = std::ranges::minmax(samples, {}, &Sample::walked_m);
+    const double walked = double(last.walked_m) - double(first.walked_m), most = std::min(range.most_m, walked / kTurns);
+    if (most < range.least_m)
+        return {0.0, fmt::format("it came {:.1f} m, expected {:.1f} m or more", walked, kTurns * range.least_m)};
+    const FrameGaps gaps = frame_gaps(samples);
+    std::vector<double> strides;
+    for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
+    std::vector<double> shares(strides.size()), smooth;
+    run_parallel(int(strides.size()), [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
+    for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)   // a single one is chance
+        smooth.push_back(std::accumulate(shares.begin() + std::ptrdiff_t(i - kBeside), shares.begin() + std::ptrdiff_t(i + kBeside + 1), 0.0) /
+                         (2 * kBeside + 1));
+    if (smooth.size() < 3) return {0.0, "it came too few strides"};
+    const std::size_t best = std::size_t(std::ranges::min_element(smooth) - smooth.begin());
+    const double stride = strides[best + kBeside];
+    if (smooth[best] > kClearly || best == 0 || best + 1 == smooth.size())
+        return {0.0, fmt::format("at no stride do its points show a gait: {:.2f} m fits best, and there those of the same phase lie {:.2f} "
+                                 "times as far apart as others, expected {} or less inside {:.1f} to {:.1f} m",
+                                 stride, smooth[best], kClearly, strides.front(), strides.back())};
+    return {stride, {}};
+}
+
+namespace {
+
+constexpr int kBins = 40;               // of a turn
+constexpr double kWindow = 0.06;        // turns: standard deviation of when a surfel is there
+constexpr double kSame_m = 0.07;        // points nearer than this show the same surface
+
+/// The samples of each fortieth of a turn.
+struct Phases {
+    const std::vector<Sample>& samples;
+    double stride_m;
+    std::vector<std::unique_ptr<Index>> bins;
+
+    Phases(const std::vector<Sample>& s, double stride) : samples(s), stride_m(stride) {
+        std::vector<std::vector<std::uint32_t>> numbers(kBins);
+        for (std::size_t i = 0; i < samples.size(); ++i) numbers[std::size_t(bin(of(i)))].push_back(std::uint32_t(i));
+        for (std::vector<std::uint32_t>& of_bin : numbers) bins.push_back(std::make_unique<Index>(samples, std::move(of_bin)));
+    }
+    double of(std::size_t i) const { return turn(samples[i].walked_m / stride_m); }
+    static int bin(double turns) { return std::min(kBins - 1, int(turn(turns) * kBins)); }
+    const Index& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
+};
+
+/// Whether something is there at three of four phases, which is what does not move.
+bool rests(const Phases& phases, const glm::vec3& p) {
+    int seen = 0, filled = 0;
+    for (int bin = 0; bin < kBins; ++bin) {
+        if (phases.at(bin).cloud.of.empty()) continue;
+        ++filled;
+        if (phases.at(bin).distance_m(p, 2.0 * kSame_m) < kSame_m) ++seen;
+    }
+    return 4 * seen >= 3 * filled;
+}
+
+/// The velocity, in metres a turn, at which the points around a sample lie on those of the phases before and after.
+glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
+    constexpr double kPatch_m = 0.12, kFar_m = 0.15;
+    constexpr std::size_t kOfPatch = 6;
+    const glm::vec3 p = phases.samples[i].position;
+    const int bin = Phases::bin(phases.of(i));
+    const std::vector<std::uint32_t> patch = phases.at(bin).within(p, kPatch_m, kOfPatch);
+    glm::vec3 best(0.0f);
+    double least = 1e9;
+    for (float x = -3.2f; x <= 3.21f; x += 0.4f)
+        for (float z = -0.8f; z <= 0.81f; z += 0.4f) {
+            const glm::vec3 velocity(x, 0.0f, z);
+            double sum = 1e-4 * double(glm::length(velocity));   // of equals the slowest
+            for (const int ahead : {-4, -2, 2, 4}) {
+                const Index& there = phases.at(bin + ahead);
+                for (const std::uint32_t j : patch) {
+                    const double turns = (bin + ahead + 0.5) / kBins - phases.of(j);
+                    sum += there.distance_m(phases.samples[j].position + float(apart(0.0, turns)) * velocity, kFar_m);
+                }
+            }
+            if (sum < least) least = sum, best = velocity;
+        }
+    return best;
+}
+
+/// One surfel a sample, there around its own phase, or always.
+Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait, const InitialiseOptions& options, double incidence) {
+    std::vector<std::uint32_t> order;
+    Surfels surfels = surfels_from_points(samples, options, incidence, {}, &order);
+    surfels.add_gait();
+    for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gait[order[i]];
+    return surfels;
+}
+
+}  // namespace
+
+Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, const InitialiseOptions& options, double incidence,
+                          std::size_t most) {
+    const Phases phases(samples, stride_m);
+    std::vector<char> at_rest(samples.size());
+    run_parallel(int(samples.size()), [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
+    std::vector<Sample> resting;
+    for (std::size_t i = 0; i < samples.size(); ++i)
+        if (at_rest[i]) resting.push_back(samples[i]);
+    Surfels surfels;
+    if (!resting.empty()) {
+        resting = thin_out(resting, most / 2);
+        surfels = with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
+    }
+    constexpr int kTogether = 4;   // bins whose points make surfaces together
+    for (int first = 0; first < kBins; first += kTogether) {
+        std::vector<std::uint32_t> numbers;
+        for (int bin = first; bin < first + kTogether; ++bin)
+            for (const std::uint32_t i : phases.at(bin).cloud.of)
+                if (!at_rest[i]) numbers.push_back(i);
+        std::vector<Gait> gait(numbers.size());
+        run_parallel(int(numbers.size()), [&](int number) {
+            const std::size_t k = std::size_t(number);
+            gait[k] = {float(phases.of(numbers[k])), float(1.0 / (2.0 * kPi * kWindow)),
+                       velocity_at(phases, numbers[k]) / float(2.0 * kPi)};
+        });
+        std::vector<Sample> moving;   // all where they are in the middle of these bins
+        const double middle = (first + 0.5 * kTogether) / kBins;
+        for (std::size_t k = 0; k < numbers.size(); ++k) {
+            moving.push_back(samples[numbers[k]]);
+            moving.back().position += float(std::sin(2.0 * kPi * apart(double(gait[k].phase), middle))) * gait[k].swing;
+            gait[k].phase = float(middle);
+        }
+        std::vector<std::uint32_t> kept;
+        const std::vector<Sample> thin = thin_out(moving, most / 2 * kTogether / kBins, &kept);
+        if (thin.empty()) continue;
+        std::vector<Gait> of_kept;
+        for (const std::uint32_t k : kept) of_kept.push_back(gait[k]);
+        surfels.append(with_gait(thin, of_kept, options, incidence));
+    }
+    return surfels.permuted(kd_order(surfels.mean));
+}
+
+}  // namespace relidar
