@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameter gradients from record gradients: the chain rule of activate.comp, once a frame instead of once a hit (docs/method.md
 // section 4, reduction a). One thread a surfel of any model.
-// Input: surfels, d_records, models, more_rows, view_origins, phases. Output: d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
+// Input: surfels, d_records, models, more_rows, view_origins, phases. Output: d_surfels (sh only where SH are evaluated a surfel),
+// touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -104,10 +105,11 @@ void main() {
     bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
     if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
 
-    Gait gait = gait_of(params.surfels.gait, surfel, has_gait() ? params.phases.at[model] : -1.0);
+    Gait gait = gait_of(params.surfels.gait, is_surfel ? surfel : 0u, has_gait() ? params.phases.at[model] : -1.0);
     vec3 d_to_mean = vec3(0.0);
     if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
-        vec3 to_mean = any_gradient ? load3(params.surfels.mean, 3 * surfel) + gait.sine * gait.swing - params.view_origins.at[model] : vec3(1.0);
+        vec3 mean = load3(params.surfels.mean, 3 * (is_surfel ? surfel : 0u)) + gait.sine * gait.swing;
+        vec3 to_mean = any_gradient ? mean - params.view_origins.at[model] : vec3(1.0);
         float inverse_length = inversesqrt(dot(to_mean, to_mean));
         vec3 direction = to_mean * inverse_length;
         choose_moves(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));

@@ -146,9 +146,11 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
 std::string layout_to_json(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
     for (const Model& m : scene.models) {
-        nlohmann::ordered_json& model = json["models"].emplace_back(nlohmann::ordered_json{
-            {"name", m.name}, {"first", m.first}, {"count", m.count}, {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
-        if (m.stride_m > 0.0f) model["stride_m"] = m.stride_m;
+        json["models"].push_back({{"name", m.name},
+                                  {"first", m.first},
+                                  {"count", m.count},
+                                  {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
+        if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
     }
     for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);

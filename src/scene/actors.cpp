@@ -29,7 +29,7 @@ constexpr std::string_view kEveryClass = "all";
 
 /// Adds the points of one frame that lie in boxes, each in its box's frame.
 void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, bool second_returns,
-               const std::vector<Walk>& walks, std::vector<std::vector<Sample>>& samples) {
+               const std::vector<WalkedWay>& walks, std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
@@ -49,7 +49,7 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
 /// Points of the training frames in boxes, each in its box's frame. @return [boxes]
 std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes,
                                              const InitialiseOptions& options, const Progress& progress) {
-    std::vector<Walk> walks;
+    std::vector<WalkedWay> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
@@ -138,8 +138,10 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     const FoundStride found = range ? find_stride(samples, *range) : FoundStride{};
     std::vector<Sample> rigid = actor_samples(samples, box, options);
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
-    if (notes && range && found.stride_m <= 0.0) notes->push_back(fmt::format("{} ({}) is rigid: {}", box.id, box.category, found.why_none));
-    if (notes && found.stride_m > 0.0) notes->push_back(fmt::format("{} ({}) walks with strides of {:.2f} m", box.id, box.category, found.stride_m));
+    if (notes && range)
+        notes->push_back(fmt::format("{} ({}) {}", box.id, box.category,
+                                     found.stride_m > 0.0 ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
+                                                          : "is rigid: " + found.why_none));
     const Surfels surfels = found.stride_m > 0.0
                                 ? surfels_that_walk(samples, found.stride_m, options, incidence, std::size_t(options.actor_points))
                                 : surfels_from_points(rigid, options, incidence);
@@ -166,7 +168,7 @@ double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     const auto nearest = std::ranges::min_element(own.world_from_box.pose, {}, place_m);
     const double time_s = own.world_from_box.time_s[std::size_t(nearest - own.world_from_box.pose.begin())];
     const glm::dvec3 ahead = at.rotation * glm::dvec3(1.0, 0.0, 0.0);
-    return Walk(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
+    return WalkedWay(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
 }
 
 /// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
@@ -185,7 +187,7 @@ std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence,
         const BoxTrack* own = find_box(sequence, instance.track);
         const bool is_own = own && &own->world_from_box == track;
         const double before_m = own && !is_own && !own->world_from_box.pose.empty() ? begins_at_m(*own, *track) : 0.0;
-        placed.back().phase = (before_m + Walk(*track).at(placed.back().time_s)) / stride_m;
+        placed.back().phase = (before_m + WalkedWay(*track).at(placed.back().time_s)) / stride_m;
     }
     return placed;
 }

@@ -3,6 +3,7 @@
 #include "scene/gait.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 #include <memory>
@@ -63,7 +64,7 @@ double apart(double a, double b) { return b - a - std::round(b - a); }
 
 }  // namespace
 
-Walk::Walk(const PoseTrack& track) : time_s_(track.time_s) {
+WalkedWay::WalkedWay(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
         const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
         constexpr int kSteps = 5;   // to each side
@@ -82,7 +83,7 @@ Walk::Walk(const PoseTrack& track) : time_s_(track.time_s) {
     }
 }
 
-double Walk::at(double t_s) const {
+double WalkedWay::at(double t_s) const {
     if (time_s_.size() < 2) return 0.0;
     const auto after = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
     const std::size_t i = std::size_t(after - time_s_.begin());
@@ -106,6 +107,7 @@ struct FrameGaps {
     std::vector<double> walked_m;                 ///< [frames] when it was taken
     std::vector<std::size_t> frame;               ///< [samples] each is of
     std::vector<std::vector<float>> distance_m;   ///< [samples][frames]
+    std::vector<char> varies;                     ///< [samples] whether it is one of the half whose distances vary most: limbs
 };
 
 FrameGaps frame_gaps(const std::vector<Sample>& samples) {
@@ -127,6 +129,15 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
         for (const std::unique_ptr<Index>& frame : frames)
             gaps.distance_m[std::size_t(k)].push_back(float(frame->distance_m(samples[std::size_t(k) * step].position, kNear_m)));
     });
+    std::vector<double> spread;
+    for (const std::vector<float>& distances : gaps.distance_m) {
+        double sum = 0.0, sum2 = 0.0;
+        for (const float d : distances) sum += d, sum2 += double(d) * d;
+        spread.push_back(sum2 / double(distances.size()) - std::pow(sum / double(distances.size()), 2));
+    }
+    std::vector<double> sorted = spread;
+    std::ranges::nth_element(sorted, sorted.begin() + std::ptrdiff_t(sorted.size() / 2));
+    for (const double one : spread) gaps.varies.push_back(one >= sorted[sorted.size() / 2]);
     return gaps;
 }
 
@@ -137,14 +148,16 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
     constexpr double kWorst = 2.0;
     double same = 0.0, other = 0.0;
     std::size_t n_same = 0, n_other = 0;
-    for (std::size_t k = 0; k < gaps.frame.size(); ++k)
+    for (std::size_t k = 0; k < gaps.frame.size(); ++k) {
+        if (!gaps.varies[k]) continue;
         for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
             const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m, off = std::abs(apart(0.0, turns));
             if (std::abs(turns) < 0.5) continue;   // it looks like itself a moment ago
             if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
         }
-    if (n_same < gaps.frame.size() || n_other < gaps.frame.size()) return kWorst;   // not even one frame each
+    }
+    if (n_same < gaps.frame.size() / 2 || n_other < gaps.frame.size() / 2) return kWorst;   // not even one frame each
     return same / double(n_same) / std::max(other / double(n_other), 1e-9);
 }
 
@@ -165,15 +178,14 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     std::vector<double> shares(strides.size()), smooth;
     run_parallel(int(strides.size()), [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)   // a single one is chance
-        smooth.push_back(std::accumulate(shares.begin() + std::ptrdiff_t(i - kBeside), shares.begin() + std::ptrdiff_t(i + kBeside + 1), 0.0) /
-                         (2 * kBeside + 1));
+        smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) / (2 * kBeside + 1));
     if (smooth.size() < 3) return {0.0, "it came too few strides"};
     const std::size_t best = std::size_t(std::ranges::min_element(smooth) - smooth.begin());
     const double stride = strides[best + kBeside];
     if (smooth[best] > kClearly || best == 0 || best + 1 == smooth.size())
-        return {0.0, fmt::format("at no stride do its points show a gait: {:.2f} m fits best, and there those of the same phase lie {:.2f} "
-                                 "times as far apart as others, expected {} or less inside {:.1f} to {:.1f} m",
-                                 stride, smooth[best], kClearly, strides.front(), strides.back())};
+        return {0.0, fmt::format("its points show no gait: of strides from {:.1f} to {:.1f} m one of {:.2f} m fits best, and points of the "
+                                 "same phase then lie {:.2f} times as far apart as others, expected {} or less",
+                                 strides.front(), strides.back(), stride, smooth[best], kClearly)};
     return {stride, {}};
 }
 
@@ -235,6 +247,33 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     return best;
 }
 
+/// The same of all samples, each the middle of those around it.
+/// @param wanted  of which @return [samples]
+std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted) {
+    constexpr double kAround_m = 0.15;
+    constexpr std::size_t kMost = 9;
+    const int n = int(wanted.size());
+    std::vector<glm::vec3> each(wanted.size(), glm::vec3(0.0f)), middle = each;
+    run_parallel(n, [&](int i) { if (wanted[std::size_t(i)]) each[std::size_t(i)] = velocity_at(phases, std::size_t(i)); });
+    run_parallel(n, [&](int number) {
+        const std::size_t i = std::size_t(number);
+        if (!wanted[i]) return;
+        const int bin = Phases::bin(phases.of(i));
+        std::array<std::vector<float>, 3> around;
+        for (const int beside : {-1, 0, 1})
+            for (const std::uint32_t j : phases.at(bin + beside).within(phases.samples[i].position, kAround_m, kMost))
+                for (int k = 0; k < 3; ++k)
+                    if (wanted[j]) around[std::size_t(k)].push_back(each[j][k]);
+        for (int k = 0; k < 3; ++k) {
+            std::vector<float>& values = around[std::size_t(k)];
+            const auto half = values.begin() + std::ptrdiff_t(values.size() / 2);
+            std::nth_element(values.begin(), half, values.end());
+            middle[i][k] = *half;   // there is itself at the least
+        }
+    });
+    return middle;
+}
+
 /// One surfel a sample, there around its own phase, or always.
 Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait, const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
@@ -251,6 +290,9 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, c
     const Phases phases(samples, stride_m);
     std::vector<char> at_rest(samples.size());
     run_parallel(int(samples.size()), [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
+    std::vector<char> moves(at_rest);
+    for (char& one : moves) one = !one;
+    const std::vector<glm::vec3> velocity = velocities(phases, moves);
     std::vector<Sample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (at_rest[i]) resting.push_back(samples[i]);
@@ -265,12 +307,9 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, c
         for (int bin = first; bin < first + kTogether; ++bin)
             for (const std::uint32_t i : phases.at(bin).cloud.of)
                 if (!at_rest[i]) numbers.push_back(i);
-        std::vector<Gait> gait(numbers.size());
-        run_parallel(int(numbers.size()), [&](int number) {
-            const std::size_t k = std::size_t(number);
-            gait[k] = {float(phases.of(numbers[k])), float(1.0 / (2.0 * kPi * kWindow)),
-                       velocity_at(phases, numbers[k]) / float(2.0 * kPi)};
-        });
+        std::vector<Gait> gait;
+        for (const std::uint32_t i : numbers)
+            gait.push_back({float(phases.of(i)), float(1.0 / (2.0 * kPi * kWindow)), velocity[i] / float(2.0 * kPi)});
         std::vector<Sample> moving;   // all where they are in the middle of these bins
         const double middle = (first + 0.5 * kTogether) / kBins;
         for (std::size_t k = 0; k < numbers.size(); ++k) {

@@ -15,9 +15,9 @@ namespace relidar {
 
 /// How far something has come along its track. Positions are averaged over a second, since labels jitter, and what is slower than 0.2 m/s
 /// stands.
-class Walk {
+class WalkedWay {
 public:
-    explicit Walk(const PoseTrack& world_from_box);
+    explicit WalkedWay(const PoseTrack& world_from_box);
     /// Metres since the first pose; outside the track as fast as at its end.
     double at(double t_s) const;
 

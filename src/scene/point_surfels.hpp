@@ -14,7 +14,7 @@ struct Sample {
     glm::vec3 position;
     float intensity;
     glm::vec3 view;   ///< unit, sensor to point
-    float walked_m = 0.0f;   ///< how far the actor had come (Walk)
+    float walked_m = 0.0f;   ///< how far the actor had come (WalkedWay)
     int frame = 0;           ///< of an actor: position of its frame in the log
 };
 

@@ -23,6 +23,7 @@ protected:
         scene.models = {{"background", 0, 3}, {"track 7", 3, 1, {2.25f, 0.875f, 0.75f}}};
         scene.instances = {{0, ""}, {1, "7"}};
         save_model(path, scene);
+        save_model(folder / "rigid.safetensors", scene);
         arrays = read_safetensors(path, &metadata);
     }
     std::string load_error() {
@@ -108,6 +109,29 @@ TEST_F(ModelFile, EveryPrimitiveComesBack) {
         set_key(config, "image.primitive", kind.name);
         EXPECT_EQ(config.image.primitive, kind.primitive);
     }
+}
+
+TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
+    scene.surfels.add_gait();
+    scene.surfels.gait[3] = {0.25f, 2.5f, {0.1f, -0.2f, 0.3f}};
+    scene.models[1].stride_m = 1.25f;
+    save_model(path, scene);
+    const Scene read = load_model(path);
+    ASSERT_TRUE(read.surfels.bends);
+    for (std::size_t i = 0; i < 4; ++i) {
+        EXPECT_EQ(read.surfels.gait[i].phase, scene.surfels.gait[i].phase);
+        EXPECT_EQ(read.surfels.gait[i].sharpness, scene.surfels.gait[i].sharpness);
+        EXPECT_EQ(read.surfels.gait[i].swing, scene.surfels.gait[i].swing);
+    }
+    EXPECT_EQ(read.models[0].stride_m, 0.0f);
+    EXPECT_EQ(read.models[1].stride_m, 1.25f);
+    EXPECT_FALSE(load_model(folder / "rigid.safetensors").surfels.bends) << "saved before it had a gait";
+
+    arrays = read_safetensors(path, &metadata);
+    NamedArray& gait = array("gait");
+    gait.shape = {4, 4}, gait.bytes.resize(64);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array gait"), std::string::npos);
 }
 
 TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {

@@ -136,7 +136,8 @@ void add_scene(py::module_& module) {
              "opacity_logit [n],\n"
              "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] makes them 3D Gaussians,\n"
              "    gait [n,5] lets models with a stride bend (phase in turns, sharpness, swing in metres)\n"
-             "models: dicts of name, first, count and, of one that bends, stride_m: ranges of the surfels, one behind the other; None: one of all, the background\n"
+             "models: dicts of name, first, count and, of one that bends, stride_m: ranges of the surfels, one behind the other;\n"
+             "    None: one of all, the background\n"
              "instances: dicts of model (its index) and track (\"\" for the background); None: one of each model\n\n"
              "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit is checked by who renders them.")
         .def_property_readonly(

@@ -100,7 +100,8 @@ struct TrainingStep {
         : renderer(device, bench.scene, bench.config.image, training_options(bench, keep_hits),
                    {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
           loss(device, bench.config.loss),
-          adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched}, renderer.scene().parameters().parameters()),
+          adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},
+               renderer.scene().parameters().parameters()),
           targets(device, std::span<const DeviceTarget>(wanted), "targets"),
           terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
         for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
