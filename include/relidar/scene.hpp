@@ -66,8 +66,8 @@ struct Gait {
 
 /// Which parameters surfels have.
 struct ParameterSet {
-    Primitive primitive = Primitive::surfel;
-    bool bends = false;   ///< a gait too
+    Primitive primitive;
+    bool bends;   ///< a gait too
     constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
     bool operator==(const ParameterSet&) const = default;
 };
@@ -88,8 +88,7 @@ struct Surfels {
     ParameterSet parameters() const { return {primitive, bends}; }
     void resize(std::size_t n) { resize(n, parameters()); }
     void resize(std::size_t n, ParameterSet of);
-    /// Gives surfels without a gait one in which they rest.
-    void add_gait();
+    void add_gait();   ///< in which they rest, where there is none
     /// Appends the surfels of another set; an empty set takes its primitive. Where one of the two has a gait, the other rests in it.
     /// @throws DataError where the primitives differ
     void append(const Surfels& other);
@@ -158,7 +157,6 @@ Scene with_background(const Scene& scene, const Surfels& background);
 
 /// Appends a model of another scene, with its surfels. @return its number
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
-
 /// The same scene with a model of its own for every instance: the surfels of a model placed n times are there n times.
 Scene own_models(Scene scene);
 
@@ -224,8 +222,7 @@ struct InitialiseOptions {
     std::string actor_classes = "all";
     bool mask_others = true;           ///< moving boxes of other classes are left out; false = they belong to the background (paper)
     std::string actor_tracks;          ///< comma-separated tracks that do, whatever their class and motion; empty = by class
-    /// comma-separated kinds or classes of actors whose surfels follow a gait, where their points show one; empty = all are rigid (paper)
-    std::string deform = "person,cyclist";
+    std::string deform = "person,cyclist";   ///< the same of those that follow a gait where their points show one; empty = none (paper)
     int actor_points = 8000;           ///< an actor has at most so many surfels
     int actor_pad_to = 0;              ///< an actor with fewer is filled up with random points of its box; 0 = not (paper: 8000)
     int actor_min_points = 20;        ///< a box with fewer points is masked instead

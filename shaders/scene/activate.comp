@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records of surfels from their parameters (docs/method.md section 2): normalised rotation, exp scale, sigmoid opacity; channel
-// values where SH are evaluated once a surfel, in the direction view origin -> mean; where and how much it is there at its model's phase of a
-// gait. One thread a surfel of any model.
+// Records of surfels from their parameters (docs/method.md section 2): normalised rotation, exp scale, sigmoid opacity, both moved and
+// faded at its model's phase of a gait; channel values where SH are evaluated once a surfel, in the direction view origin -> mean. One
+// thread a surfel of any model.
 // Input: surfels, models, view_origins, phases. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0
 // and is never hit.
 #version 460

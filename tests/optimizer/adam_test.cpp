@@ -89,8 +89,8 @@ std::vector<float> some_bounds(std::uint32_t n) {
     return bounds;
 }
 
-/// With one thread a row and one a float; where all rows have gradients, where those that are not touched decay, and where these stay; in
-/// the latter two the first rows are fixed.
+/// With one thread a row and one a float; where all rows have gradients, where those that are not touched (in some steps or
+/// in all) decay, and where these stay; in the latter two the first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const std::vector<float> bounds = some_bounds(n);
@@ -106,7 +106,6 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         SurfelArrays parameters(device(), n, "parameters", parameter_set), gradients(device(), n, "gradients", parameter_set);
         const Surfels start = random_surfels(n, 1, parameter_set);
         parameters.upload(start);
-        // in all steps, or in one
         const auto is_touched = [&](std::uint32_t i, int t) { return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t; };
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
