@@ -164,7 +164,7 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
 }  // namespace
 
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
-    constexpr std::size_t kFewest = 200;
+    constexpr std::size_t kFewest = 200, kFewestFrames = 24;   // of fewer some stride fits by chance
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
     if (samples.size() < kFewest) return {0.0, fmt::format("{} points, expected {} or more", samples.size(), kFewest)};
@@ -173,6 +173,8 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     if (most < range.least_m)
         return {0.0, fmt::format("it came {:.1f} m, expected {:.1f} m or more", walked, kTurns * range.least_m)};
     const FrameGaps gaps = frame_gaps(samples);
+    if (gaps.walked_m.size() < kFewestFrames)
+        return {0.0, fmt::format("it is seen in {} frames, expected {} or more to find a gait", gaps.walked_m.size(), kFewestFrames)};
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
     std::vector<double> shares(strides.size()), smooth;
