@@ -22,8 +22,8 @@ void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
         uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
         offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
         if (!hits_closed) continue;
-        float bound = hit_t[n_hits - 1u] - start;
-        bound += 1e-4 + 1e-5 * hit_t[n_hits - 1u];
+        float bound = max(last_hit_t() - start, 0.0);
+        bound += 1e-4 + 1e-5 * last_hit_t();
         if (BOXES != 0u) {
             if (bound < end) {
                 rayQueryGenerateIntersectionEXT(query, bound);

@@ -153,7 +153,7 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
     while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
-    if (hits_closed) walked.end = hit_t[n_hits - 1u] + (1e-4 + 1e-5 * hit_t[n_hits - 1u]);
+    if (hits_closed) walked.end = last_hit_t() + (1e-4 + 1e-5 * last_hit_t());
     return n_tested;
 }
 

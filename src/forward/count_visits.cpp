@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// forward/trace once more, counting: a build of its own, so that the counters cost nothing where they are not asked for.
+// The forward pass once more, counting: builds of its own, so that the counters cost nothing where they are not asked for.
 #include <relidar/measure/forward.hpp>
 
+#include "forward/hit_lists.hpp"
 #include "gpu/stream.hpp"
 #include "traversal/trace_scene.hpp"
 
@@ -19,8 +20,14 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    run(stream, trace, trace_threads(batch), {.scene = traced, .rendered = rendered.address(), .kept = {}, .n_overfull = {}, .geometry = {},
-         .n_kept = 0, .surface_gap_m = options.mode_gap_m.value_or(0.0f)});
+    shared::ForwardParams params = {.scene = traced, .lists = {}, .rendered = rendered.address(), .kept = {}, .n_overfull = {},
+                                    .geometry = {}, .n_kept = 0, .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
+    std::optional<HitLists> lists;
+    if (appends_hits(device, options)) {
+        lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);   // what lists come to
+        lists->run(stream, batch, params);
+    }
+    run(stream, trace, trace_threads(batch), params);
     stream.finish();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of forward/trace: rays in, rendered rays out (Eq. 2-4).
+// Binding of forward/trace: rays in, rendered rays out (Eq. 2-4); behind the lists of hit_lists.cpp, where there are any.
 #include <relidar/stages/forward.hpp>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
-#include "traversal/trace_scene.hpp"
 #include "core/assert.hpp"
+#include "forward/hit_lists.hpp"
 #include "gpu/stream.hpp"
+#include "traversal/trace_scene.hpp"
 
 namespace relidar {
 
@@ -18,18 +19,23 @@ struct ForwardPass::Impl {
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
     Array<std::uint32_t, shared::OverfullCount> n_overfull;
+    std::optional<HitLists> lists;   ///< where rays append their hits
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
           options(o),
           trace(device, "forward/trace", traversal_variant(device), trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
-          n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {}
+          n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
+        if (appends_hits(device, o)) lists.emplace(device, traversal_variant(device), trace_constants(device, proxy, o, m), o.list_room);
+    }
 };
 
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > 64)
         throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
+    if (options.list_room < 1 || options.list_room > RELIDAR_MOST_ROOM)
+        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}", options.list_room, RELIDAR_MOST_ROOM));
     impl_ = std::make_unique<Impl>(device, model, proxy, options);
 }
 
@@ -45,14 +51,17 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     RELIDAR_ASSERT_LE(kept ? std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
     RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
-    relidar::run(stream, impl_->trace, trace_threads(batch),
-                 {.scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
-                  .rendered = rendered.address(),
-                  .kept = address_of(kept ? &kept->hits : nullptr),
-                  .n_overfull = impl_->n_overfull.address(),
-                  .geometry = address_of(geometry ? &geometry->rendered : nullptr),
-                  .n_kept = kept ? kept->per_ray : 0,
-                  .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)});
+    shared::ForwardParams params = {
+        .scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
+        .lists = {},
+        .rendered = rendered.address(),
+        .kept = address_of(kept ? &kept->hits : nullptr),
+        .n_overfull = impl_->n_overfull.address(),
+        .geometry = address_of(geometry ? &geometry->rendered : nullptr),
+        .n_kept = kept ? kept->per_ray : 0,
+        .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
+    if (impl_->lists) impl_->lists->run(stream, batch, params);
+    relidar::run(stream, impl_->trace, trace_threads(batch), params);
 }
 
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }

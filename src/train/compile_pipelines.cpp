@@ -56,6 +56,10 @@ void compile_searches(Device& device, const Sequence& street) {
         for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
             RendererOptions options{.accel = {.proxy = proxy}, .trace = training_trace_options(config)};
             options.trace.walk = walk;
+            for (const HitOrder order : {HitOrder::chunks, HitOrder::lists}) {
+                options.trace.order = order;
+                const Renderer renderer(device, scene, config.image, options);
+            }
             for (const Reduction sums : {Reduction::atomics, Reduction::gather})
                 const DifferentiableRenderer renderer(device, scene, config.image, options, {.sums = {.reduction = sums}});
         }

@@ -24,6 +24,8 @@ struct Way {
     const char* name;
     BackwardOptions options;
     std::uint32_t kept = 0;   ///< hits a ray kept by the forward pass
+    HitOrder order = HitOrder::chunks;
+    int list_room = 64;
 };
 constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .coalesced_atomics = false}},
                           {"gather", {.reduction = Reduction::gather}},
@@ -32,6 +34,8 @@ constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .coalesce
                           {"atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 5},
                           {"coalesced atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = true}, 5},
                           {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
+                          {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
+                          {"lists, some too short, some kept hits", {.reduction = Reduction::gather}, 5, HitOrder::lists, 8},
                           {"gather without room for all", {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
@@ -66,6 +70,8 @@ protected:
             const Forced forced(device(), {.brute_force = how.brute_force});
             const TraceOptions trace{
                 .chunk = how.chunk,
+                .order = way.order,
+                .list_room = way.list_room,
                 .geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood,
                 .likelihood = how.outputs == Outputs::likelihood || how.outputs == Outputs::all ? kKernel : std::nullopt};
             Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept},

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blended normals, distortion and likelihood of forward/trace (M10-M12) against the double reference, which sums distortion pair by pair:
-// random scenes with instances, chunk sizes, rays of many hits. The image is the same, bit for bit, whether they are wanted or not.
+// Blended normals, distortion and likelihood of the forward pass (M10-M12) against the double reference, which sums distortion pair by
+// pair: random scenes with instances, chunk sizes, lists, rays of many hits. The image is the same, bit for bit, whether they are wanted or
+// not.
 #include <algorithm>
 
 #include <relidar/stages/forward.hpp>
@@ -77,6 +78,11 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         std::vector<float> again;
         trace(scene, settings.image, 64, &again);
         EXPECT_EQ(again, found) << "nor on the chunk";
+        for (const int room : {4, 64}) {
+            trace(scene, settings.image, {.chunk = 5, .order = HitOrder::lists, .list_room = room, .geometry = true, .likelihood = kKernel},
+                  &again);
+            for (std::size_t k = 0; k < again.size(); ++k) EXPECT_NEAR(again[k], found[k], 1e-6f * std::max(1.0f, std::abs(found[k])));
+        }
         EXPECT_EQ(trace(scene, settings.image, {.likelihood = kKernel}, &again), image);
         for (std::size_t k = 0; k < again.size(); ++k) EXPECT_EQ(again[k], k % 7 == 5 ? found[k] : 0.0f) << "the likelihood alone";
     }
@@ -92,6 +98,9 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     std::vector<float> found, image = trace(scene, settings.image, 5, nullptr);
     EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &found), image) << "the image does not depend on it";
+    std::vector<float> by_lists;
+    trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}, &by_lists);
+    for (std::size_t k = 6; k < found.size(); k += 7) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
     int clear = 0, other_than_first = 0;
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
         std::vector<reference::ShadedHit> hits;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// forward/trace (Eq. 2-4; M4, M5) against the double reference on random scenes, chunk sizes and proxies against each other, and the
-// benchmark street against the image another implementation rendered of it.
+// The forward pass (Eq. 2-4; M4, M5) by chunks and by lists against the double reference on random scenes, and the benchmark street
+// against the image another implementation rendered of it.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -57,6 +57,15 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     return e;
 }
 
+/// How hits are found and put in order; lists with room for all, and for some rays alone.
+struct Way {
+    Proxy proxy;
+    HitOrder order;
+    int room = 64;
+};
+constexpr Way kWays[] = {{Proxy::triangles, HitOrder::chunks}, {Proxy::boxes, HitOrder::chunks},   {Proxy::triangles, HitOrder::lists},
+                         {Proxy::boxes, HitOrder::lists},      {Proxy::boxes, HitOrder::lists, 4}};
+
 TEST_F(Forward, AgreesWithDoubleReference) {
     using enum ShDirection;
     for (const auto& [direction, primitive] :
@@ -76,8 +85,9 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         const auto on_actors = std::ranges::count_if(e.instance, [](std::int32_t label) { return label > 0; });
         EXPECT_TRUE(on_actors >= 10 && on_actors <= 290) << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
         test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
-        for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
-            Renderer renderer(device(), placed.scene, settings.image, {.accel = {.proxy = proxy}, .trace = {.chunk = 5}});
+        for (const auto& [proxy, order, room] : kWays) {
+            Renderer renderer(device(), placed.scene, settings.image,
+                              {.accel = {.proxy = proxy}, .trace = {.chunk = 5, .order = order, .list_room = room}});
             renderer.scene().set_poses(placed.world_from_instance);
             renderer.place(glm::vec3(scene.view_origin));
             const Rendering r = renderer.forward(test::to_world_rays(scene.rays));

@@ -18,13 +18,14 @@ using ::testing::UnorderedElementsAreArray;
 TEST(Exchange, AccessesThatACacheMayAnswerAreFound) { EXPECT_THAT(incoherent_exchanges(exchange_incoherent), ElementsAre("keys")); }
 TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
 
-/// Kernels with barriers for something else, in which each thread updates its own elements.
+/// Kernels with barriers for something else, in which each thread updates its own elements; forward/sort_hits loads all before its
+/// barriers, and stores behind them.
 struct OwnElements {
     const char* kernel;
     std::vector<std::string> members;
 };
 const OwnElements kOwnElements[] = {
-    {"accel/bvh_wide_scan", {"tiles"}}, {"loss/geometry_loss", {"upstream"}},
+    {"accel/bvh_wide_scan", {"tiles"}}, {"forward/sort_hits", {"lists.hits"}}, {"loss/geometry_loss", {"upstream"}},
     {"loss/surfel_loss", {"d_surfels.mean"}}, {"refine/conv", {"to.values"}},
     {"refine/conv_matrix", {"to.values"}}};
 

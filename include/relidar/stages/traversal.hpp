@@ -38,6 +38,10 @@ struct RayBatch {
 /// Whether each ray walks the software tree on its own or the rays of a subgroup walk it together.
 enum class Walk { automatic, lane, subgroup };
 
+/// How a ray puts its hits in order: those of a chunk as they are found, in a buffer of its own, or all of them afterwards, appended to a
+/// list in memory.
+enum class HitOrder { automatic, chunks, lists };
+
 /// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 + ((t - z) / scale_m)^2).
 struct RangeKernel {
     float scale_m = 0.05f;
@@ -47,6 +51,10 @@ struct RangeKernel {
 struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
     Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
+    HitOrder order = HitOrder::automatic;   ///< of the forward pass; automatic = lists on a GPU, chunks on a CPU
+    /// Hits that a list has room for at first, 1..512; twice as many while more than one ray in a hundred has more. Rays that have more are
+    /// traced in chunks.
+    int list_room = 64;
     /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and BackwardPass::run, which must then be given one,
     /// what the geometric losses want.
     bool geometry = false;

@@ -134,6 +134,10 @@ void add_bench(CLI::App& app, Call& call) {
     command
         ->add_option("--walk", choice.walk, "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
         ->type_name("HOW");
+    command
+        ->add_option("--order", choice.order,
+                     "how hits come in order: auto, chunks as they are found, or lists that are sorted (default: auto: lists on a GPU)")
+        ->type_name("HOW");
     command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
         ->type_name("ray|surfel");
     add_training_options(*command, choice);
@@ -151,7 +155,7 @@ void add_bench(CLI::App& app, Call& call) {
     command->footer(
         "A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, loss, backward, Adam with\n"
         "learning rate 0, so that the scene stays); one instance moved (top level). Times are device timestamps; a kernel launched\n"
-        "several times in an iteration counts in full. Mrays/s: of forward/trace and backward/trace, median. A floor is the bytes that a\n"
+        "several times in an iteration counts in full. Mrays/s: of forward/* and of backward/trace, median. A floor is the bytes that a\n"
         "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no arithmetic.\n"
         "Examples:\n"
         "  relidar bench --json bench.json\n"

@@ -67,12 +67,15 @@ std::size_t place_of(const char* option, const std::string& word, const std::vec
     return std::size_t(found - words.begin());
 }
 
-/// In the order of Proxy and of Walk. @throws UsageError
+/// In the order of Proxy, of Walk and of HitOrder. @throws UsageError
 Proxy proxy_of(const BenchChoice& choice) {
     return choice.proxy.empty() ? Proxy::automatic : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
 }
 Walk walk_of(const BenchChoice& choice) {
     return choice.walk.empty() ? Walk::automatic : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
+}
+HitOrder order_of(const BenchChoice& choice) {
+    return choice.order.empty() ? HitOrder::automatic : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
 }
 
 BenchCase street_case(const BenchChoice& choice) {
@@ -127,7 +130,7 @@ void check(const BenchChoice& choice) {
     parse_rays(choice.rays);
     Config unused;
     apply(choice, unused);
-    proxy_of(choice), walk_of(choice);
+    proxy_of(choice), walk_of(choice), order_of(choice);
 }
 
 BenchCase make_case(const BenchChoice& choice) {
@@ -135,6 +138,7 @@ BenchCase make_case(const BenchChoice& choice) {
     apply(choice, bench.config);
     bench.proxy = proxy_of(choice);
     bench.walk = walk_of(choice);
+    bench.order = order_of(choice);
     bench.keeps_more_hits = choice.keep_hits.empty();
     return bench;
 }
@@ -144,6 +148,7 @@ AccelOptions accel_of(const BenchCase& bench) { return {.proxy = bench.proxy}; }
 TraceOptions trace_of(const BenchCase& bench) {
     TraceOptions options = trace_options(bench.config);
     options.walk = bench.walk;
+    options.order = bench.order;
     return options;
 }
 

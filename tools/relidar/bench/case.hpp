@@ -16,7 +16,7 @@ struct BenchChoice {
     long long n_surfels = 100000;
     std::string rays = "64x1024";     ///< waymo, kitti or ROWSxCOLUMNS
     std::string run;                  ///< a run folder instead of a street
-    std::string chunk, proxy, walk, sh, keep_hits;   ///< settings over those of the case; empty = as they are
+    std::string chunk, proxy, walk, order, sh, keep_hits;   ///< settings over those of the case; empty = as they are
     std::string distortion, likelihood;              ///< weights of these losses, likewise
     bool deterministic = false;       ///< gradients are gathered, whatever the case says
 };
@@ -28,6 +28,7 @@ struct BenchCase {
     Config config;
     Proxy proxy = Proxy::automatic;
     Walk walk = Walk::automatic;
+    HitOrder order = HitOrder::automatic;
     bool keeps_more_hits = true;      ///< than config.trace.keep_hits, as a training comes to
     WorldRays rays;
     int rows = 0;

@@ -14,7 +14,7 @@ namespace {
 
 // Bytes of what the kernels exchange (shaders/shared).
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20,
-                 kKeptHit = 8, kHitRecord = 16, kRow = 4, kMark = 4;
+                 kKeptHit = 8, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
 constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/traversal/software_bvh.glsl
@@ -51,7 +51,7 @@ double adam(const FloorSizes& s) {
     return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh(s));
 }
 
-enum class When { always, software, training, gather };
+enum class When { always, software, training, gather, chunks, lists };
 
 struct Row {
     const char* kernel;
@@ -65,7 +65,13 @@ constexpr Row kFloorRows[] = {
     {"accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
     {"accel/build", When::software, build},
     {"accel/refit", When::software, refit},
-    {"forward/trace", When::always,
+    {"forward/append", When::lists, [](const FloorSizes& s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
+    {"forward/sort_hits", When::lists, [](const FloorSizes& s) { return 2 * s.n_hits * kHit; }},
+    {"forward/blend", When::lists,
+     [](const FloorSizes& s) {
+         return s.n_rays * kRendered + s.n_hits * kHit + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
+     }},
+    {"forward/trace", When::chunks,
      [](const FloorSizes& s) {
          return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
      }},
@@ -80,6 +86,7 @@ constexpr Row kFloorRows[] = {
 };
 
 bool runs(const Row& row, const FloorSizes& s) {
+    if (row.when == When::chunks || row.when == When::lists) return s.lists == (row.when == When::lists);
     return row.when == When::always || (row.when == When::software && s.software) || (row.when == When::training && s.training) ||
            (row.when == When::gather && s.training && s.gather);
 }
@@ -116,7 +123,12 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
     if (s.nodes_opened <= 0.0) return bytes;
     const double search = s.nodes_opened * kNode + s.surfels_tested * kRecord;
     const double shading = s.n_hits * (kRecord + sh_along_ray(s));
-    bytes["forward/trace"] = search + shading;
+    if (s.lists) {
+        bytes["forward/append"] = search + s.n_hits * kHit;
+        bytes["forward/blend"] = shading + s.n_hits * kHit;
+    } else {
+        bytes["forward/trace"] = search + shading;
+    }
     if (!s.training) return bytes;
     const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;   // share of the hits
     const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);          // 16 float atomics a hit

@@ -27,6 +27,7 @@ struct FloorSizes {
     double n_sh = 16.0;                 ///< active harmonics a channel
     bool sh_per_surfel = true;
     bool training = true;
+    bool lists = false;                 ///< of hits, in the forward pass
     bool gather = false;                ///< hit records instead of atomics
     bool only_touched = false;
     bool boxes = true;                  ///< proxies

@@ -31,7 +31,8 @@ using Samples = std::map<std::string, std::vector<double>>;
 
 constexpr double kWarmUp_ms = 200.0;   // kernels are compiled and clocks raised in the first moments
 constexpr const char* kOrder[] = {"scene/activate",     "accel/proxies",  "accel/build",     "accel/refit",
-                                  "accel/top_level",    "forward/trace",  "loss/image_loss", "fill",
+                                  "accel/top_level",    "forward/append", "forward/sort_hits", "forward/blend",
+                                  "forward/trace",      "loss/image_loss", "fill",
                                   "backward/sort",      "backward/trace", "backward/gather", "backward/gather_heads",
                                   "scene/activate_vjp", "optimizer/adam"};
 
@@ -69,6 +70,7 @@ RendererOptions training_options(const BenchCase& bench, std::uint32_t keep_hits
     RendererOptions options = renderer_options(bench);
     options.trace = training_trace_options(bench.config);
     options.trace.walk = bench.walk;
+    options.trace.order = bench.order;
     options.keep_hits = keep_hits;
     return options;
 }
@@ -267,10 +269,12 @@ BenchResult Bench::result() {
     result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
     result.phases = rows_of(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
     const double krays = static_cast<double>(rays_.size()) / 1000.0;
+    double forward_ms = 0.0;
     for (const BenchRow& row : result.kernels) {
-        if (row.name == "forward/trace") result.forward_mrays_per_s = krays / row.ms.median;
+        if (row.name.starts_with("forward/")) forward_ms += row.ms.median;
         if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
+    result.forward_mrays_per_s = krays / forward_ms;
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
     result.kept_hits = r.kept_hits();
     if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
@@ -291,6 +295,7 @@ FloorSizes Bench::sizes(const BenchResult& result) {
     s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
     s.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
     s.training = training_ != nullptr;
+    s.lists = kernels_.contains("forward/append");
     s.gather = kernels_.contains("backward/gather");
     s.only_touched = case_.config.train.only_touched;
     s.boxes = renderer().accel().proxy() == Proxy::boxes;

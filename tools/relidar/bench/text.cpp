@@ -73,7 +73,8 @@ std::string floor_text(const BenchResult& result) {
         text += fmt::format("caches    {} asks for {:.3f} GB, {} ms at the copy's rate\n", kernel, bytes * 1e-9,
                             milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
-        text += fmt::format("search    about {:.3f} G operations in forward/trace\n", search_operations(result.sizes) * 1e-9);
+        text += fmt::format("search    about {:.3f} G operations in {}\n", search_operations(result.sizes) * 1e-9,
+                            result.sizes.lists ? "forward/append" : "forward/trace");
     return text;
 }
 

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes all hits of a ray that can matter to its list, as they are found (traversal/hit_list.glsl). One thread a ray.
+// Input: scene (rays, records, instances, acceleration structure). Output: lists. Accumulated: scene.pass_cap_count, n_overflows.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#define RELIDAR_APPENDS_HITS
+#include "../traversal/includes.glsl"
+RELIDAR_PARAMS(AppendParams);
+
+void main() {
+    own_list = thread_index();
+    if (own_list >= params.lists.n) return;
+    uint i = traced_ray(params.scene), length = 0u;
+    if (i < params.scene.n_rays) {
+        DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
+        listed = params.lists;
+        next_hits(params.scene, Ray(entry.origin, entry.direction), first_key(params.scene), remaining_budget(params.scene, 1.0));
+        length = n_hits | (hits_closed ? RELIDAR_LIST_CLOSED : 0u);
+        if (n_hits > params.lists.room) {
+            length = RELIDAR_LIST_UNFIT;
+            atomicAdd(params.n_overflows.at[0], 1u);
+        }
+    }
+    params.lists.lengths.at[own_list] = length;
+}

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+// Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5). Where the geometric losses want them, also the blended normal and the
+// distortion (M10, M11), and the likelihood (M12); where a range image wants it the heaviest surface (M13).
+// Include after RELIDAR_PARAMS(ForwardParams).
+#ifndef RELIDAR_INCLUDED_FORWARD_BLEND_GLSL
+#define RELIDAR_INCLUDED_FORWARD_BLEND_GLSL
+
+/// A ray as far as it has been blended.
+struct Blended {
+    RenderedRay ray;
+    RenderedGeometry geometry;
+    Surfaces surfaces;
+    float lost[6];   // what rounding took from the sums
+    float first_t;   // of the first hit
+};
+
+/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M10's sums.
+/// @param before  weight of the hits before it
+void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, float beyond, inout RenderedGeometry q) {
+    q.distortion += w * (beyond * before - q.moment);   // M10
+    q.moment += w * beyond;
+    q.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
+}
+
+/// Field by field, so that a new one has its line and none takes another's place.
+RenderedRay nothing_met() {
+    RenderedRay r;
+    r.depth = 0.0;
+    r.weight = 0.0;
+    r.intensity = 0.0;
+    r.hit_logit = 0.0;
+    r.drop_logit = 0.0;
+    r.transmittance = 1.0;
+    r.median_depth = 0.0;
+    r.n_hits = 0u;
+    r.instance = RELIDAR_NO_INSTANCE;
+    return r;
+}
+
+RenderedGeometry no_geometry() {
+    RenderedGeometry q;
+    q.normal = vec3(0.0);
+    q.distortion = 0.0;
+    q.moment = 0.0;
+    q.likelihood = 0.0;
+    q.mode = 0.0;
+    return q;
+}
+
+Blended start_blending(TraceScene scene, uint ray_index) {
+    Blended b;
+    b.ray = nothing_met();
+    b.geometry = no_geometry();
+    b.surfaces = no_surfaces();
+    b.lost = float[](0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    b.first_t = 0.0;
+    if (LIKELIHOOD != 0u) take_measured(scene, ray_index);
+    ray_basis_instance = kNoInstance;
+    return b;
+}
+
+/// Blends the next hit. @return whether the ray has ended before it: then it is not blended
+bool blend_hit(TraceScene scene, Ray ray, uint ray_index, Hit hit, inout Blended b) {
+    float alpha = min(hit.alpha, scene.alpha_max);
+    float next = b.ray.transmittance * (1.0 - alpha);
+    if (next < scene.transmittance_min) return true;
+    float w = alpha * b.ray.transmittance;
+    vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+    if (GEOMETRY != 0u) {
+        if (b.ray.n_hits == 0u) b.first_t = hit.t;
+        add_geometry(scene, ray, hit, w, b.ray.weight, hit.t - b.first_t, b.geometry);
+    }
+    if (LIKELIHOOD != 0u) add_compensated(b.geometry.likelihood, b.lost[5], w * range_kernel(hit.t));   // M12
+    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);                         // M13
+    add_compensated(b.ray.depth, b.lost[0], w * hit.t);
+    add_compensated(b.ray.weight, b.lost[1], w);
+    add_compensated(b.ray.intensity, b.lost[2], w * c.x);
+    add_compensated(b.ray.hit_logit, b.lost[3], w * c.y);
+    add_compensated(b.ray.drop_logit, b.lost[4], w * c.z);
+    bool crosses = b.ray.transmittance > 0.5 && next <= 0.5;
+    if (crosses) b.ray.median_depth = hit.t;
+    if (crosses || b.ray.n_hits == 0u) b.ray.instance = hit.instance;
+    b.ray.transmittance = next;
+    if (b.ray.n_hits < params.n_kept) params.kept.at[ray_index * params.n_kept + b.ray.n_hits] = KeptHit(hit.instance, hit.surfel);
+    ++b.ray.n_hits;
+    return false;
+}
+
+/// Adds the background, and writes what the ray renders.
+void finish_blending(uint ray_index, inout Blended b) {
+    if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
+    add_compensated(b.ray.drop_logit, b.lost[4], b.ray.transmittance);   // background: intensity 0, hit 0, drop 1
+    weigh_surface(b.surfaces);
+    b.geometry.mode = b.surfaces.heaviest_t;
+    if (GEOMETRY != 0u || LIKELIHOOD != 0u || MODE != 0u) params.geometry.at[ray_index] = b.geometry;
+    params.rendered.at[ray_index] = b.ray;
+}
+#endif

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// The forward pass by lists: rays append what they meet, lists are sorted, then blended. Private to forward.
+#pragma once
+
+#include <memory>
+#include <optional>
+
+#include <relidar/stages/traversal.hpp>
+
+#include "gpu/stream.hpp"
+#include "traversal/trace_scene.hpp"
+
+namespace relidar {
+
+/// Whether rays append their hits to lists. On a CPU an ordered buffer lies in the cache and costs less than a second launch.
+inline bool appends_hits(const Device& device, const TraceOptions& options) {
+    return options.order == HitOrder::automatic ? device.info().type != "CPU" : options.order == HitOrder::lists;
+}
+
+class HitLists {
+public:
+    /// @param constants  of the tracing kernels
+    HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room);
+
+    /// Renders the rays of a batch whose lists are fit, and fills `params.lists`, by which forward/trace knows the others. Where the device
+    /// has no memory for lists it stays empty: then these are all rays. One stream alone may be given.
+    void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params);
+    int room() const { return room_; }   ///< hits that a list has room for
+
+private:
+    Device& device_;
+    Kernel<shared::AppendParams> append_;
+    Kernel<shared::ForwardParams> blend_;
+    std::optional<Kernel<shared::SortHitsParams>> sort_;   ///< for lists of room_
+    int room_;
+    std::size_t n_lists_ = 0;
+    bool grows_ = true;
+    Array<shared::Hit> hits_;
+    Array<std::uint32_t, shared::ListLengths> lengths_;
+    Array<std::uint32_t, shared::OverflowCount> n_overflows_;
+    Readback overflows_;
+    std::uint64_t counted_until_ = 0;   ///< ticket of the submission that reads the count back
+    std::size_t counted_rays_ = 0, rays_since_ = 0;   ///< of the copy that is read back next; traced since it was recorded
+    std::uint32_t overflows_before_ = 0;              ///< what was read last
+
+    void make_lists(std::size_t n_lists, int room);
+    void make_sort();
+    void make_room(Stream& stream, std::size_t n_lists);
+    bool wants_more_room(Stream& stream);
+    void count_overflows(Stream& stream, std::size_t n_rays);
+};
+
+}  // namespace relidar
