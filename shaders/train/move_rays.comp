@@ -5,17 +5,10 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
+#include "../common/rotation.glsl"
 #include "../shared/train.h"
 #include "knots.glsl"
 RELIDAR_PARAMS(MoveRaysParams);
-
-/// exp([w]x) p, small angles too
-vec3 turned(vec3 w, vec3 p) {
-    float angle = length(w), half_sine = angle > 1e-4 ? sin(0.5 * angle) / angle : 0.5;
-    float sine = angle > 1e-4 ? sin(angle) / angle : 1.0;
-    vec3 q = cross(w, p);
-    return p + sine * q + 2.0 * half_sine * half_sine * cross(w, q);
-}
 
 void main() {
     uint i = thread_index();

@@ -90,13 +90,24 @@ Rendering Renderer::forward(const WorldRays& rays) {
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
     record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
+    return download_rendering();
+}
+
+void Renderer::check_passes() {
+    Impl& r = *impl_;
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(
             fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
-                        rays.size(), capped, RELIDAR_MAX_PASSES));
-    if (!r.geometry) return to_rendering(r.rendered.download(rays.size()));
-    Rendering rendering = to_rendering(r.rendered.download(rays.size()), r.geometry->rendered.download(rays.size()));
+                        r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
+}
+
+Rendering Renderer::download_rendering() {
+    Impl& r = *impl_;
+    check_passes();
+    const std::size_t n = r.batch.rays.n_rays;
+    if (!r.geometry) return to_rendering(r.rendered.download(n));
+    Rendering rendering = to_rendering(r.rendered.download(n), r.geometry->rendered.download(n));
     if (!r.options.trace.geometry) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;

@@ -72,6 +72,10 @@ Maker maker_of(const ChannelInfo& channel) {
 
 }  // namespace
 
+bool wants_ray_channels(const std::vector<ChannelInfo>& wanted) {
+    return std::ranges::any_of(wanted, [](const ChannelInfo& channel) { return maker_of(channel).of_rays != nullptr; });
+}
+
 void add_ray_channels(RenderedScan& scan, const Rendering& rendering, const std::vector<ChannelInfo>& wanted) {
     for (const ChannelInfo& channel : wanted)
         if (const Maker maker = maker_of(channel); maker.of_rays) scan.channels.push_back({channel, maker.of_rays(rendering, scan)});

@@ -19,6 +19,7 @@
 #include "render/footprint.hpp"
 #include "render/level_ground.hpp"
 #include "render/resident_scene.hpp"
+#include "render/sensor_rays.hpp"
 
 namespace relidar {
 
@@ -27,15 +28,6 @@ namespace {
 constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
 constexpr double kSameTime_s = 1e-3;  // as a sweep of the log
 constexpr const char* kNative = "native";   ///< image of a network: the rays of a sensor
-
-float chosen_range(const Rendering& r, std::size_t i, const std::string& which) {
-    if (which == "expected") return r.depth[i];
-    if (r.weight[i] < kMinWeight) return 0.0f;
-    const float normalised = r.depth[i] / r.weight[i];
-    if (which == "mode") return r.mode_depth[i];
-    if (which == "median") return r.median_depth[i] > 0.0f ? r.median_depth[i] : normalised;
-    return normalised;
-}
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
@@ -46,11 +38,6 @@ TraceOptions traced_with(const Config& config) {
                                          "expected surfels, or other channels",
                                          channel.name, kind_of(config.image.primitive).name));
     return rendering_trace_options(config);
-}
-
-/// Whether a sensor sees the ray's surface: the dominant one, and where the range image has it.
-bool is_in_range(const RangeLimits& limits, float range_m, float median_m) {
-    return limits.contains(range_m) && limits.contains(median_m);
 }
 
 /// @param thing  whose poses they are, for the message
@@ -107,6 +94,25 @@ std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& co
     return split_rays(rays, config.sub_rays, 1e-3 * config.divergence_mrad);
 }
 
+/// Puts what was measured into the arrays of a scan.
+void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured) {
+    const std::size_t n = measured.size();
+    for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m, &scan.image.intensity,
+                                       &scan.image.drop_prob, &scan.weight})
+        values->resize(n);
+    scan.instance.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        const shared::MeasuredRay& ray = measured[i];
+        scan.image.range_m[i] = ray.range_m;
+        scan.median_range_m[i] = ray.median_range_m;
+        scan.mean_range_m[i] = ray.mean_range_m;
+        scan.image.intensity[i] = ray.intensity;
+        scan.image.drop_prob[i] = ray.drop_prob;
+        scan.weight[i] = ray.weight;
+        scan.instance[i] = ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance);
+    }
+}
+
 }  // namespace
 
 Pose RenderedScan::world_from_firing(std::size_t ray) const {
@@ -134,6 +140,7 @@ struct ScanRenderer::Impl {
     ResidentScene scene;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
+    SensorRays sensor_rays{device};
     std::optional<DropRefiner> refiner = {};
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
@@ -270,41 +277,26 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 /// What comes back along rays of a sensor, each by itself; instances have been moved to where they are.
 RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s) {
     PoseTrack track = sweep.world_from_sensor(sensor.lidar);
-    WorldRays rays;
-    for (std::size_t i = 0; i < table.size(); ++i) {
-        const WorldRay w = world_ray(track, time_s, table, i, sweep.rolling_shutter);
-        rays.origin.push_back(glm::vec3(w.origin_m));
-        rays.direction.push_back(glm::vec3(w.direction));
-    }
     const Pose pose = track.at(time_s);
+    if (!sweep.rolling_shutter) track = {{time_s}, {pose}};
+    Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
-    const Rendering r = scene.renderer().forward(rays);
+    sensor_rays.take(table, fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own),
+                     [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
+    sensor_rays.fire(renderer.stream(), track, time_s);
+    renderer.record_forward(sensor_rays.batch());
+    sensor_rays.measure(renderer.stream(), renderer.rendered(),
+                        {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
+    const std::span<const shared::MeasuredRay> measured = sensor_rays.wait(renderer.stream());
+    renderer.check_passes();
 
     RenderedScan scan = empty_scan(table);
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-    scan.weight = r.weight;
-    for (std::size_t i = 0; i < r.size(); ++i) {
-        const Beam& beam = beam_of(sensor.beams, table.channel[i]);
-        const double chosen_m = chosen_range(r, i, config.render.range),
-                     surface_m = r.median_depth[i] > 0.0f ? double(r.median_depth[i]) : chosen_m;
-        const double mean_m = r.median_depth[i] > 0.0f ? double(r.depth[i] / r.weight[i]) : surface_m;
-        const auto range_m = static_cast<float>(beam.measured_range(chosen_m)),
-                   median_m = static_cast<float>(beam.measured_range(surface_m));
-        const double fall = sweep.intensity_response.at_range(surface_m);
-        scan.image.range_m.push_back(range_m);
-        scan.median_range_m.push_back(median_m);
-        scan.mean_range_m.push_back(static_cast<float>(beam.measured_range(mean_m)));
-        scan.image.intensity.push_back(static_cast<float>(beam.measured_intensity(r.intensity[i], fall)));
-        scan.instance.push_back(r.weight[i] < kMinWeight ? -1 : r.instance[i]);
-        const float seen = 1.0f - never_seen(sensor, table.channel[i], table.direction[i]);
-        const float returns = is_in_range(sensor.limits, range_m, median_m) ? (1.0f - drop_probability(r, i)) * seen : 0.0f;
-        scan.image.drop_prob.push_back(1.0f - returns);
-    }
-    if (!sweep.rolling_shutter) track = {{time_s}, {pose}};
+    fill_scan(scan, measured);
     scan.track = shifted_track(std::move(track), sweep.world_offset_m);
     scan.world_from_sensor = {pose.rotation, pose.translation + sweep.world_offset_m};
     scan.time_s = time_s;
-    add_ray_channels(scan, r, wanted);
+    if (wants_ray_channels(wanted)) add_ray_channels(scan, renderer.download_rendering(), wanted);
     return scan;
 }
 

@@ -97,6 +97,10 @@ public:
     void record_forward(const RayBatch& rays);
     /// The last batch; its upstream is null, and before the first one so are its rays.
     const RenderedBatch& rendered() const;
+    /// What the last batch rendered, on the host. Blocks. @throws DeviceError as check_passes()
+    Rendering download_rendering();
+    /// Blocks. @throws DeviceError where a ray has reached the cap of passes since the last call: it ended early
+    void check_passes();
 
     /// First hits of a ray that are kept.
     std::uint32_t kept_hits() const;

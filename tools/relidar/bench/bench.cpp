@@ -10,6 +10,7 @@
 #include "bench/actors.hpp"
 #include "bench/case.hpp"
 #include "bench/measure.hpp"
+#include "bench/scans.hpp"
 #include "bench/serve.hpp"
 #include "bench/text.hpp"
 #include "command.hpp"
@@ -32,6 +33,7 @@ struct BenchOptions {
     std::string json;
     std::string actors;   ///< "1,10,100": scenes of so many actors are timed instead
     ServeBench service;
+    ScanBench scans;
     DeviceChoice device;
 };
 
@@ -56,6 +58,15 @@ void bench_actors(const BenchOptions& options, Device& device, const std::string
     if (!options.settings.quiet) print(actors_text(times));
 }
 
+void bench_scans(const BenchOptions& options, Device& device, const std::string& command_line) {
+    ScanBench bench = options.scans;
+    bench.run = options.choice.run;
+    bench.sensor = options.service.sensor;
+    const ScanTimes times = measure_scans(device, bench);
+    if (!options.json.empty()) write_text(options.json, scans_json(times, device, command_line));
+    if (!options.settings.quiet) print(scans_text(times));
+}
+
 void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!options.service.address.empty()) return bench_service(options.service);
     check(options.choice);
@@ -69,12 +80,15 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
         throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
     if (!options.actors.empty()) actor_counts(options.actors);
+    if (options.scans.n_scans != 0 && options.choice.run.empty())
+        throw UsageError("--scans: found no --run beside it, expected the run that is to be rendered");
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
 
     catch_interrupts();
     if (!options.actors.empty()) return bench_actors(options, device, command_line);
+    if (options.scans.n_scans != 0) return bench_scans(options, device, command_line);
     const BenchCase bench = make_case(options.choice);
     const BenchResult result = measure(device, bench, settings);
     end_progress_line();
@@ -101,7 +115,7 @@ void add_service_options(CLI::App& command, ServeBench& service) {
     command.add_option("--serve", service.address, "time calls of a running `relidar serve` at this address instead")
         ->type_name("HOST:PORT");
     command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")->type_name("NAME");
-    command.add_option("--sensor", service.sensor, "of these calls: one of `relidar sensors`, as HDL-32E:512x10 (default: the log's own)")
+    command.add_option("--sensor", service.sensor, "of these calls, or of --scans: one of `relidar sensors`, as HDL-32E:512x10 (default: the log's own)")
         ->type_name("NAME");
     command.add_option("--clients", service.clients, "that call at the same time (default: 1)")->type_name("N");
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
@@ -148,6 +162,9 @@ void add_bench(CLI::App& app, Call& call) {
             "--actors", options->actors,
             "time scans, training and moves of so many copies of an actor of 1000 surfels instead; several numbers parted by commas")
         ->type_name("LIST");
+    command->add_option("--scans", options->scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
+        ->type_name("N");
+    command->add_flag("--sampled", options->scans.sampled, "scans of --scans are drawn by a seed, with the sensor's noise");
     add_service_options(*command, options->service);
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
@@ -161,6 +178,7 @@ void add_bench(CLI::App& app, Call& call) {
         "  relidar bench --json bench.json\n"
         "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
         "  relidar bench --run run --repeat 50\n"
+        "  relidar bench --run run --scans 100\n"
         "  relidar bench --keep-hits 0 --deterministic\n"
         "  relidar bench --actors 1,1000\n"
         "  relidar bench --serve 127.0.0.1:50051 --sensor HDL-32E:512x10 --clients 4");

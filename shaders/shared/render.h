@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rays of a sensor, and what it makes of what they render.
+#ifndef RELIDAR_INCLUDED_SHARED_RENDER_H
+#define RELIDAR_INCLUDED_SHARED_RENDER_H
+#include "relidar/shared/rays.h"
+
+RELIDAR_SHARED_BEGIN
+
+/// A ray of a sensor, in its frame.
+struct SensorRay {
+    vec3 origin;           // m
+    vec3 direction;        // unit
+    float time_offset_s;   // when it is fired, from the sweep's reference time
+    float sees;            // 1 - probability that the sensor never sees anything along it
+    uint channel;          // beam
+};
+RELIDAR_POINTER(SensorRays, SensorRay);
+
+/// A pose of the sensor in the world, and how it goes on to the next one.
+struct SensorPose {
+    vec4 rotation;         // quaternion (w, x, y, z)
+    vec3 position;         // m
+    vec3 way;              // m to the next pose
+    vec3 turn;             // rotation vector to the next pose, world, rad
+    float time_offset_s;   // from the sweep's reference time
+    float duration_s;      // to the next pose; 0: there is none
+};
+RELIDAR_POINTER(SensorPoses, SensorPose);
+
+struct FireRaysParams {
+    SensorRays rays;    // input [n_rays]
+    SensorPoses poses;  // input [n_poses] in ascending order of time
+    Rays fired;         // output [n_rays]
+    uint n_rays;
+    uint n_poses;
+};
+
+/// What a beam makes of a surface (Beam in relidar/sensor.hpp).
+struct SensorBeam {
+    float range_offset_m;
+    float intensity_gain;
+    float intensity_offset;
+};
+RELIDAR_POINTER(SensorBeams, SensorBeam);
+
+/// A ray of a scan.
+struct MeasuredRay {
+    float range_m;          // as config.render.range says, 0 where nothing was met
+    float median_range_m;   // of the dominant surface; where there is none the same
+    float mean_range_m;     // D / W; where no surface dominates that of it
+    float intensity;        // 0..1
+    float drop_prob;        // M6; 1 beyond the limits
+    float weight;           // W
+    uint instance;          // whose surface was met, or RELIDAR_NO_INSTANCE
+};
+RELIDAR_POINTER(MeasuredRays, MeasuredRay);
+
+// What the range of a ray is, config.render.range.
+#define RELIDAR_RANGE_NORMALISED 0u
+#define RELIDAR_RANGE_EXPECTED 1u
+#define RELIDAR_RANGE_MODE 2u
+#define RELIDAR_RANGE_MEDIAN 3u
+
+struct MeasureRaysParams {
+    SensorRays rays;                // input [n_rays]
+    RenderedRays rendered;          // input [n_rays]
+    RenderedGeometries geometry;    // input [n_rays], read for RELIDAR_RANGE_MODE alone
+    SensorBeams beams;              // input [n_beams]; rays of others measure what is there
+    Vec2s response;                 // input [n_response] range in m, factor of intensities there; none: 1 everywhere
+    MeasuredRays measured;          // output [n_rays]
+    uint n_rays;
+    uint n_beams;
+    uint n_response;
+    uint range_kind;
+    float min_weight;               // a ray of less has met nothing
+    float min_range_m;
+    float max_range_m;
+};
+
+RELIDAR_SHARED_END
+#endif

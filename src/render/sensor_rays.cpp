@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bindings of render/fire_rays and render/measure_rays.
+#include "render/sensor_rays.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "core/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+template <class Values>
+bool same_bytes(const Values& a, const Values& b) {
+    return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(a[0])) == 0);
+}
+
+std::uint32_t range_kind(const std::string& range) {
+    if (range == "expected") return RELIDAR_RANGE_EXPECTED;
+    if (range == "mode") return RELIDAR_RANGE_MODE;
+    return range == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
+}
+
+std::vector<shared::SensorBeam> device_beams(const std::vector<Beam>& beams) {
+    std::vector<shared::SensorBeam> result;
+    for (const Beam& beam : beams)
+        result.push_back({.range_offset_m = float(beam.range_offset_m),
+                          .intensity_gain = float(beam.intensity_gain),
+                          .intensity_offset = float(beam.intensity_offset)});
+    return result;
+}
+
+std::vector<glm::vec2> device_response(const IntensityResponse& response) {
+    std::vector<glm::vec2> result;
+    for (std::size_t k = 0; k < response.factor.size(); ++k) result.emplace_back(response.range_m[k], response.factor[k]);
+    return result;
+}
+
+}  // namespace
+
+std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
+    const std::vector<Pose>& pose = world_from_sensor.pose;
+    const std::size_t first = world_from_sensor.place(time_s + first_s).left,
+                      last = std::min(world_from_sensor.place(time_s + last_s).left + 1, pose.size() - 1);
+    std::vector<shared::SensorPose> poses;
+    for (std::size_t k = first; k <= last; ++k) {
+        const glm::dquat& q = pose[k].rotation;
+        const Twist next = k < last ? twist_between(pose[k], pose[k + 1]) : Twist{};
+        poses.push_back({.rotation = glm::vec4(q.w, q.x, q.y, q.z),
+                         .position = glm::vec3(pose[k].translation),
+                         .way = glm::vec3(next[0], next[1], next[2]),
+                         .turn = glm::vec3(next[3], next[4], next[5]),
+                         .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
+                         .duration_s = k < last ? float(world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k]) : 0.0f});
+    }
+    return poses;
+}
+
+SensorRays::SensorRays(Device& device)
+    : device_(device), fire_(device, "render/fire_rays"), measure_(device, "render/measure_rays") {}
+
+bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
+    return sensor == sensor_ && same_bytes(rays.direction, table_.direction) && same_bytes(rays.origin, table_.origin) &&
+           same_bytes(rays.time_offset_s, table_.time_offset_s) && same_bytes(rays.channel, table_.channel);
+}
+
+void SensorRays::take(const RayTable& rays, const std::string& sensor, const std::function<float(std::size_t)>& never_seen) {
+    if (!has(rays, sensor)) {
+        std::vector<shared::SensorRay> all(rays.size());
+        for_each_block(all.size(), [&](std::size_t i) {
+            all[i] = {.origin = rays.origin[i],
+                      .direction = rays.direction[i],
+                      .time_offset_s = rays.time_offset_s[i],
+                      .sees = 1.0f - never_seen(i),
+                      .channel = rays.channel[i]};
+        });
+        if (all.size() > rays_.size()) {
+            rays_ = {}, fired_ = {}, measured_ = {};   // gives their memory back first
+            rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
+            fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
+            measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
+            readback_.emplace(device_, all.size() * sizeof(shared::MeasuredRay), "measured rays");
+        }
+        rays_.upload(all);
+        table_ = rays;
+        sensor_ = sensor;
+    }
+    table_.rows = rays.rows, table_.columns = rays.columns;
+}
+
+void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {
+    const auto [first, last] = std::ranges::minmax_element(table_.time_offset_s);
+    const auto poses = poses_through_sweep(world_from_sensor, time_s, double(*first), double(*last));
+    run(stream, fire_, table_.size(),
+        {.rays = rays_.address(),
+         .poses = impl_of(stream).values(poses),
+         .fired = fired_.address(),
+         .n_rays = std::uint32_t(table_.size()),
+         .n_poses = std::uint32_t(poses.size())});
+}
+
+RayBatch SensorRays::batch() const {
+    return {.rays = &fired_,
+            .n_rays = std::uint32_t(table_.size()),
+            .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
+}
+
+void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how) {
+    const auto beams = device_beams(how.beams);
+    const auto response = device_response(how.response);
+    run(stream, measure_, table_.size(),
+        {.rays = rays_.address(),
+         .rendered = rendered.rendered->address(),
+         .geometry = address_of(rendered.geometry ? &rendered.geometry->rendered : nullptr),
+         .beams = impl_of(stream).values(beams),
+         .response = impl_of(stream).values(response),
+         .measured = measured_.address(),
+         .n_rays = std::uint32_t(table_.size()),
+         .n_beams = std::uint32_t(beams.size()),
+         .n_response = std::uint32_t(response.size()),
+         .range_kind = range_kind(how.range),
+         .min_weight = how.min_weight,
+         .min_range_m = float(how.limits.min_m),
+         .max_range_m = float(how.limits.max_m)});
+    readback_->record(stream, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay));
+}
+
+std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {
+    stream.submit();
+    return {static_cast<const shared::MeasuredRay*>(readback_->wait(stream)), table_.size()};
+}
+
+}  // namespace relidar

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// A sensor's rays on the device, fired along its way, and what it measures along them. Private to render.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include <relidar/sensor.hpp>
+#include <relidar/sequence.hpp>
+#include <relidar/stages/traversal.hpp>
+
+#include "gpu/stream.hpp"
+#include "shared/render.h"
+
+namespace relidar {
+
+/// What a sensor makes of what its rays render.
+struct RayMeasuring {
+    const std::string& range;            ///< config.render.range
+    const std::vector<Beam>& beams;
+    const IntensityResponse& response;
+    RangeLimits limits;
+    float min_weight;                    ///< a ray of less has met nothing
+};
+
+class SensorRays {
+public:
+    explicit SensorRays(Device& device);
+
+    /// Takes the rays of a sensor; those it has already stay where they are. Nothing may be in flight.
+    /// @param sensor  whose rays they are: another one may see otherwise along the same ones
+    /// @param never_seen  probability that the sensor never sees anything along a ray
+    void take(const RayTable& rays, const std::string& sensor, const std::function<float(std::size_t)>& never_seen);
+    /// Records the rays of a sweep as batch(), each from where the sensor is at its own time. @param world_from_sensor  one pose: it stands
+    void fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s);
+    /// [rays] in the world, as an image where the rays are one.
+    RayBatch batch() const;
+    /// Records what the sensor measures of batch().
+    void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
+    /// Waits for what was recorded. @return [rays] valid until the next measure()
+    std::span<const shared::MeasuredRay> wait(Stream& stream);
+
+private:
+    Device& device_;
+    Kernel<shared::FireRaysParams> fire_;
+    Kernel<shared::MeasureRaysParams> measure_;
+    RayTable table_;        ///< of the rays on the device
+    std::string sensor_;
+    Array<shared::SensorRay> rays_;
+    Array<shared::DeviceRay> fired_;
+    Array<shared::MeasuredRay> measured_;
+    std::optional<Readback> readback_;
+
+    bool has(const RayTable& rays, const std::string& sensor) const;
+};
+
+/// Poses of a sensor through a sweep as kernels read them: those at or before its first ray to those at or behind its last one.
+/// @param first_s @param last_s  time offsets of the sweep's rays
+std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s);
+
+}  // namespace relidar

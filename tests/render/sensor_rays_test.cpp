@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: Apache-2.0
+// A sensor's rays on the device: fired as world_ray() has them in double precision, measured as Beam, limits and M6 say.
+#include "render/sensor_rays.hpp"
+
+#include <cmath>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class SensorRaysTest : public test::DeviceTest {};
+
+RayTable spinning_rays(int columns) {
+    SpinningSensor sensor;
+    sensor.beams = {{0.05, 0.01, 0.03, 0.12, 0.02}, {0.0}, {-0.4, -0.02, 0.05, 0.2, -0.01}};
+    sensor.columns = columns;
+    sensor.first_azimuth_rad = kPi;
+    return make_rays(sensor);
+}
+
+/// Far from the origin, turning about all axes, at uneven times.
+PoseTrack bend(double rad_per_s, int n) {
+    PoseTrack track;
+    for (int k = 0; k < n; ++k) {
+        const double t = 0.03 * k + 0.004 * std::sin(k);
+        track.time_s.push_back(t);
+        track.pose.push_back({rotation_of(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)), {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
+    }
+    return track;
+}
+
+double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track, double time_s) {
+    SensorRays on_device(device);
+    Stream stream(device);
+    on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
+    on_device.fire(stream, track, time_s);
+    stream.finish();
+    const std::vector<DeviceRay> fired = on_device.batch().rays->download();
+    double farthest = 0.0;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const WorldRay expected = world_ray(track, time_s, rays, i, true);
+        farthest = std::max({farthest, glm::distance(glm::dvec3(fired[i].origin), expected.origin_m) / 80.0,
+                             glm::distance(glm::dvec3(fired[i].direction), expected.direction)});
+    }
+    return farthest;
+}
+
+/// 400 m from the origin a float is 3e-5 m apart from the next; 5e-7 in a direction is 0.04 mm at 80 m.
+TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
+    const RayTable rays = spinning_rays(301);   // fired from -0.05 to 0.05 s
+    const double tolerance = 6e-7;
+    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.15), tolerance);
+    EXPECT_LT(farthest_off(device(), rays, bend(20.0, 12), 0.15), tolerance) << "0.6 rad between poses";
+    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.01), tolerance) << "begins before the track";
+    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.34), tolerance) << "ends behind it";
+    EXPECT_LT(farthest_off(device(), rays, bend(1.0, 1), 0.3), tolerance) << "a sensor that stands";
+    EXPECT_LT(farthest_off(device(), some_rays(rays, {7}), bend(1.0, 12), 0.15), tolerance) << "one ray";
+}
+
+TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
+    const PoseTrack track = bend(1.0, 1000);
+    const auto poses = poses_through_sweep(track, 15.0, -0.05, 0.05);
+    EXPECT_LE(poses.front().time_offset_s, -0.05f);
+    EXPECT_GE(poses.back().time_offset_s, 0.05f);
+    EXPECT_LE(poses.size(), 6u);
+}
+
+/// Rays that meet something or little or nothing, near and far.
+std::vector<shared::RenderedRay> random_rendering(std::size_t n) {
+    std::mt19937 random(5);
+    std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
+    std::vector<shared::RenderedRay> rendered(n);
+    for (shared::RenderedRay& r : rendered) {
+        const float t = 0.5f + 90.0f * uniform(random);
+        r.weight = uniform(random) < 0.2f ? 5e-4f * uniform(random) : uniform(random);
+        r.depth = r.weight * t;
+        r.median_depth = r.weight > 0.5f ? t * (0.9f + 0.2f * uniform(random)) : 0.0f;
+        r.intensity = 1.2f * uniform(random);
+        r.hit_logit = 8.0f * uniform(random) - 4.0f, r.drop_logit = 8.0f * uniform(random) - 4.0f;
+        r.transmittance = 1.0f - r.weight, r.n_hits = 3, r.instance = uniform(random) < 0.5f ? 0u : 2u;
+    }
+    return rendered;
+}
+
+struct Expected {
+    double range_m, median_m, mean_m, intensity, drop_prob;
+};
+
+Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees, double mode_m, const RayMeasuring& how) {
+    const double weight = r.weight, normalised = r.depth / weight, median = r.median_depth;
+    double chosen = weight < double(how.min_weight) ? 0.0 : how.range == "mode" ? mode_m : how.range == "median" && median > 0.0 ? median : normalised;
+    if (how.range == "expected") chosen = r.depth;
+    const double surface = median > 0.0 ? median : chosen;
+    Expected e{beam.measured_range(chosen), beam.measured_range(surface), beam.measured_range(median > 0.0 ? normalised : surface),
+               beam.measured_intensity(r.intensity, how.response.at_range(surface)), 0.0};
+    const double hit = std::exp(double(r.hit_logit)), drop = std::exp(double(r.drop_logit));
+    e.drop_prob = how.limits.contains(e.range_m) && how.limits.contains(e.median_m) ? 1.0 - sees * hit / (hit + drop) : 1.0;
+    return e;
+}
+
+TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
+    const RayTable rays = spinning_rays(333);
+    const std::vector<shared::RenderedRay> rendering = random_rendering(rays.size());
+    RayGeometry geometry(device(), rays.size());
+    std::vector<shared::RenderedGeometry> of_rays(rays.size());
+    for (std::size_t i = 0; i < rays.size(); ++i) of_rays[i].mode = 1.05f * rendering[i].median_depth;
+    geometry.rendered.upload(of_rays);
+    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
+    const std::vector<Beam> beams = {{.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
+                                     {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};   // none for channel 2
+    const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
+    const auto never = [](std::size_t i) { return i % 5 == 0 ? 0.75f : 0.0f; };
+    SensorRays on_device(device());
+    on_device.take(rays, "test", never);
+    for (const std::string range : {"normalised", "expected", "mode", "median"}) {
+        const RayMeasuring how{range, beams, response, {0.9, 80.0}, 1e-3f};
+        Stream stream(device());
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry}, how);
+        const std::span<const shared::MeasuredRay> measured = on_device.wait(stream);
+        ASSERT_EQ(measured.size(), rays.size());
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            const shared::MeasuredRay& m = measured[i];
+            const Expected e = expected_of(rendering[i], beam_of(beams, rays.channel[i]), 1.0 - double(never(i)), of_rays[i].mode, how);
+            EXPECT_NEAR(m.range_m, e.range_m, 2e-5) << range << i;
+            EXPECT_NEAR(m.median_range_m, e.median_m, 2e-5) << range << i;
+            EXPECT_NEAR(m.mean_range_m, e.mean_m, 2e-5) << range << i;
+            EXPECT_NEAR(m.intensity, e.intensity, 2e-6) << range << i;
+            EXPECT_NEAR(m.drop_prob, e.drop_prob, 2e-6) << range << i;
+            EXPECT_EQ(m.weight, rendering[i].weight);
+            EXPECT_EQ(m.instance, rendering[i].weight < 1e-3f ? RELIDAR_NO_INSTANCE : rendering[i].instance) << i;
+        }
+    }
+}
+
+/// Another sensor may see otherwise along the same rays, and other rays of one size are others.
+TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
+    RayTable rays = spinning_rays(16);
+    shared::RenderedRay wall{};
+    wall.depth = wall.median_depth = 10.0f, wall.weight = 1.0f, wall.hit_logit = 20.0f;
+    const std::vector<shared::RenderedRay> rendering(rays.size(), wall);
+    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
+    SensorRays on_device(device());
+    const auto drop_of_first = [&] {
+        Stream stream(device());
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered}, {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        return on_device.wait(stream)[0].drop_prob;
+    };
+    on_device.take(rays, "one", [](std::size_t) { return 0.0f; });
+    EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f);
+    on_device.take(rays, "one", [](std::size_t) { return 0.5f; });
+    EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f) << "the same rays of the same sensor stay";
+    on_device.take(rays, "another", [](std::size_t) { return 0.5f; });
+    EXPECT_NEAR(drop_of_first(), 0.5f, 1e-6f);
+    rays.direction[5] = -rays.direction[5];
+    on_device.take(rays, "another", [](std::size_t) { return 0.25f; });
+    EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
+}
+
+}  // namespace
+}  // namespace relidar
