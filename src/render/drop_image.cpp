@@ -10,6 +10,7 @@
 #include <relidar/render.hpp>
 
 #include "core/incidence.hpp"
+#include "core/parallel.hpp"
 
 namespace relidar {
 namespace {
@@ -49,10 +50,11 @@ DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& c
     const std::vector<float>& surface_m = scan.median_range_m;
     const ImageRays surfaces{image.rows, image.columns, scan.image.origin, scan.image.direction, surface_m};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
-    image.channels.reserve(channels.size() * surface_m.size());
-    for (const std::string& name : channels) {
-        const auto channel = channel_of(scan, surfaces, name, origin_m);
-        for (std::size_t i = 0; i < surface_m.size(); ++i) image.channels.push_back(channel(i));
+    const std::size_t n = surface_m.size();
+    image.channels.resize(channels.size() * n);
+    for (std::size_t c = 0; c < channels.size(); ++c) {
+        const auto channel = channel_of(scan, surfaces, channels[c], origin_m);
+        for_each_block(n, [&](std::size_t i) { image.channels[c * n + i] = channel(i); });
     }
     return image;
 }

@@ -7,6 +7,7 @@
 #include <relidar/render.hpp>
 
 #include "core/incidence.hpp"
+#include "core/parallel.hpp"
 #include "core/random.hpp"
 
 namespace relidar {
@@ -20,10 +21,12 @@ RenderedIntensities rendered_intensities(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     const ImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
     RenderedIntensities result{image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
-    for (std::size_t i = 0; i < image.direction.size(); ++i) {
-        result.cosine.push_back(static_cast<float>(incidence_cosine(rays, i)));
-        result.elevation_rad.push_back(std::asin(std::clamp(image.direction[i].z, -1.0f, 1.0f)));
-    }
+    result.cosine.resize(image.direction.size());
+    result.elevation_rad.resize(image.direction.size());
+    for_each_block(image.direction.size(), [&](std::size_t i) {
+        result.cosine[i] = static_cast<float>(incidence_cosine(rays, i));
+        result.elevation_rad[i] = std::asin(std::clamp(image.direction[i].z, -1.0f, 1.0f));
+    });
     return result;
 }
 
@@ -33,7 +36,7 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
     const std::vector<float>& likely_m = likely.range_m;
     std::vector<float> ranges_m = likely_m;
     std::vector<std::uint8_t> returning(likely_m.size());
-    for (std::size_t i = 0; i < ranges_m.size(); ++i) {
+    for_each_block(ranges_m.size(), [&](std::size_t i) {
         Random random(hash64(of_scan, i));
         const bool returns = likely_m[i] > 0.0f && random.uniform() >= double(scan.image.drop_prob[i]);
         returning[i] = returns;
@@ -46,7 +49,7 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
                     std::max(echo.range_m[i] + static_cast<float>(noise.at(double(echo.range_m[i]), 1.0) * random.normal()), 1e-3f);
         }
         if (returns) ranges_m[i] = std::max(likely_m[i] + static_cast<float>(sigma_m * random.normal()), 1e-3f);
-    }
+    });
     if (!scatter.empty()) {
         const std::vector<float> drawn = draw_intensities(scatter, likely, returning, hash64(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstddef>
 #include <span>
+#include <vector>
 
 #include <relidar/scatter.hpp>
 
@@ -44,13 +45,14 @@ public:
     Context(const RenderedIntensities& rendered, std::span<const float> known) : scan_(rendered), known_(known) {}
 
     Features of(int row, int column) const {
-        const std::size_t i = index(row, column);
-        Features result{scan_.intensity[i], scan_.range_m[i], scan_.spread_m[i], scan_.cosine[i], scan_.elevation_rad[i]};
-        auto next = result.begin() + kOwn;
+        Features result;
+        for (std::size_t k = 0; k < kFeatures; ++k) result[k] = feature(k, row, column);
+        return result;
+    }
+
+    /// One of them alone: whoever goes down a tree asks for few. Their order is that of the lists above.
+    float feature(std::size_t k, int row, int column) const {
         const auto at = [&](Step s) { return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns); };
-        for (const Step& s : kBeside) *next++ = scan_.intensity[at(s)];
-        for (const Step& s : kBeside) *next++ = steepness(at(s), i);
-        for (const Window& w : kSmoothed) *next++ = mean(w, [&](Step s) { return scan_.intensity[at(s)]; });
         const auto level = [&](Step s) {   // along the own beam nothing is known before the first column
             return row + s.rows < 0 || (s.rows == 0 && column + s.columns < 0) ? kNoIntensity : known_[at(s)];
         };
@@ -58,15 +60,20 @@ public:
             const float known = level(s);
             return known == kNoIntensity ? known : known - scan_.intensity[at(s)];
         };
-        for (const Step& s : kResiduals) *next++ = residual(s);
-        for (const Step& s : kLevels) *next++ = level(s);
-        for (const Window& w : kMeans) *next++ = mean(w, residual);
-        for (const Window& w : kSizes)
-            *next++ = mean(w, [&](Step s) {
-                const float r = residual(s);
-                return r == kNoIntensity ? r : std::abs(r);
-            });
-        return result;
+        const auto size = [&](Step s) {
+            const float r = residual(s);
+            return r == kNoIntensity ? r : std::abs(r);
+        };
+        /// Whether it is one of the next ones; else k counts from behind them.
+        const auto is_of = [&](std::size_t n) { return k < n || (k -= n, false); };
+        if (is_of(kOwn)) return own(k, index(row, column));
+        if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
+        if (is_of(kBeside.size())) return steepness(at(kBeside[k]), index(row, column));
+        if (is_of(kSmoothed.size())) return mean(kSmoothed[k], [&](Step s) { return scan_.intensity[at(s)]; });
+        if (is_of(kResiduals.size())) return residual(kResiduals[k]);
+        if (is_of(kLevels.size())) return level(kLevels[k]);
+        if (is_of(kMeans.size())) return mean(kMeans[k], residual);
+        return mean(kSizes[k], size);
     }
 
 private:
@@ -76,6 +83,11 @@ private:
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t((column % columns + columns) % columns);
+    }
+    float own(std::size_t k, std::size_t i) const {
+        const std::array<const std::vector<float>*, kOwn> values{&scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine,
+                                                                &scan_.elevation_rad};
+        return (*values[k])[i];
     }
     /// How much farther away another ray's surface is, as the logarithm of their ratio.
     float steepness(std::size_t other, std::size_t i) const {

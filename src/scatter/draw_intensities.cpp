@@ -9,10 +9,12 @@
 namespace relidar {
 namespace {
 
-const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Features& features) {
+const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context, int row, int column) {
     const IntensityScatter::Node* node = &scatter.nodes.front();
-    while (node->feature >= 0)
-        node = &scatter.nodes[std::size_t(node->child) + (features[std::size_t(node->feature)] <= node->at ? 0 : 1)];
+    while (node->feature >= 0) {
+        const float asked = context.feature(std::size_t(node->feature), row, column);
+        node = &scatter.nodes[std::size_t(node->child) + (asked <= node->at ? 0 : 1)];
+    }
     return *node;
 }
 
@@ -28,7 +30,7 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
     for (std::size_t i = 0; i < drawn.size(); ++i) {
         if (returns[i] == 0) continue;
         const auto columns = std::size_t(rendered.columns);
-        const IntensityScatter::Node& leaf = leaf_of(scatter, context.of(int(i / columns), int(i % columns)));
+        const IntensityScatter::Node& leaf = leaf_of(scatter, context, int(i / columns), int(i % columns));
         drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash64(seed, i)).uniform() * double(leaf.count))];
     }
     return drawn;

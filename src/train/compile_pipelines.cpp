@@ -6,6 +6,7 @@
 #include <relidar/stages/config.hpp>
 #include <relidar/dataset.hpp>
 #include <relidar/measure/refine.hpp>
+#include <relidar/render.hpp>
 #include <relidar/stages/forward.hpp>
 
 #include "gpu/radix_sort.hpp"
@@ -45,7 +46,7 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
-    const Renderer renderer(device, scene, config.image, {.accel = {}, .trace = rendering_trace_options(config)});
+    const ScanRenderer renderer(device, scene, config, street);
 }
 
 /// What a device chooses by itself, chosen for it.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sensor's rays on the device: fired as world_ray() has them in double precision, measured as Beam, limits and M6 say.
+// A sensor's rays on the device: fired as world_ray() has them in double precision (render/fire_rays), measured as Beam, limits and M6 say
+// (render/measure_rays).
 #include "render/sensor_rays.hpp"
 
 #include <cmath>
@@ -28,7 +29,8 @@ PoseTrack bend(double rad_per_s, int n) {
     for (int k = 0; k < n; ++k) {
         const double t = 0.03 * k + 0.004 * std::sin(k);
         track.time_s.push_back(t);
-        track.pose.push_back({rotation_of(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)), {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
+        track.pose.push_back(
+            {rotation_of(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)), {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
     }
     return track;
 }
@@ -92,7 +94,9 @@ struct Expected {
 
 Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees, double mode_m, const RayMeasuring& how) {
     const double weight = r.weight, normalised = r.depth / weight, median = r.median_depth;
-    double chosen = weight < double(how.min_weight) ? 0.0 : how.range == "mode" ? mode_m : how.range == "median" && median > 0.0 ? median : normalised;
+    double chosen = how.range == "median" && median > 0.0 ? median : normalised;
+    if (how.range == "mode") chosen = mode_m;
+    if (weight < double(how.min_weight)) chosen = 0.0;
     if (how.range == "expected") chosen = r.depth;
     const double surface = median > 0.0 ? median : chosen;
     Expected e{beam.measured_range(chosen), beam.measured_range(surface), beam.measured_range(median > 0.0 ? normalised : surface),

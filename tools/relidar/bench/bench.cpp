@@ -111,11 +111,20 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
     command.add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
 }
 
-void add_service_options(CLI::App& command, ServeBench& service) {
+/// What times whole scans instead, of many actors, of a run or from a service.
+void add_scan_options(CLI::App& command, BenchOptions& options) {
+    command
+        .add_option("--actors", options.actors,
+                    "time scans, training and moves of so many copies of an actor of 1000 surfels; several numbers parted by commas")
+        ->type_name("LIST");
+    command.add_option("--scans", options.scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
+        ->type_name("N");
+    command.add_flag("--sampled", options.scans.sampled, "scans of --scans are drawn by a seed, with the sensor's noise");
+    ServeBench& service = options.service;
     command.add_option("--serve", service.address, "time calls of a running `relidar serve` at this address instead")
         ->type_name("HOST:PORT");
     command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")->type_name("NAME");
-    command.add_option("--sensor", service.sensor, "of these calls, or of --scans: one of `relidar sensors`, as HDL-32E:512x10 (default: the log's own)")
+    command.add_option("--sensor", service.sensor, "of these scans: one of `relidar sensors`, as HDL-32E:512x10 (default: the log's own)")
         ->type_name("NAME");
     command.add_option("--clients", service.clients, "that call at the same time (default: 1)")->type_name("N");
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
@@ -157,15 +166,7 @@ void add_bench(CLI::App& app, Call& call) {
     add_training_options(*command, choice);
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
     command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
-    command
-        ->add_option(
-            "--actors", options->actors,
-            "time scans, training and moves of so many copies of an actor of 1000 surfels instead; several numbers parted by commas")
-        ->type_name("LIST");
-    command->add_option("--scans", options->scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
-        ->type_name("N");
-    command->add_flag("--sampled", options->scans.sampled, "scans of --scans are drawn by a seed, with the sensor's noise");
-    add_service_options(*command, options->service);
+    add_scan_options(*command, *options);
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");

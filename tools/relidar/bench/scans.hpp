@@ -24,6 +24,7 @@ struct ScanTimes {
     double scans_per_s = 0.0;   ///< of all together, after one to warm up
     double scan_ms = 0.0;       ///< median wall time of a scan
     double device_ms = 0.0;     ///< of it kernels, mean; 0 without timestamps
+    double host_ms = 0.0;       ///< processor time of the calling thread, mean
 };
 
 /// Drives a sensor along the log's own way, evenly spaced between the middles of its first and last sweep.
