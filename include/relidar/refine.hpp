@@ -107,6 +107,8 @@ using RefineCallback = std::function<bool(const RefineProgress& progress, const 
 DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
                                const RefineCallback& progress, const RefineState* start = nullptr);
 
+class DropPass;
+
 /// A network ready to be asked, in evaluation mode: the same image gives the same answer.
 class DropRefiner {
 public:
@@ -122,6 +124,8 @@ public:
     std::vector<float> refine(const DropImage& image);
     /// Milliseconds of kernels so far, by name, where the device has timestamps.
     const KernelTimes& times() const;
+    /// The same network for images that are on the device, <relidar/stages/refine.hpp>.
+    DropPass& pass();
 
 private:
     struct Impl;

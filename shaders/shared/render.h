@@ -77,5 +77,26 @@ struct MeasureRaysParams {
     float max_range_m;
 };
 
+// What a ray-drop network is told of a ray (drop_channel_names() in relidar/refine.hpp); x, y, z of a direction or an origin in turn.
+#define RELIDAR_DROP_LOG_RANGE 0u
+#define RELIDAR_DROP_INTENSITY 1u
+#define RELIDAR_DROP_LOGIT 2u
+#define RELIDAR_DROP_WEIGHT 3u
+#define RELIDAR_DROP_SPREAD 4u
+#define RELIDAR_DROP_INCIDENCE 5u
+#define RELIDAR_DROP_DIRECTION 6u
+#define RELIDAR_DROP_ORIGIN 9u
+
+struct DropChannelsParams {
+    SensorRays rays;                            // input [rows,columns]
+    MeasuredRays measured;                      // input [rows,columns]
+    RELIDAR_OF(Uints, DropChannels) channels;   // input [n_channels] which they are
+    RELIDAR_OF(Floats, DropSamples) samples;    // output [n_channels,rows,columns]
+    vec3 origin;                                // m, of the sensor
+    uint n_channels;
+    uint rows;
+    uint columns;
+};
+
 RELIDAR_SHARED_END
 #endif

@@ -69,22 +69,38 @@ void DropInputs::keep(Device& device, std::span<const DropImage> images) {
 }
 
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images) {
+    shared::DropInputsParams params{};
+    params.samples = samples_.address();
+    if (has_targets()) {
+        target_.reserve(stream.device(), images.grid.all_pixels(), "targets");
+        params.targets = targets_.address(), params.target = target_.address();
+    }
+    make(stream, chosen, params, images);
+}
+
+void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples, const Tensor& images) {
+    shared::DropInputsParams params{};
+    params.samples = samples;
+    make(stream, chosen, params, images);
+}
+
+/// @param params  which samples and targets
+void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params, const Tensor& images) {
     std::vector<std::uint32_t> samples, turns;
     for (const Chosen& c : chosen) {
         samples.push_back(c.sample);
         turns.push_back(c.turn);
     }
-    Device& device = stream.device();
-    start_.reserve(device, images.grid.all_pixels(), "rendered logits");
-    target_.reserve(device, images.grid.all_pixels(), "targets");
-    run(stream, kernel_, images.grid.all_pixels(),
-        {.samples = samples_.address(), .targets = has_targets() ? targets_.address() : Address<float, shared::SampleTargets>(),
-         .chosen = impl_of(stream).values(samples).as<shared::ChosenSamples>(),
-         .turn = impl_of(stream).values(turns).as<shared::SampleTurns>(), .scale_shift = scale_shift_.address(),
-         .images = images.address(), .start = start_.address(),
-         .target = has_targets() ? target_.address() : Address<float, shared::DropTargets>(), .n_images = images.grid.n,
-         .n_channels = n_channels_, .n_fixed = n_fixed_, .logit_channel = logit_channel_, .rows = images.grid.rows,
-         .columns = images.grid.columns});
+    start_.reserve(stream.device(), images.grid.all_pixels(), "rendered logits");
+    params.chosen = impl_of(stream).values(samples).as<shared::ChosenSamples>();
+    params.turn = impl_of(stream).values(turns).as<shared::SampleTurns>();
+    params.scale_shift = scale_shift_.address();
+    params.images = images.address();
+    params.start = start_.address();
+    params.n_images = images.grid.n;
+    params.n_channels = n_channels_, params.n_fixed = n_fixed_, params.logit_channel = logit_channel_;
+    params.rows = images.grid.rows, params.columns = images.grid.columns;
+    run(stream, kernel_, images.grid.all_pixels(), params);
 }
 
 }  // namespace relidar::refine

@@ -27,8 +27,10 @@ public:
     struct Chosen {
         std::uint32_t sample = 0, turn = 0;
     };
-    /// Records the making of a batch. @param images [n, channels, rows, columns] output
+    /// Records the making of a batch of the images that are kept. @param images [n, channels, rows, columns] output
     void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
+    /// The same of images that somebody else keeps, without targets. @param samples [samples, channels, rows, columns]
+    void make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples, const Tensor& images);
 
     const Array<float, shared::StartLogits>& start() const { return start_; }     ///< [n, rows, columns] rendered logits of the last batch
     const Array<float, shared::DropTargets>& target() const { return target_; }   ///< [n, rows, columns]; as DropImage::dropped
@@ -44,6 +46,8 @@ private:
     Array<float, shared::DropTargets> target_;
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> known_;
+
+    void make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params, const Tensor& images);
 };
 
 }  // namespace relidar::refine

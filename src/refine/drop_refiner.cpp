@@ -6,7 +6,9 @@
 
 #include <relidar/error.hpp>
 #include <relidar/measure/refine.hpp>
+#include <relidar/stages/refine.hpp>
 
+#include "core/assert.hpp"
 #include "refine/drop_inputs.hpp"
 #include "refine/drop_loss.hpp"
 #include "refine/drop_network.hpp"
@@ -42,48 +44,82 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
     const refine::DropLoss loss(device, 1, storage);
 }
 
-struct DropRefiner::Impl {
+struct DropPass::Impl {
     Device& device;
     DropNetwork network;
     refine::DropInputs inputs;
     refine::Unet unet;
-    Stream stream;
     std::optional<refine::DropLoss> loss;
     Array<float, shared::DropProbabilities> probability;
+    refine::Grid grid{};   ///< of the last image
 
     Impl(Device& d, const DropNetwork& n, refine::Precision precision)
-        : device(d), network(checked(n)), inputs(d, n), unet(d, n, precision), stream(d, d.info().timestamps) {}
+        : device(d), network(checked(n)), inputs(d, n), unet(d, n, precision) {}
+
+    void reserve(Stream& stream, const refine::Grid& of_image) {
+        if (loss && of_image.rows == grid.rows && of_image.columns == grid.columns) return;
+        stream.finish();   // what is there may be in use
+        grid = of_image;
+        unet.reserve(device, grid, false);
+        probability = {device, grid.pixels(), "drop probabilities"};
+        loss.emplace(device, grid.pixels());
+    }
 };
 
-DropRefiner::DropRefiner(Device& device, const DropNetwork& network, const std::string& precision)
+DropPass::DropPass(Device& device, const DropNetwork& network, const std::string& precision)
     : impl_(new Impl(device, network, refine::find_precision(precision))) {}
-DropRefiner::~DropRefiner() = default;
-DropRefiner::DropRefiner(DropRefiner&&) noexcept = default;
-DropRefiner& DropRefiner::operator=(DropRefiner&&) noexcept = default;
+DropPass::~DropPass() = default;
 
-const DropNetwork& DropRefiner::network() const { return impl_->network; }
-const KernelTimes& DropRefiner::times() const { return impl_->stream.times(); }
+const DropNetwork& DropPass::network() const { return impl_->network; }
 
-std::vector<float> DropRefiner::refine(const DropImage& image) {
+const Array<float, shared::DropProbabilities>& DropPass::run(Stream& stream, int rows, int columns,
+                                                             const Array<float, shared::DropSamples>& channels) {
     Impl& r = *impl_;
-    refine::check_image(r.network, image, "refining ray-drop");
-    const refine::Grid grid{1, std::uint32_t(image.rows), std::uint32_t(image.columns)};
-    r.unet.reserve(r.device, grid, false);
-    if (r.probability.size() != grid.pixels()) {
-        r.probability = {r.device, grid.pixels(), "drop probabilities"};
-        r.loss.emplace(r.device, grid.pixels());
-    }
-    r.inputs.keep(r.device, {&image, 1});
+    if (const int side = r.network.smallest_side(); rows < side || columns < side)
+        throw DataError(fmt::format("refining ray-drop: found {} x {} pixels, expected at least {} of each", rows, columns, side));
+    const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
+    RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
+    r.reserve(stream, grid);
     const refine::DropInputs::Chosen whole{};
-    r.inputs.make(r.stream, {&whole, 1}, r.unet.inputs());
-    r.unet.evaluate(r.stream);
-    r.loss->run(r.stream, grid.pixels(),
+    r.inputs.make(stream, {&whole, 1}, channels.address(), r.unet.inputs());
+    r.unet.evaluate(stream);
+    r.loss->run(stream, grid.pixels(),
                 {.logit = r.unet.logit().address().as<shared::DropLogits>(),
                  .start = r.network.residual ? r.inputs.start().address() : Address<float, shared::StartLogits>(),
                  .probability = r.probability.address()},
                 0);
+    return r.probability;
+}
+
+struct DropRefiner::Impl {
+    Device& device;
+    DropPass pass;
+    Stream stream;
+    Array<float, shared::DropSamples> channels;
+
+    Impl(Device& d, const DropNetwork& n, const std::string& precision)
+        : device(d), pass(d, n, precision), stream(d, d.info().timestamps) {}
+};
+
+DropRefiner::DropRefiner(Device& device, const DropNetwork& network, const std::string& precision)
+    : impl_(new Impl(device, network, precision)) {}
+DropRefiner::~DropRefiner() = default;
+DropRefiner::DropRefiner(DropRefiner&&) noexcept = default;
+DropRefiner& DropRefiner::operator=(DropRefiner&&) noexcept = default;
+
+const DropNetwork& DropRefiner::network() const { return impl_->pass.network(); }
+const KernelTimes& DropRefiner::times() const { return impl_->stream.times(); }
+DropPass& DropRefiner::pass() { return impl_->pass; }
+
+std::vector<float> DropRefiner::refine(const DropImage& image) {
+    Impl& r = *impl_;
+    refine::check_image(network(), image, "refining ray-drop");
     r.stream.finish();
-    return r.probability.download();
+    r.channels.reserve(r.device, image.channels.size(), "a scan to refine");
+    r.channels.upload(image.channels);
+    const auto& probability = r.pass.run(r.stream, image.rows, image.columns, r.channels);
+    r.stream.finish();
+    return probability.download();
 }
 
 }  // namespace relidar

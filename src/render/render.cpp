@@ -171,7 +171,7 @@ struct ScanRenderer::Impl {
         if (sensor.returns > 1 && result.sub_rays == 1) result.sub_rays = 9;
         return result;
     }
-    RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s);
+    RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined = false);
     RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams);
     /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
     struct ImageOf {
@@ -275,7 +275,8 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 }
 
 /// What comes back along rays of a sensor, each by itself; instances have been moved to where they are.
-RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s) {
+/// @param refined  also asks the network: sensor_rays.refined()
+RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
     PoseTrack track = sweep.world_from_sensor(sensor.lidar);
     const Pose pose = track.at(time_s);
     if (!sweep.rolling_shutter) track = {{time_s}, {pose}};
@@ -287,6 +288,8 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     renderer.record_forward(sensor_rays.batch());
     sensor_rays.measure(renderer.stream(), renderer.rendered(),
                         {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
+    if (refined)
+        sensor_rays.refine(renderer.stream(), refiner->pass(), glm::vec3(pose.translation + sweep.world_offset_m - first_origin_m));
     const std::span<const shared::MeasuredRay> measured = sensor_rays.wait(renderer.stream());
     renderer.check_passes();
 
@@ -421,13 +424,15 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     const glm::vec3 sensor_m(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
     s.scene.bring(sensor_m, s.limits_of(sensor).max_m);
     s.scene.renderer().move(placed, sensor_m);
-    RenderedScan scan = s.cast(sensor, table, time_s);
+    const bool of_rays = s.refines({whole.rows, whole.columns, kNative}) ||
+                         (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name}));
+    RenderedScan scan = s.cast(sensor, table, time_s, of_rays && !parts);
     if (parts) scan = s.join(sensor, scan, whole, config);
     const SeenByLog log{s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m))};
     add_scan_channels(scan, log, s.wanted);
     tell_unseen(scan, log);
-    if (s.refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name})))
-        s.refine(scan);
+    if (of_rays && parts) s.refine(scan);
+    else if (of_rays) std::ranges::copy(s.sensor_rays.refined(s.scene.renderer().stream()), scan.image.drop_prob.begin());
     const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
     if (of_cells) {
         scan = project_scan(scan, *sensor.grid);

@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of render/fire_rays and render/measure_rays.
+// Bindings of render/fire_rays, render/measure_rays and render/drop_channels.
 #include "render/sensor_rays.hpp"
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
 
 #include "core/parallel.hpp"
 
@@ -36,6 +41,25 @@ std::vector<glm::vec2> device_response(const IntensityResponse& response) {
     return result;
 }
 
+std::uint32_t device_channel(const std::string& name) {
+    constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
+        {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY}, {"drop_logit", RELIDAR_DROP_LOGIT},
+        {"weight", RELIDAR_DROP_WEIGHT},       {"spread", RELIDAR_DROP_SPREAD},       {"incidence", RELIDAR_DROP_INCIDENCE}};
+    for (const auto& [known, channel] : kOfRays)
+        if (name == known) return channel;
+    for (std::uint32_t axis = 0; axis < 3; ++axis) {
+        if (name == std::string("direction_") + "xyz"[axis]) return RELIDAR_DROP_DIRECTION + axis;
+        if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
+    }
+    throw DataError(fmt::format("refining ray-drop: the network asks for \"{}\", which this relidar does not render", name));
+}
+
+std::vector<std::uint32_t> device_channels(const std::vector<std::string>& names) {
+    std::vector<std::uint32_t> result;
+    for (const std::string& name : names) result.push_back(device_channel(name));
+    return result;
+}
+
 }  // namespace
 
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
@@ -57,7 +81,10 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
 }
 
 SensorRays::SensorRays(Device& device)
-    : device_(device), fire_(device, "render/fire_rays"), measure_(device, "render/measure_rays") {}
+    : device_(device),
+      fire_(device, "render/fire_rays"),
+      measure_(device, "render/measure_rays"),
+      drop_channels_(device, "render/drop_channels") {}
 
 bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
     return sensor == sensor_ && same_bytes(rays.direction, table_.direction) && same_bytes(rays.origin, table_.origin) &&
@@ -80,6 +107,7 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor, const std
             fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
             measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
             readback_.emplace(device_, all.size() * sizeof(shared::MeasuredRay), "measured rays");
+            refined_readback_.emplace(device_, all.size() * sizeof(float), "drop probabilities");
         }
         rays_.upload(all);
         table_ = rays;
@@ -123,6 +151,29 @@ void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const Ra
          .min_range_m = float(how.limits.min_m),
          .max_range_m = float(how.limits.max_m)});
     readback_->record(stream, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay));
+}
+
+void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& origin_m) {
+    const std::vector<std::uint32_t> channels = device_channels(network.network().inputs);
+    if (channels.size() * table_.size() > samples_.size()) {
+        stream.finish();
+        samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
+    }
+    run(stream, drop_channels_, table_.size(),
+        {.rays = rays_.address(),
+         .measured = measured_.address(),
+         .channels = impl_of(stream).values(channels).as<shared::DropChannels>(),
+         .samples = samples_.address(),
+         .origin = origin_m,
+         .n_channels = std::uint32_t(channels.size()),
+         .rows = std::uint32_t(table_.rows),
+         .columns = std::uint32_t(table_.columns)});
+    const auto& probability = network.run(stream, table_.rows, table_.columns, samples_);
+    refined_readback_->record(stream, probability.buffer(), table_.size() * sizeof(float));
+}
+
+std::span<const float> SensorRays::refined(Stream& stream) {
+    return {static_cast<const float*>(refined_readback_->wait(stream)), table_.size()};
 }
 
 std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {

@@ -10,6 +10,7 @@
 
 #include <relidar/sensor.hpp>
 #include <relidar/sequence.hpp>
+#include <relidar/stages/refine.hpp>
 #include <relidar/stages/traversal.hpp>
 
 #include "gpu/stream.hpp"
@@ -40,8 +41,13 @@ public:
     RayBatch batch() const;
     /// Records what the sensor measures of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
+    /// Records what a ray-drop network makes of what was measured, where the rays are an image.
+    /// @param origin_m [3] of the sensor, from first_origin() @throws DataError for an image or channels that do not fit the network
+    void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
     /// Waits for what was recorded. @return [rays] valid until the next measure()
     std::span<const shared::MeasuredRay> wait(Stream& stream);
+    /// After wait(): [rays] drop probabilities of the network, valid until the next refine().
+    std::span<const float> refined(Stream& stream);
 
 private:
     Device& device_;
@@ -52,7 +58,9 @@ private:
     Array<shared::SensorRay> rays_;
     Array<shared::DeviceRay> fired_;
     Array<shared::MeasuredRay> measured_;
-    std::optional<Readback> readback_;
+    std::optional<Readback> readback_, refined_readback_;
+    Kernel<shared::DropChannelsParams> drop_channels_;
+    Array<float, shared::DropSamples> samples_;   ///< for a network
 
     bool has(const RayTable& rays, const std::string& sensor) const;
 };

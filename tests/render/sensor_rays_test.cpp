@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // A sensor's rays on the device: fired as world_ray() has them in double precision (render/fire_rays), measured as Beam, limits and M6 say
-// (render/measure_rays).
+// (render/measure_rays), and shown to a network as drop_image() has it (render/drop_channels).
 #include "render/sensor_rays.hpp"
 
 #include <cmath>
 #include <random>
 
 #include <gtest/gtest.h>
+
+#include <relidar/render.hpp>
 
 #include "../support/device.hpp"
 
@@ -162,6 +164,66 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     rays.direction[5] = -rays.direction[5];
     on_device.take(rays, "another", [](std::size_t) { return 0.25f; });
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
+}
+
+/// A smooth surface with a step, so that some rays know their angle of incidence.
+std::vector<shared::RenderedRay> rendered_room(const RayTable& rays) {
+    std::vector<shared::RenderedRay> rendered = random_rendering(rays.size());
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const double azimuth = std::atan2(rays.direction[i].y, rays.direction[i].x);
+        shared::RenderedRay& r = rendered[i];
+        r.weight = 0.95f;
+        r.median_depth = float(8.0 + 2.0 * std::sin(3.0 * azimuth) + (azimuth > 2.0 ? 6.0 : 0.0));
+        r.depth = r.weight * (r.median_depth + 0.3f * float(i % 7));
+        if (i % 11 == 0) r.median_depth = r.depth = r.weight = 0.0f;
+    }
+    return rendered;
+}
+
+RenderedScan scan_of(const RayTable& rays, std::span<const shared::MeasuredRay> measured) {
+    RenderedScan scan;
+    scan.image.rows = rays.rows, scan.image.columns = rays.columns;
+    scan.image.origin = to_vector(rays.origin), scan.image.direction = to_vector(rays.direction);
+    for (const shared::MeasuredRay& m : measured) {
+        scan.median_range_m.push_back(m.median_range_m), scan.mean_range_m.push_back(m.mean_range_m);
+        scan.image.intensity.push_back(m.intensity), scan.image.drop_prob.push_back(m.drop_prob), scan.weight.push_back(m.weight);
+    }
+    scan.world_from_sensor.translation = {30.0, -20.0, 1.0};
+    return scan;
+}
+
+TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
+    RayTable rays = spinning_rays(120);
+    const std::vector<shared::RenderedRay> rendering = rendered_room(rays);
+    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
+    SensorRays on_device(device());
+    on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
+    Stream stream(device());
+    const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
+    const auto measure = [&] {
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered}, {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+    };
+    measure();
+    const RenderedScan scan = scan_of(rays, on_device.wait(stream));
+    for (const std::string network : {"pixel", "small"}) {
+        const RefineOptions options{.network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
+        DropImage image = drop_image(scan, drop_channel_names(options), first_origin_m);
+        for (std::size_t i = 0; i < rays.size(); ++i) image.dropped.push_back(image.channels[5 * rays.size() + i] > 0.8f ? 1.0f : 0.0f);
+        const auto go_on = [](const RefineProgress&, const std::function<RefineState()>&) { return true; };
+        const DropNetwork trained = train_drop_network(device(), {image}, options, 3, go_on);
+        DropRefiner refiner(device(), trained);
+        const std::vector<float> expected = refiner.refine(image);
+        measure();
+        on_device.refine(stream, refiner.pass(), glm::vec3(scan.world_from_sensor.translation - first_origin_m));
+        on_device.wait(stream);
+        const std::span<const float> found = on_device.refined(stream);
+        double changed = 0.0;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            EXPECT_NEAR(found[i], expected[i], 2e-4) << network << i;
+            changed = std::max(changed, std::abs(double(found[i]) - double(scan.image.drop_prob[i])));
+        }
+        EXPECT_GT(changed, 0.05) << "a network that says something";
+    }
 }
 
 }  // namespace
