@@ -33,6 +33,13 @@ constexpr std::array<Window, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
+/// Columns ahead of the ray of interest at which something above it is asked for.
+constexpr int kAhead = 3;
+static_assert(std::ranges::all_of(kMeans, [](const Window& w) { return w.last.columns <= (w.last.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kSizes, [](const Window& w) { return w.last.columns <= (w.last.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kLevels, [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kResiduals, [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+
 constexpr std::size_t kOwn = 5;   // intensity, range, spread, cosine, elevation
 constexpr std::size_t kFeatures =
     kOwn + 2 * kBeside.size() + kSmoothed.size() + kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
@@ -53,8 +60,8 @@ public:
     /// One of them alone: whoever goes down a tree asks for few. Their order is that of the lists above.
     float feature(std::size_t k, int row, int column) const {
         const auto at = [&](Step s) { return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns); };
-        const auto level = [&](Step s) {   // along the own beam nothing is known before the first column
-            return row + s.rows < 0 || (s.rows == 0 && column + s.columns < 0) ? kNoIntensity : known_[at(s)];
+        const auto level = [&](Step s) {   // nothing is known before the first column, so that rows can be drawn one behind the other
+            return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
         };
         const auto residual = [&](Step s) {
             const float known = level(s);

@@ -12,6 +12,7 @@
 #include <relidar/scatter.hpp>
 
 #include "core/random.hpp"
+#include "scatter/context.hpp"
 
 namespace relidar {
 namespace {
@@ -149,6 +150,23 @@ TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
     EXPECT_EQ(drawn, draw_intensities(again, panels(), returns, 9));
     EXPECT_NE(drawn, draw_intensities(scatter, panels(), returns, 10));
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
+}
+
+/// Rows are drawn at the same time, and asked about each other all the same as one after the other.
+TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
+    const IntensityScatter scatter = fit_scatter(scans_of(40, grain));
+    const RenderedIntensities image = panels();
+    std::vector<float> expected(kRays, kNoIntensity);
+    const scatter_detail::Context context(image, expected);
+    for (std::size_t i = 0; i < kRays; ++i) {
+        const scatter_detail::Features asked = context.of(int(i / kColumns), int(i % kColumns));
+        std::size_t node = 0;
+        while (scatter.nodes[node].feature >= 0)
+            node = std::size_t(scatter.nodes[node].child) + (asked[std::size_t(scatter.nodes[node].feature)] <= scatter.nodes[node].at ? 0 : 1);
+        const IntensityScatter::Node& leaf = scatter.nodes[node];
+        expected[i] = scatter.values[leaf.first + std::size_t(Random(hash64(11, i)).uniform() * double(leaf.count))];
+    }
+    for (int repetition = 0; repetition < 20; ++repetition) ASSERT_EQ(draw_intensities(scatter, image, kAll, 11), expected);
 }
 
 TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
