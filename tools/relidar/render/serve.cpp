@@ -4,6 +4,10 @@
 #include <memory>
 #include <thread>
 
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
+
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -61,7 +65,16 @@ serve::ServerOptions server_options(const ServeOptions& options) {
 
 std::string host_of(const std::string& listen) { return listen.substr(0, listen.rfind(':')); }
 
+/// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own: scans and sensors that are made on one thread and
+/// let go on another leave gaps in each, so that the process grows for hours although what it uses does not (docs/reliability.md).
+void share_one_heap() {
+#ifdef __GLIBC__
+    mallopt(M_ARENA_MAX, 1);
+#endif
+}
+
 void run_serve(const ServeOptions& options) {
+    share_one_heap();
     const serve::ServerOptions wanted = server_options(options);
     if (!options.quiet) note_weather(wanted.weather);
     if (!is_loopback(host_of(wanted.listen)))
