@@ -160,11 +160,10 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     const scatter_detail::Context context(image, expected);
     for (std::size_t i = 0; i < kRays; ++i) {
         const scatter_detail::Features asked = context.of(int(i / kColumns), int(i % kColumns));
-        std::size_t node = 0;
-        while (scatter.nodes[node].feature >= 0)
-            node = std::size_t(scatter.nodes[node].child) + (asked[std::size_t(scatter.nodes[node].feature)] <= scatter.nodes[node].at ? 0 : 1);
-        const IntensityScatter::Node& leaf = scatter.nodes[node];
-        expected[i] = scatter.values[leaf.first + std::size_t(Random(hash64(11, i)).uniform() * double(leaf.count))];
+        const IntensityScatter::Node* node = &scatter.nodes[0];
+        while (node->feature >= 0)
+            node = &scatter.nodes[std::size_t(node->child) + (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
+        expected[i] = scatter.values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
     }
     for (int repetition = 0; repetition < 20; ++repetition) ASSERT_EQ(draw_intensities(scatter, image, kAll, 11), expected);
 }
