@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each ray goes down the tree and takes one of the intensities of its leaf. It asks what was drawn before it, along its beam and above: rows
-// are drawn at the same time, each so far behind the one above that all is there, and the result is that of one row after the other.
+// Each ray goes down the tree and takes one of the intensities of its leaf. It asks what was drawn before it, along its beam and above.
+// Rows are drawn at the same time, each so far behind the one above that all is there: the result is that of one row after the other.
 #include <relidar/scatter.hpp>
 
 #include <algorithm>
