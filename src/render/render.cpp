@@ -19,6 +19,8 @@
 #include "render/footprint.hpp"
 #include "render/level_ground.hpp"
 #include "render/resident_scene.hpp"
+#include "render/stray_light.hpp"
+#include "render/sunlight.hpp"
 
 namespace relidar {
 
@@ -403,7 +405,10 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
         const std::vector<WetRay> wet = wet_rays(scan);
-        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, {blind, wet}, sample.value_or(0));
+        const std::vector<Echo> stray = stray_light(scan, weather.bloom, sample.value_or(0));
+        const std::vector<float> from_sun = angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
+        const RaysInWeather special = {blind, wet, stray, from_sun};
+        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, special, sample.value_or(0));
     }
     if (!sample || !weather.clear())
         for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);
