@@ -11,7 +11,8 @@
 namespace relidar {
 namespace {
 
-constexpr double kTyres_m = 0.4;          // two tracks of a car
+constexpr double kTyres = 0.2;            // width of both tracks over that of a vehicle
+constexpr double kNarrow_m = 1.2;         // narrower things are cyclists and people, which throw hardly any water up
 constexpr double kMostShare = 0.1;        // of the water, as drops that hang
 constexpr double kFast_m_s = 30.0;
 constexpr double kDrop_m = 1e-4;          // mean diameter
@@ -45,7 +46,7 @@ std::optional<SprayStretch> Plume::along(const glm::dvec3& origin_m, const glm::
 
 Plume plume_behind(const glm::dvec3& rear_m, const glm::dvec3& velocity, double width_m, double height_m, double film_mm) {
     const double speed = std::hypot(velocity.x, velocity.y), share = kMostShare * std::min(1.0, std::pow(speed / kFast_m_s, 2));
-    const double alpha = share * kTyres_m * 1e-3 * film_mm / (width_m * height_m * kDrop_m), reach_m = kFalls_s * speed;
+    const double alpha = share * kTyres * 1e-3 * film_mm / (height_m * kDrop_m), reach_m = kFalls_s * speed;
     return {rear_m, {velocity.x / speed, velocity.y / speed, 0.0}, width_m, height_m, kLength * reach_m, alpha, reach_m};
 }
 
@@ -59,6 +60,7 @@ std::vector<Plume> plumes_of(const Scene& layout, const std::vector<InstancePose
         const glm::dvec3 velocity = (now.translation - before[i].world_from_model.translation) / passed_s;
         if (std::hypot(velocity.x, velocity.y) < kWalks_m_s) continue;
         const glm::dvec3 half_m(layout.models[layout.instances[i].model].half_size_m), ahead = now.rotation * glm::dvec3(1.0, 0.0, 0.0);
+        if (2.0 * half_m.y < kNarrow_m) continue;
         const double backwards = glm::dot(ahead, velocity) < 0.0 ? -1.0 : 1.0;
         const glm::dvec3 rear_m = now * glm::dvec3(-backwards * half_m.x, 0.0, -half_m.z);
         plumes.push_back(plume_behind(rear_m + world_offset_m, velocity, 2.0 * half_m.y, 2.0 * half_m.z, film_mm));

@@ -21,13 +21,13 @@ struct Plume {
     std::optional<SprayStretch> along(const glm::dvec3& origin_m, const glm::dvec3& direction) const;
 };
 
-/// What a vehicle of so much width and height leaves at a speed. Its tyres meet b = 0.4 m of the water, of which a share of 0.1 min(1, (v /
-/// 30 m/s)^2) hangs in its wake as drops of diameters exp(-D / 0.1 mm): alpha = share b film / (width height 0.1 mm). They fall within 0.8
-/// s: reach = 0.8 s v. That water is kept is Weir et al. (1978); share, size and time are assumptions.
+/// What a vehicle of so much width and height leaves at a speed. Its tyres meet a fifth of its width of the water, of which a share of 0.1
+/// min(1, (v / 30 m/s)^2) hangs in its wake as drops of diameters exp(-D / 0.1 mm): alpha = share 0.2 film / (height 0.1 mm). They fall
+/// within 0.8 s: reach = 0.8 s v. All numbers are assumptions.
 /// @param velocity  m/s, dataset's world @param film_mm  depth of the water on the road
 Plume plume_behind(const glm::dvec3& rear_m, const glm::dvec3& velocity, double width_m, double height_m, double film_mm);
 
-/// Of the actors that are there and drive. @param placed [instances] now @param before [instances] a moment earlier
+/// Of the actors that are there, drive, and are as wide as a car (1.2 m). @param placed [instances] now @param before [instances] a moment earlier
 /// @param shown [instances]
 std::vector<Plume> plumes_of(const Scene& layout, const std::vector<InstancePose>& placed, const std::vector<InstancePose>& before,
                              const std::vector<bool>& shown, const glm::dvec3& world_offset_m, double film_mm);

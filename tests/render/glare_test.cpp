@@ -125,7 +125,7 @@ TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
 TEST(SprayPlume, HoldsWhatLiesInItsBox) {
     Plume plume = plume_behind({3.0, -2.0, -1.5}, {6.0, 8.0, 0.0}, 1.8, 1.4, 0.5);
     EXPECT_NEAR(plume.reach_m, 8.0, 1e-12);
-    EXPECT_NEAR(plume.alpha, 0.1 / 9.0 * 0.4 * 0.0005 / (1.8 * 1.4 * 1e-4), 1e-12);
+    EXPECT_NEAR(plume.alpha, 0.1 / 9.0 * 0.2 * 0.0005 / (1.4 * 1e-4), 1e-12);
     Random random(1);
     int hit = 0;
     for (int k = 0; k < 2000; ++k) {
