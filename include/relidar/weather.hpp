@@ -91,6 +91,7 @@ struct SprayStretch {
     double from_m = 0.0, to_m = 0.0;
     double alpha = 0.0, decay = 0.0;
 
+    /// What it takes away there, 1/m; for ranges in the stretch.
     double extinction_at(double range_m) const;
     /// Optical depth between where it begins and a range: the integral of extinction_at(); 0 before it, all of it behind.
     double depth_to(double range_m) const;
@@ -120,8 +121,8 @@ double wet_over_dry(double cosine, double albedo);
 double film_share(double wet_mm);
 
 /// How the noise of a receiver scatters in the light of the sun, by shot noise in a matched filter: the standard deviation of what it adds
-/// to powers. Radiance that arrives is 5 E (1 deg / angle)^2 1/sr off a dusty window, E / pi times the albedo of the surface, which is taken to
-/// face the sun, and E over its solid angle where its disc is in view.
+/// to powers. Radiance that arrives is 5 E (1 deg / angle)^2 1/sr off a dusty window, E / pi times the albedo of the surface, which is
+/// taken to face the sun, and E over its solid angle where its disc is in view.
 /// @param from_sun_rad  angle between ray and sun @param albedo  of the surface that the ray meets, 0: none
 /// @param sees_sky  whether nothing is between
 double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo, bool sees_sky);

@@ -27,8 +27,8 @@ struct Plume {
 /// @param velocity  m/s, dataset's world @param film_mm  depth of the water on the road
 Plume plume_behind(const glm::dvec3& rear_m, const glm::dvec3& velocity, double width_m, double height_m, double film_mm);
 
-/// Of the actors that are there, drive, and are as wide as a car (1.2 m). @param placed [instances] now @param before [instances] a moment earlier
-/// @param shown [instances]
+/// Of the actors that are there, drive, and are as wide as a car (1.2 m).
+/// @param placed [instances] now @param before [instances] a moment earlier @param shown [instances]
 std::vector<Plume> plumes_of(const Scene& layout, const std::vector<InstancePose>& placed, const std::vector<InstancePose>& before,
                              const std::vector<bool>& shown, const glm::dvec3& world_offset_m, double film_mm);
 

@@ -145,7 +145,8 @@ void Air::add_spray(std::vector<Candidate>& candidates, const RayEchoes& surface
     const double step_m = 0.5 * pulse_m(sensor_);
     for (const SprayStretch& stretch : surfaces.spray) {
         for (double begin_m = stretch.from_m; begin_m < stretch.to_m; begin_m += step_m) {
-            const double range_m = begin_m + step_m * random.uniform(), uneven = std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
+            const double range_m = begin_m + step_m * random.uniform();
+            const double uneven = std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
             if (range_m < nearest_m() || range_m >= std::min({free_m, stretch.to_m, sensor_.max_range_m})) continue;
             const double reflectivity = uneven * kPi * stretch.extinction_at(range_m) / kLidarRatio_sr * step_m *
                                         std::exp(-2.0 * alpha_ * range_m) * left_at(range_m);

@@ -30,7 +30,8 @@ RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
     scan.image.rows = kRows, scan.image.columns = kColumns;
     for (int row = 0; row < kRows; ++row) {
         for (int column = 0; column < kColumns; ++column) {
-            const double azimuth = kDegree * kStep_deg * (column - kColumns / 2 + 0.5), elevation = kDegree * kStep_deg * (kRows / 2 - row - 0.5);
+            const double azimuth = kDegree * kStep_deg * (column - kColumns / 2 + 0.5);
+            const double elevation = kDegree * kStep_deg * (kRows / 2 - row - 0.5);
             const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             const auto has_ray = [&](const glm::dvec3& r) {
                 return std::hypot(azimuth - r.x * kDegree, elevation - r.y * kDegree) < kRadius_deg * kDegree;
