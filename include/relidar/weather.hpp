@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fog, rain and snow between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the air; and
-// water on the ground, which darkens it and mirrors what stands on it.
+// Fog, rain, snow and spray between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the
+// air; water on the ground, which darkens it and mirrors what stands on it; the sun and reflectors, whose light blinds a sensor.
 // Powers are relative: a surface of reflectivity rho at R metres returns rho / R^2 in clear air, rho exp(-2 alpha R) / R^2 in weather.
 // (Not in the paper; docs/method.md has the models and their sources.)
 #pragma once
 
 #include <cstdint>
 #include <limits>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -14,19 +15,35 @@ namespace relidar {
 
 class Random;
 
-/// What is in the air and on the ground, everywhere alike.
+/// Where the sun stands, and how much of it arrives.
+struct Sun {
+    double azimuth_deg = 0.0;     ///< from the x axis of the dataset's world towards its y axis
+    double elevation_deg = 0.0;
+    double klux = 0.0;            ///< on what faces it; 100 on a clear day; 0: there is none
+
+    bool operator==(const Sun&) const = default;
+};
+
+/// What is in the air, on the ground and in the sky, everywhere alike.
 struct Weather {
     double fog_visibility_m = std::numeric_limits<double>::infinity();   ///< where 5 % of the light is left
     double rain_mm_h = 0.0;   ///< millimetres of water an hour
     double snow_mm_h = 0.0;   ///< the same, melted
     double wet_mm = 0.0;      ///< depth of the water on level ground
+    double spray_mm = 0.0;    ///< depth of the water that wheels throw up behind vehicles
+    Sun sun = {};
+    /// that a retro-reflector of one square degree lends rays one degree beside it: the reflectivity that its stray light looks like, the
+    /// median over beams
+    double bloom = 0.0;
 
     bool clear() const { return *this == Weather{}; }
     bool operator==(const Weather&) const = default;
 };
 
-/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", "wet=MILLIMETRES", or several with commas between; "clear" or nothing is
-/// clear air and dry ground. @throws UsageError for other words, for numbers that are no weather, and for rain and snow at once
+/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", "wet=MILLIMETRES", "spray=MILLIMETRES" (or "spray": 0.5),
+/// "sun=AZIMUTH:ELEVATION" in degrees or "sun=AZIMUTH:ELEVATION:KLUX" (without: 100), "bloom=REFLECTIVITY" (or "bloom": 1.2e-4), or
+/// several with commas between; "clear" or nothing is clear air, dry ground and no sun.
+/// @throws UsageError for other words, for numbers that are no weather, and for rain and snow at once
 Weather parse_weather(const std::string& text);
 /// As parse_weather() reads it; "clear" for clear air.
 std::string to_text(const Weather& weather);
@@ -55,7 +72,10 @@ enum class PointSource : std::int32_t {
     fog = 1,
     rain = 2,
     snow = 3,
-    mirror = 4   ///< a surface that wet ground mirrors: as far behind the ground as the light went on from there
+    mirror = 4,  ///< a surface that wet ground mirrors: as far behind the ground as the light went on from there
+    noise = 5,   ///< nothing: light of the sun that looks like a return
+    blooming = 6,   ///< stray light of a retro-reflector elsewhere
+    spray = 7
 };
 
 /// A return of a ray.
@@ -66,10 +86,24 @@ struct Echo {
     double through_water = 1.0;  ///< share of it that water on the way leaves; 1 of what look() returns
 };
 
-/// What a sensor with one or two returns says of a ray.
+/// A part of a ray that lies in spray: its extinction is alpha exp(-decay (r - from_m)) at r metres, 1/m.
+struct SprayStretch {
+    double from_m = 0.0, to_m = 0.0;
+    double alpha = 0.0, decay = 0.0;
+
+    /// What it takes away there, 1/m; for ranges in the stretch.
+    double extinction_at(double range_m) const;
+    /// Optical depth between where it begins and a range: the integral of extinction_at(); 0 before it, all of it behind.
+    double depth_to(double range_m) const;
+};
+
+/// What a sensor with one or two returns says of a ray; and what look() is told of it beside, of which it returns nothing.
 struct RayEchoes {
     Echo strongest, second;
-    Echo mirrored = {};   ///< by wet ground: of surfaces alone, look() returns none
+    Echo mirrored = {};   ///< by wet ground
+    Echo stray = {};      ///< of a retro-reflector
+    double from_sun_rad = std::numeric_limits<double>::infinity();   ///< angle between ray and sun; infinite where no sun is seen
+    std::span<const SprayStretch> spray = {};
 };
 
 /// Share of the light that a metre takes away, 1/m: alpha of exp(-alpha R).
@@ -85,6 +119,16 @@ double mirrored_by_water(double cosine);
 double wet_over_dry(double cosine, double albedo);
 /// Share of the ground that a film covers: all of it where the water is as deep as the texture of asphalt, 1 mm (an assumption).
 double film_share(double wet_mm);
+
+/// How the noise of a receiver scatters in the light of the sun, by shot noise in a matched filter: the standard deviation of what it adds
+/// to powers. Radiance that arrives is 5 E (1 deg / angle)^2 1/sr off a dusty window, E / pi times the albedo of the surface, which is
+/// taken to face the sun, and E over its solid angle where its disc is in view.
+/// @param from_sun_rad  angle between ray and sun @param albedo  of the surface that the ray meets, 0: none
+/// @param sees_sky  whether nothing is between
+double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo, bool sees_sky);
+/// How often noise rises above a level of so many standard deviations, per metre of range: that of Gaussian noise through a matched filter,
+/// exp(-level^2 / 2) / (2 sqrt(3) tau) a second (Rice 1945; RCA Electro-Optics Handbook 1974).
+double false_returns_per_m(const WeatherSensor& sensor, double level);
 
 /// What falls: N(D) = N0 exp(-Lambda D) particles per cubic metre and millimetre of diameter D, as water.
 struct Particles {
@@ -102,6 +146,8 @@ Particles falling_in(const Weather& weather);
 ///               from 1 m on; beta of each stretch of c tau / 2 is drawn, log-normal with mean 1 times 0.046 / visibility
 ///   drop, flake: power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R) the width of the beam; those of N(D) = N0 exp(-Lambda D) per
 ///               cubic metre and millimetre that are bright enough, a Poisson process along the beam
+///   spray:      as fog, of extinction alpha(r) by place, power(R) = pi alpha(R) / S c tau / 2 exp(-2 depth(R)) / R^2, S = 18.8 sr
+///   noise:      what rises above the weakest power, a Poisson process along the ray, whatever is there
 class Air {
 public:
     /// @throws UsageError as check_weather()
@@ -129,6 +175,8 @@ private:
     void add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces) const;
     void add_fog(std::vector<Candidate>& candidates, double free_m, Random& random) const;
     void add_particles(std::vector<Candidate>& candidates, double free_m, Random& random) const;
+    void add_spray(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const;
+    void add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const;
 };
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather on a scan: what returns along each ray goes through air and water, and what comes out is put in its place.
+// Weather on a scan: what returns along each ray goes through air and water, beside stray light and noise, and what comes out is put in
+// its place.
 #include <algorithm>
 #include <bit>
 
@@ -42,15 +43,19 @@ public:
     WeatheredRays(RenderedScan& scan, const Air& air, const IntensityResponse& response)
         : scan_(scan), air_(air), response_(response), channel_(source_channel(scan)) {}
 
-    void look(std::size_t ray, const WetRay& wet, bool is_blind, std::uint64_t seed) {
+    void look(std::size_t ray, const RaysInWeather& special, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
         RayEchoes surfaces;
         if (returned(scan_.image.drop_prob[ray], scan_.median_range_m[ray]))
             surfaces.strongest = surface(scan_.median_range_m[ray], scan_.image.intensity[ray]);
         if (has_second) surfaces.second = surface(scan_.second_returns[0].range_m[ray], scan_.second_returns[0].intensity[ray]);
         RayEchoes seen = surfaces;
-        surfaces.strongest.through_water = wet.through_water;
-        surfaces.mirrored = wet.mirrored;
+        const bool is_blind = !special.blind.empty() && special.blind[ray] != 0;
+        if (!special.wet.empty())
+            surfaces.strongest.through_water = special.wet[ray].through_water, surfaces.mirrored = special.wet[ray].mirrored;
+        if (!special.stray.empty() && !is_blind) surfaces.stray = special.stray[ray];
+        if (!special.from_sun.empty()) surfaces.from_sun_rad = double(special.from_sun[ray]);
+        if (!special.spray.empty() && !is_blind) surfaces.spray = special.spray[ray];
         if (!air_.clear()) {
             seen = air_.look(surfaces, is_blind ? 0.0 : free_m(ray, surfaces), seed);
             put(ray, surfaces.strongest, seen.strongest);
@@ -103,8 +108,7 @@ void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& re
     const std::uint64_t of_scan = hash64(hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
     WeatheredRays rays(scan, air, response);
     for_each_block(scan.image.range_m.size(), [&](std::size_t ray) {
-        const bool is_blind = !special.blind.empty() && special.blind[ray] != 0;
-        rays.look(ray, special.wet.empty() ? WetRay{} : special.wet[ray], is_blind, hash64(of_scan, ray));
+        rays.look(ray, special, hash64(of_scan, ray));
     });
 }
 

@@ -20,6 +20,9 @@
 #include "render/level_ground.hpp"
 #include "render/resident_scene.hpp"
 #include "render/sensor_rays.hpp"
+#include "render/spray_plumes.hpp"
+#include "render/stray_light.hpp"
+#include "render/sunlight.hpp"
 
 namespace relidar {
 
@@ -27,6 +30,7 @@ namespace {
 
 constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
 constexpr double kSameTime_s = 1e-3;  // as a sweep of the log
+constexpr double kMoment_s = 0.1;     // in which a speed is measured
 constexpr const char* kNative = "native";   ///< image of a network: the rays of a sensor
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
@@ -145,6 +149,7 @@ struct ScanRenderer::Impl {
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
     Weather weather = {};
+    std::vector<Plume> plumes = {};   ///< of actors, in the scan that is taken
 
     /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
     SweepMoment moment(const SensorChoice& sensor, double time_s) {
@@ -184,7 +189,20 @@ struct ScanRenderer::Impl {
     RangeLimits limits_of(const SensorChoice& sensor) const;
     Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
     std::vector<WetRay> wet_rays(const RenderedScan& scan);
+    std::vector<std::vector<SprayStretch>> spray_of(const RenderedScan& scan) const;
     void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample);
+    /// Where instances are in a sweep, and the spray behind them. @param actors  where they are; null: where the run's tracks have them
+    std::vector<InstancePose> place(const SweepMoment& now, const ActorPoses* actors = nullptr) {
+        const auto at = [&](double time_s) {
+            const SweepMoment moment{time_s, now.lidar, now.start};
+            return actors ? place_instances(layout, sweep, moment, *actors) : place_instances(layout, sweep, moment);
+        };
+        std::vector<InstancePose> placed = at(now.time_s);
+        plumes.clear();
+        if (weather.spray_mm > 0.0)
+            plumes = plumes_of(layout, placed, at(now.time_s - kMoment_s), shown, sweep.world_offset_m, weather.spray_mm);
+        return placed;
+    }
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, int lidar) {
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
@@ -253,7 +271,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     const bool is_elsewhere = sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
     const PoseTrack log = s.sweep.world_from_sensor(sensor.lidar);
     s.drive(is_elsewhere ? moved_track(with_fine_turns(log), sensor_offset) : log, sensor.lidar);
-    return take(sensor, time_s, place_instances(s.layout, s.sweep, s.moment(sensor, time_s)), sample);
+    return take(sensor, time_s, s.place(s.moment(sensor, time_s)), sample);
 }
 
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
@@ -268,10 +286,10 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
     const SweepMoment sweep = s.moment(sensor, request.time_s);
-    if (!request.dataset_from_actor) return take(sensor, request.time_s, place_instances(s.layout, s.sweep, sweep), sample);
+    if (!request.dataset_from_actor) return take(sensor, request.time_s, s.place(sweep), sample);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, place_instances(s.layout, s.sweep, sweep, world_from_actor), sample);
+    return take(sensor, request.time_s, s.place(sweep, &world_from_actor), sample);
 }
 
 /// What comes back along rays of a sensor, each by itself; instances have been moved to where they are.
@@ -388,6 +406,16 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     return wet;
 }
 
+/// Parts of each ray that lie in spray; empty on a dry road.
+std::vector<std::vector<SprayStretch>> ScanRenderer::Impl::spray_of(const RenderedScan& scan) const {
+    if (weather.spray_mm == 0.0) return {};
+    const PoseTrack& track = sweep.world_from_vehicle;
+    const glm::dvec3 moved_m = track.at(scan.time_s).translation - track.at(scan.time_s - kMoment_s).translation;
+    std::vector<Plume> all = plumes;
+    if (const auto own = own_plume(scan, moved_m / kMoment_s, weather.spray_mm)) all.push_back(*own);
+    return spray_along(scan, all);
+}
+
 /// What a sensor makes of a scan in the end: a sample of what is likely, through the weather, and intensities in the steps that it has.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                                  std::optional<std::uint64_t> sample) {
@@ -398,7 +426,11 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
         const std::vector<WetRay> wet = wet_rays(scan);
-        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, {blind, wet}, sample.value_or(0));
+        const std::vector<Echo> stray = stray_light(scan, weather.bloom, sample.value_or(0));
+        const std::vector<float> from_sun = angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
+        const std::vector<std::vector<SprayStretch>> spray = spray_of(scan);
+        const RaysInWeather special = {blind, wet, stray, from_sun, spray};
+        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, special, sample.value_or(0));
     }
     if (!sample || !weather.clear())
         for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);

@@ -68,8 +68,10 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& channels
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& which) {
     command
         .add_option("--weather", weather,
-                    fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow) or wet=MILLIMETRES (of water on level "
-                                "ground), or several with commas between, in {} (default: clear); channel source says why there is a "
+                    fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), wet=MILLIMETRES (of water on level "
+                                "ground), spray=MILLIMETRES (of water that vehicles throw up), sun=AZIMUTH:ELEVATION[:KLUX] (degrees "
+                                "of the dataset's world) or bloom=REFLECTIVITY (stray light of reflectors), or several with commas "
+                                "between, in {} (default: clear); channel source says why there is a "
                                 "point",
                                 which))
         ->type_name("WEATHER");

@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: Apache-2.0
+// What blinds a sensor, and spray, on whole scans: stray light against its integral, plumes against points tried one by one, the sun before
+// and behind a wall.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/math.hpp>
+#include <relidar/render.hpp>
+
+#include "../support/device.hpp"
+#include "core/random.hpp"
+#include "render/spray_plumes.hpp"
+#include "render/stray_light.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kDegree = kPi / 180.0;
+constexpr int kRows = 128, kColumns = 192;
+constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
+
+/// Rays a quarter of a degree apart towards a wall at 20 m, on which reflectors are round: as {azimuth_deg, elevation_deg, range_m}.
+RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
+    constexpr std::size_t n = std::size_t(kRows) * kColumns;
+    RenderedScan scan;
+    scan.image.rows = kRows, scan.image.columns = kColumns;
+    for (int row = 0; row < kRows; ++row) {
+        for (int column = 0; column < kColumns; ++column) {
+            const double azimuth = kDegree * kStep_deg * (column - kColumns / 2 + 0.5);
+            const double elevation = kDegree * kStep_deg * (kRows / 2 - row - 0.5);
+            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            const auto has_ray = [&](const glm::dvec3& r) {
+                return std::hypot(azimuth - r.x * kDegree, elevation - r.y * kDegree) < kRadius_deg * kDegree;
+            };
+            const auto met = std::ranges::find_if(reflectors, has_ray);
+            scan.image.direction.push_back(glm::vec3(d));
+            scan.image.range_m.push_back(met == reflectors.end() ? 20.0f : float(met->z));
+            scan.image.intensity.push_back(met == reflectors.end() ? 0.2f : 1.0f);
+            scan.ring.push_back(std::uint16_t(row));
+        }
+    }
+    scan.image.origin.assign(n, glm::vec3(0.0f)), scan.image.drop_prob.assign(n, 0.0f);
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 0), scan.time_offset_s.assign(n, 0.0f);
+    return scan;
+}
+std::size_t ray_at(int row, int column) { return std::size_t(row) * kColumns + std::size_t(column); }
+
+/// Integral of angle^-3 over a round reflector in front, by small squares, degrees.
+double integral_at(double azimuth_deg, double elevation_deg) {
+    constexpr double kFine_deg = 0.05;
+    double sum = 0.0;
+    for (double a = -kRadius_deg; a < kRadius_deg; a += kFine_deg)
+        for (double e = -kRadius_deg; e < kRadius_deg; e += kFine_deg)
+            if (std::hypot(a, e) < kRadius_deg) sum += kFine_deg * kFine_deg / std::pow(std::hypot(a - azimuth_deg, e - elevation_deg), 3);
+    return sum;
+}
+
+TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
+    const RenderedScan scan = wall_with({{0.0, 0.0, 4.0}});
+    double sum = 0.0, squares = 0.0, n = 0.0;
+    const auto expected_in = [](int column) {
+        std::vector<double> of_row;
+        for (int row = 0; row < kRows; ++row)
+            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kColumns / 2 + 0.5), kStep_deg * (kRows / 2 - row - 0.5)));
+        return of_row;
+    };
+    const std::vector<double> of_near = expected_in(kColumns / 2 + 24), of_far = expected_in(kColumns / 2 - 60);
+    for (std::uint64_t seed = 0; seed < 40; ++seed) {
+        const std::vector<Echo> stray = stray_light(scan, 1e-4, seed);
+        ASSERT_EQ(stray.size(), scan.ring.size());
+        EXPECT_EQ(stray[ray_at(kRows / 2, kColumns / 2)].source, PointSource::nothing) << "the reflector itself";
+        for (int row = 0; row < kRows; ++row) {
+            const Echo &here = stray[ray_at(row, kColumns / 2 + 24)], &beside = stray[ray_at(row, kColumns / 2 - 60)];
+            ASSERT_EQ(here.source, PointSource::blooming);
+            ASSERT_NEAR(here.range_m, 4.0, 1e-6);
+            const double deviate = here.reflectivity / of_near[std::size_t(row)];
+            EXPECT_NEAR(beside.reflectivity / of_far[std::size_t(row)] / deviate, 1.0, 0.15) << "squares of a degree, and a beam's deviate";
+            sum += std::log(deviate), squares += std::log(deviate) * std::log(deviate), ++n;
+        }
+        const std::vector<Echo> again = stray_light(scan, 1e-4, seed);
+        for (std::size_t i = 0; i < stray.size(); i += 97) ASSERT_EQ(stray[i].reflectivity, again[i].reflectivity);
+    }
+    EXPECT_NEAR(sum / n, 0.0, 4.0 * 3.0 / std::sqrt(n));
+    EXPECT_NEAR(std::sqrt(squares / n), 3.0, 4.0 * 3.0 / std::sqrt(2.0 * n));
+    EXPECT_TRUE(stray_light(scan, 0.0, 1).empty());
+    EXPECT_TRUE(stray_light(wall_with({}), 1e-4, 1).empty());
+}
+
+/// At twice the range the same angle has a quarter of the power.
+TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
+    const RenderedScan scan = wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
+    const std::vector<Echo> stray = stray_light(scan, 1e-4, 1);
+    const int row = kRows / 2 + 20;
+    EXPECT_NEAR(stray[ray_at(row, kColumns / 2)].range_m, 4.0, 1e-6);
+    EXPECT_NEAR(stray[ray_at(row, kColumns / 2 + 32)].range_m, 8.0, 1e-6);
+}
+
+TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
+    RenderedScan scan = wall_with({{0.0, 0.0, 4.0}});
+    const RenderedScan before = scan;
+    const std::vector<Echo> stray = stray_light(scan, 1e-3, 1);
+    const Air air({.bloom = 1e-3}, {});
+    add_weather(scan, air, {}, {.stray = stray}, 1);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    int bloomed = 0;
+    for (std::size_t i = 0; i < source.size(); ++i) {
+        const double own = double(before.image.intensity[i]) / std::pow(double(before.image.range_m[i]), 2);
+        if (stray[i].reflectivity / 16.0 > own) {
+            ++bloomed;
+            ASSERT_EQ(source[i], std::int32_t(PointSource::blooming));
+            ASSERT_NEAR(scan.median_range_m[i], 4.0, 1e-5);
+            ASSERT_EQ(scan.instance[i], -1);
+        } else {
+            ASSERT_EQ(source[i], std::int32_t(PointSource::surface));
+            ASSERT_EQ(scan.median_range_m[i], before.median_range_m[i]);
+        }
+    }
+    EXPECT_GT(bloomed, 100);
+}
+
+TEST(SprayPlume, HoldsWhatLiesInItsBox) {
+    Plume plume = plume_behind({3.0, -2.0, -1.5}, {6.0, 8.0, 0.0}, 1.8, 1.4, 0.5);
+    EXPECT_NEAR(plume.reach_m, 8.0, 1e-12);
+    EXPECT_NEAR(plume.alpha, 0.1 / 9.0 * 0.2 * 0.0005 / (1.4 * 1e-4), 1e-12);
+    Random random(1);
+    int hit = 0;
+    for (int k = 0; k < 2000; ++k) {
+        const glm::dvec3 origin(random.uniform(-15, 15), random.uniform(-30, 10), random.uniform(-1, 1));
+        const glm::dvec3 target(random.uniform(-15, 15), random.uniform(-30, 10), random.uniform(-1.5, 0));
+        const glm::dvec3 direction = glm::normalize(target - origin);
+        const auto stretch = plume.along(origin, direction);
+        for (double t = 0.01; t < 60.0; t += 0.17) {
+            const glm::dvec3 p = origin + t * direction - plume.rear_m;
+            const double behind = -0.6 * p.x - 0.8 * p.y, left = -0.8 * p.x + 0.6 * p.y;
+            const bool inside = behind >= 0.0 && behind <= 24.0 && std::abs(left) <= 0.9 && p.z >= 0.0 && p.z <= 1.4;
+            const bool said = stretch && t >= stretch->from_m && t <= stretch->to_m;
+            ASSERT_EQ(inside, said) << t;
+            if (inside) {
+                ASSERT_NEAR(stretch->extinction_at(t), plume.alpha * std::exp(-behind / 8.0), 1e-12);
+            }
+            hit += inside;
+        }
+    }
+    EXPECT_GT(hit, 500);
+}
+
+class GlareInScenes : public test::DeviceTest {};
+
+/// A disc of 2 m, 12 m ahead, and beams from -1 to 2.5 degrees.
+Surfels wall_ahead() {
+    Surfels disc;
+    disc.resize(1);
+    disc.mean[0] = {12.0f, 0.0f, 0.0f};
+    disc.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    disc.log_scale[0] = glm::vec2(std::log(2.0f));
+    disc.opacity_logit[0] = 6.0f;
+    std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
+    disc.sh[kShCoefficients] = 20.0f;   // hit logit
+    return disc;
+}
+Sequence level_beams() {
+    Sequence sequence;
+    sequence.lidars[0].sensor.columns = 720;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
+    for (int beam = 0; beam < 8; ++beam) sequence.lidars[0].sensor.beams.push_back({kDegree * (2.5 - 0.5 * beam)});
+    return sequence;
+}
+
+TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
+    const Config config;
+    const Sequence sequence = level_beams();
+    ScanRenderer renderer(device(), make_background_scene(wall_ahead()), config, sequence);
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
+    const auto noise_in = [&](const Sun& sun) {
+        renderer.set_weather({.sun = sun});
+        const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
+        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"), std::int32_t(PointSource::noise));
+    };
+    EXPECT_EQ(noise_in({0.0, 0.5, 100.0}), 0) << "behind the wall";
+    EXPECT_EQ(noise_in({0.0, 60.0, 100.0}), 0) << "far above the beams";
+    renderer.set_weather({.sun = {180.0, 0.5, 100.0}});
+    const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    int n = 0;
+    for (std::size_t i = 0; i < source.size(); ++i) {
+        const double off_deg = std::acos(std::min(double(scan.image.direction[i].x) * -std::cos(0.5 * kDegree) +
+                                                      double(scan.image.direction[i].z) * std::sin(0.5 * kDegree), 1.0)) / kDegree;
+        if (source[i] == std::int32_t(PointSource::noise)) {
+            ++n;
+            ASSERT_LT(off_deg, 6.0);
+        } else {
+            ASSERT_GT(off_deg, 0.7) << "in the glare there is always noise";
+            ASSERT_EQ(scan.median_range_m[i], dark.median_range_m[i]);
+        }
+    }
+    EXPECT_GT(n, 5);
+}
+
+TEST_F(GlareInScenes, VehiclesThatDriveLeaveSprayBehind) {
+    SyntheticOptions options;
+    options.n_frames = 3;
+    const Sequence log = make_synthetic_street(options);
+    ScanRenderer renderer(device(), initialise_scene(log, {0, 1, 2}, {}), {}, log);
+    const SensorChoice sensor = choose_sensor("native", {}, log);
+    const RenderedScan dry = renderer.render(sensor, log.frames[1].time_s);
+    const auto drops_in = [&](double film_mm) {
+        renderer.set_weather({.spray_mm = film_mm});
+        const RenderedScan scan = renderer.render(sensor, log.frames[1].time_s, {}, 1);
+        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"), std::int32_t(PointSource::spray));
+    };
+    const auto thin = drops_in(0.5), thick = drops_in(5.0);
+    EXPECT_GT(thick, 200);
+    EXPECT_GT(thick, thin);
+    const double speed = options.speed_mps;
+    const auto own = own_plume(dry, {speed, 0.0, 0.0}, 5.0);
+    ASSERT_TRUE(own);
+    EXPECT_NEAR(own->rear_m.x, dry.world_from_sensor.translation.x - 2.5, 1e-9);
+    EXPECT_LT(own->rear_m.z, dry.world_from_sensor.translation.z - 1.0);
+    EXPECT_FALSE(own_plume(dry, {0.5, 0.0, 0.0}, 5.0)) << "it stands";
+    renderer.set_weather({});
+    EXPECT_EQ(renderer.render(sensor, log.frames[1].time_s).median_range_m, dry.median_range_m);
+}
+
+}  // namespace
+}  // namespace relidar
