@@ -112,13 +112,14 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor, const std
         rays_.upload(all);
         table_ = rays;
         sensor_ = sensor;
+        const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
+        first_s_ = *first, last_s_ = *last;
     }
     table_.rows = rays.rows, table_.columns = rays.columns;
 }
 
 void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {
-    const auto [first, last] = std::ranges::minmax_element(table_.time_offset_s);
-    const auto poses = poses_through_sweep(world_from_sensor, time_s, double(*first), double(*last));
+    const auto poses = poses_through_sweep(world_from_sensor, time_s, double(first_s_), double(last_s_));
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
          .poses = impl_of(stream).values(poses),

@@ -54,6 +54,7 @@ private:
     Kernel<shared::FireRaysParams> fire_;
     Kernel<shared::MeasureRaysParams> measure_;
     RayTable table_;        ///< of the rays on the device
+    float first_s_ = 0.0f, last_s_ = 0.0f;   ///< when the first and the last of them is fired
     std::string sensor_;
     Array<shared::SensorRay> rays_;
     Array<shared::DeviceRay> fired_;

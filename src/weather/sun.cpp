@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kIrradiance = 0.65;            // W/m^2/nm at 905 nm for 100 klux, direct light of a clear day (ASTM G173)
+constexpr double kIrradiance = 0.65;            // W/m^2/nm at 905 nm for 100 klux, direct light of a clear day: an assumption
 constexpr double kSun_rad = 4.65e-3;            // radius of its disc
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
 constexpr double kScatter_sr = 5.0;             // of light one degree off, by 1 / angle^2: 5 % of it in all, a window with dust on it
