@@ -97,26 +97,35 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     return result;
 }
 
+/// k ln k of whole numbers.
+class Terms {
+public:
+    explicit Terms(std::size_t most) : of_(most + 1, 0.0) {
+        for (std::size_t k = 1; k <= most; ++k) of_[k] = double(k) * std::log(double(k));
+    }
+    double operator()(std::uint32_t k) const { return of_[k]; }
+
+private:
+    std::vector<double> of_;
+};
+
 /// Returns counted by class.
 struct Counts {
     std::array<std::uint32_t, kClasses> of{};
-    std::uint32_t n = 0;
 
+    std::uint32_t n() const { return std::accumulate(of.begin(), of.end(), 0u); }
     void add(const Counts& other) {
         for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
-        n += other.n;
     }
     Counts without(const Counts& other) const {
         Counts rest = *this;
         for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
-        rest.n -= other.n;
         return rest;
     }
     /// Sum of n_c ln(n_c / n).
-    double order() const {
-        const auto term = [](double k) { return k > 0.0 ? k * std::log(k) : 0.0; };
-        double sum = -term(double(n));
-        for (const std::uint32_t k : of) sum += term(double(k));
+    double order(const Terms& terms) const {
+        double sum = -terms(n());
+        for (const std::uint32_t k : of) sum += terms(k);
         return sum;
     }
 };
@@ -128,42 +137,83 @@ struct Cut {
     std::size_t bin = 0;
 };
 
-/// @param order  positions in `returns`, those of the node
-Cut find_cut(const Returns& returns, std::span<const std::uint32_t> order) {
+constexpr std::size_t kTogether = 4;   // features whose counts stay in the first cache
+using Bins = std::array<Counts, kBins>;
+
+/// The best cut of a feature, by the counts of its bins.
+Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
-    if (order.size() < 2 * kFewestOfLeaf) return best;
-    std::vector<std::array<Counts, kBins>> counts(kFeatures);
-    for (const std::uint32_t i : order)
-        for (std::size_t f = 0; f < kFeatures; ++f) {
-            Counts& of_bin = counts[f][returns.bins[i][f]];
-            ++of_bin.of[returns.of_class[i]];
-            ++of_bin.n;
-        }
-    Counts all;
-    for (const Counts& of_bin : counts[0]) all.add(of_bin);
-    const double before = all.order();
-    for (std::size_t f = 0; f < kFeatures; ++f) {
-        Counts low;
-        for (std::size_t b = 0; b < returns.cuts[f].size(); ++b) {
-            low.add(counts[f][b]);
-            if (low.n < kFewestOfLeaf || all.n - low.n < kFewestOfLeaf) continue;
-            const double gain = low.order() + all.without(low).order() - before;
-            if (gain > best.gain) best = {gain, int(f), b};
-        }
+    Counts all, low;
+    for (const Counts& of_bin : counts) all.add(of_bin);
+    const std::uint32_t n = all.n();
+    const double before = all.order(terms);
+    std::uint32_t n_low = 0;
+    for (std::size_t b = 0; b < n_cuts; ++b) {
+        const std::uint32_t of_bin = counts[b].n();
+        if (of_bin == 0) continue;   // as good as the cut before
+        low.add(counts[b]);
+        n_low += of_bin;
+        if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
+        const double gain = low.order(terms) + all.without(low).order(terms) - before;
+        if (gain > best.gain) best = {gain, int(feature), b};
     }
     return best;
 }
 
+/// The best cut of a few features from `first` on. @param order  positions in `returns`, those of the node
+Cut find_cut_of_some(const Returns& returns, std::span<const std::uint32_t> order, std::size_t first, const Terms& terms) {
+    const std::size_t n = std::min(kTogether, kFeatures - first);
+    std::array<Bins, kTogether> counts{};
+    for (const std::uint32_t i : order)
+        for (std::size_t f = 0; f < n; ++f) ++counts[f][returns.bins[i][first + f]].of[returns.of_class[i]];
+    Cut best;
+    for (std::size_t f = 0; f < n; ++f)
+        if (const Cut cut = find_cut_of(counts[f], first + f, returns.cuts[first + f].size(), terms); cut.gain > best.gain) best = cut;
+    return best;
+}
+
+/// The best cut of a node; of equal ones that of the first feature. @param each  runs a task for 0, 1, ... below a number
+template <class Each>
+Cut find_cut(const Returns& returns, std::span<const std::uint32_t> order, const Terms& terms, const Each& each) {
+    Cut best;
+    if (order.size() < 2 * kFewestOfLeaf) return best;
+    std::array<Cut, (kFeatures + kTogether - 1) / kTogether> cuts;
+    each(int(cuts.size()), [&](int k) {
+        cuts[std::size_t(k)] = find_cut_of_some(returns, order, std::size_t(k) * kTogether, terms);
+    });
+    for (const Cut& cut : cuts)
+        if (cut.gain > best.gain) best = cut;
+    return best;
+}
+
+/// Cuts of the nodes from `first` on. Of a large node features are counted at the same time, small nodes at the same time as others.
+std::vector<Cut> find_cuts(const Returns& returns, const std::vector<std::uint32_t>& order, const Terms& terms,
+                           std::span<const IntensityScatter::Node> nodes) {
+    constexpr std::size_t kLarge = 65536;
+    std::vector<Cut> cuts(nodes.size());
+    const auto part = [&](std::size_t k) { return std::span(order).subspan(nodes[k].first, nodes[k].count); };
+    for (std::size_t k = 0; k < nodes.size(); ++k)
+        if (nodes[k].count >= kLarge)
+            cuts[k] = find_cut(returns, part(k), terms, [](int n, const auto& task) { run_parallel(n, task); });
+    run_parallel(int(nodes.size()), [&](int k) {
+        if (nodes[std::size_t(k)].count >= kLarge) return;
+        cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [](int n, const auto& task) {
+            for (int i = 0; i < n; ++i) task(i);
+        });
+    });
+    return cuts;
+}
+
 /// Parts the nodes from `first` on where it pays. @param order  of the returns; those of a node come to lie side by side
-void part_layer(const Returns& returns, std::vector<std::uint32_t>& order, std::vector<IntensityScatter::Node>& nodes, std::size_t first) {
-    const std::size_t end = nodes.size();
-    std::vector<Cut> cuts(end - first);
-    const auto part = [&](std::size_t k) { return std::span(order).subspan(nodes[first + k].first, nodes[first + k].count); };
-    std::vector<std::uint32_t> n_low(end - first, 0);
-    run_parallel(int(end - first), [&](int k) {
-        const Cut& cut = cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)));
+void part_layer(const Returns& returns, const Terms& terms, std::vector<std::uint32_t>& order, std::vector<IntensityScatter::Node>& nodes,
+                std::size_t first) {
+    const std::vector<Cut> cuts = find_cuts(returns, order, terms, std::span(nodes).subspan(first));
+    std::vector<std::uint32_t> n_low(cuts.size(), 0);
+    run_parallel(int(cuts.size()), [&](int k) {
+        const Cut& cut = cuts[std::size_t(k)];
         if (cut.feature < 0) return;
-        const auto own = part(std::size_t(k));
+        const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
+        const auto own = std::span(order).subspan(node.first, node.count);
         const auto is_low = [&](std::uint32_t i) { return returns.bins[i][std::size_t(cut.feature)] <= cut.bin; };
         n_low[std::size_t(k)] = std::uint32_t(std::stable_partition(own.begin(), own.end(), is_low) - own.begin());
     });
@@ -232,9 +282,10 @@ IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
     std::vector<std::uint32_t> order(places.size());
     std::iota(order.begin(), order.end(), 0u);
     result.nodes = {{.first = 0, .count = std::uint32_t(order.size())}};
+    const Terms terms(order.size());
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
-        part_layer(returns, order, result.nodes, first);
+        part_layer(returns, terms, order, result.nodes, first);
         first = end;
     }
     for (const std::uint32_t i : order) result.values.push_back(returns.value[i]);
