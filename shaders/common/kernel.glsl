@@ -12,6 +12,9 @@ layout(local_size_x_id = RELIDAR_ID_WORKGROUP_SIZE) in;
 /// Index of this thread. Launches of more workgroups than a device takes in one dimension are folded into two (src/gpu/stream.cpp).
 uint thread_index() { return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x; }
 
+/// Number of threads of the launch, for loops over what only the device has counted.
+uint thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
+
 /// Index of this workgroup, folded in the same way.
 uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 

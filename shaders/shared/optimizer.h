@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam over one parameter group.
+// Adam over one parameter group, and the rows that it is made for.
 #ifndef RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #include "relidar/shared/surfels.h"
@@ -12,6 +12,8 @@ struct AdamParams {
     RELIDAR_OF(Floats, FirstMoments) moment1;      // in place
     RELIDAR_OF(Floats, SecondMoments) moment2;     // in place
     RELIDAR_OF(Uints, TouchedSurfels) touched;     // input [n_rows] rows with a gradient, or address 0 = all
+    RELIDAR_OF(Uints, TouchedRows) rows;           // input [n_listed] which rows are stepped, or address 0 = all n_rows
+    RELIDAR_OF(Uints, TouchedCount) n_listed;      // input [1]
     RELIDAR_OF(Floats, ScaleBounds) bounds;        // input [n_rows] no value of a row is stepped beyond it, or address 0 = none
     RELIDAR_OF(Floats, ModelRates) model_scale;    // input [n_models] learning-rate factor of the rows of each model, or address 0 = 1
     Models models;                                 // input [n_models] where there are factors
@@ -28,8 +30,15 @@ struct AdamParams {
     uint n_rows;
     uint stride;                                   // floats a row
     uint block;                                    // columns a block: column 0 of each block has its own rate
+    uint n_blocks;                                 // of a row
     uint n_active;                                 // columns updated in each block, the first ones
-    uint only_touched;                             // 1: rows without a gradient stay as they are; 0: theirs is zero
+};
+
+struct ListTouchedParams {
+    RELIDAR_OF(Uints, TouchedSurfels) touched;   // input [n_rows]
+    RELIDAR_OF(Uints, TouchedRows) rows;         // output [n_rows] at most
+    RELIDAR_OF(Uints, TouchedCount) count;       // in place [1], 0 before
+    uint n_rows;
 };
 
 RELIDAR_SHARED_END

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of optimizer/adam: one launch a parameter group.
+// Binding of optimizer/adam, one launch a parameter group, and of optimizer/list_touched.
 #include <relidar/stages/optimizer.hpp>
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <span>
 
 #include <relidar/stages/scene.hpp>
@@ -22,12 +23,34 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 namespace {
 
 constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
+constexpr std::size_t kListThreads = 1 << 17;      // at most, where the device alone knows how many rows there are
 
 std::vector<Constant> constants(bool per_float) {
-    std::vector<Constant> all{{ConstantId::PER_FLOAT, per_float ? 1u : 0u}};
-    if (per_float) all.push_back({ConstantId::WORKGROUP_SIZE, kStreamingThreads});
-    return all;
+    return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
+
+/// The rows of a step that have a gradient.
+struct TouchedList {
+    Device& device;
+    Array<std::uint32_t, shared::TouchedRows> rows;
+    Array<std::uint32_t, shared::TouchedCount> count;
+    Kernel<shared::ListTouchedParams> kernel;
+
+    explicit TouchedList(Device& d)
+        : device(d),
+          rows(d, 0, "rows with a gradient"),
+          count(d, 1, "number of rows with a gradient"),
+          kernel(d, "optimizer/list_touched", {{ConstantId::WORKGROUP_SIZE, kStreamingThreads}}) {}
+
+    void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows) {
+        if (rows.size() < n_rows) {
+            stream.finish();   // what is there may be in use
+            rows.reserve(device, n_rows, "rows with a gradient");
+        }
+        stream.fill(count);
+        run(stream, kernel, n_rows, {.touched = touched, .rows = rows.address(), .count = count.address(), .n_rows = n_rows});
+    }
+};
 
 }  // namespace
 
@@ -37,6 +60,7 @@ struct Adam::Impl {
     SurfelArrays moment1, moment2;
     Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
+    std::optional<TouchedList> list;   ///< where it steps nothing else
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
         : options(o),
@@ -44,7 +68,9 @@ struct Adam::Impl {
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", of),
           moment2(device, moment1.n, "second moment", of),
           max_log_scale(device, 0, "bounds of scales"),
-          kernel(device, "optimizer/adam", constants(per_float)) {}
+          kernel(device, "optimizer/adam", constants(per_float)) {
+        if (options.only_touched) list.emplace(device);
+    }
 };
 
 Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of)
@@ -72,18 +98,24 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == p.n, true);
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
+    const bool listed = a.list && touched;
+    if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
+        const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
-        run(stream, a.kernel, std::size_t(n_rows) * (a.per_float ? stride : 1u),
+        const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
+        run(stream, a.kernel, listed ? std::min(n_threads, kListThreads) : n_threads,
             {.values = group.device(p).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
              .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
-             .touched = touched ? touched->address(first) : Address<std::uint32_t, shared::TouchedSurfels>{},
+             .touched = touched && !listed ? touched->address(first) : Address<std::uint32_t, shared::TouchedSurfels>{},
+             .rows = listed ? a.list->rows.address() : Address<std::uint32_t, shared::TouchedRows>{},
+             .n_listed = listed ? a.list->count.address() : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float, shared::ScaleBounds>{},
              .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{}).as<shared::ModelRates>(),
              .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
@@ -100,8 +132,8 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .n_rows = n_rows,
              .stride = stride,
              .block = block,
-             .n_active = group.harmonics ? active_harmonics : block,
-             .only_touched = a.options.only_touched ? 1u : 0u});
+             .n_blocks = n_blocks,
+             .n_active = n_active});
     }
 }
 
@@ -138,6 +170,8 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
          .moment1 = a.moment1.address(),
          .moment2 = a.moment2.address(),
          .touched = {},
+         .rows = {},
+         .n_listed = {},
          .bounds = {},
          .model_scale = {},
          .models = {},
@@ -154,8 +188,8 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
          .n_rows = static_cast<std::uint32_t>(a.moment1.size()),
          .stride = 1,
          .block = 1,
-         .n_active = 1,
-         .only_touched = 0});
+         .n_blocks = 1,
+         .n_active = 1});
 }
 
 }  // namespace relidar

@@ -164,11 +164,11 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     for (const Buffer* array : {&value.buffer(), &m.buffer(), &v.buffer()}) stream.fill(*array);
     stream.fill(gradient, 0x3f800000u);   // 1
     run(stream, kernel, n,
-        {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {},
-         .bounds = {}, .model_scale = {}, .models = {},
+        {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {}, .rows = {},
+         .n_listed = {}, .bounds = {}, .model_scale = {}, .models = {},
          .learning_rate = 1.0f, .beta1 = 0.9f, .beta2 = 0.999f, .epsilon = 1e-15f, .correction1 = 10.0f, .correction2 = 1000.0f,
          .first_scale = 1.0f, .block_scale = 1.0f, .n_models = 0, .first_row = 0,
-         .n_rows = n, .stride = 1, .block = 1, .n_active = 1, .only_touched = 0});
+         .n_rows = n, .stride = 1, .block = 1, .n_blocks = 1, .n_active = 1});
     stream.finish();
     const std::vector<float> values = value.download();
     EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }), std::ptrdiff_t(n));
