@@ -4,6 +4,8 @@
 #define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #include "relidar/shared/surfels.h"
 
+#define RELIDAR_LIST_STRETCH 16u   // rows of a thread of optimizer/list_touched
+
 RELIDAR_SHARED_BEGIN
 
 struct AdamParams {
@@ -35,7 +37,7 @@ struct AdamParams {
 };
 
 struct ListTouchedParams {
-    RELIDAR_OF(Uints, TouchedSurfels) touched;   // input [n_rows]
+    RELIDAR_OF(Uints, TouchedSurfels) touched;   // input [n_rows] 0 or 1
     RELIDAR_OF(Uints, TouchedRows) rows;         // output [n_rows] at most
     RELIDAR_OF(Uints, TouchedCount) count;       // in place [1], 0 before
     uint n_rows;

@@ -4,12 +4,13 @@
 
 #include <cstring>
 
+#include "gpu/spirv_words.hpp"
+
 namespace relidar::gpu {
 
 namespace {
 
-constexpr std::size_t kHeaderWords = 5;
-constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kOpMemberDecorate = 72, kSpecId = 1, kOffset = 35, kNonWritable = 24;
+constexpr std::uint32_t kOpDecorate = 71, kOpMemberDecorate = 72, kSpecId = 1, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
 std::vector<std::uint32_t> extension_instruction(std::string_view name) {
@@ -18,21 +19,6 @@ std::vector<std::uint32_t> extension_instruction(std::string_view name) {
     words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
     return words;
 }
-
-using Instruction = std::span<const std::uint32_t>;   // its first word holds length and opcode
-
-/// Calls f(opcode, instruction) for each instruction of a module, in order.
-template <class F>
-void for_each_instruction(std::span<const std::uint32_t> words, const F& f) {
-    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
-        f(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
-}
-
-void append(std::vector<std::uint32_t>& words, Instruction instruction) {
-    words.insert(words.end(), instruction.begin(), instruction.end());
-}
-
-const char* name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
 
 }  // namespace
 

@@ -48,7 +48,8 @@ struct TouchedList {
             rows.reserve(device, n_rows, "rows with a gradient");
         }
         stream.fill(count);
-        run(stream, kernel, n_rows, {.touched = touched, .rows = rows.address(), .count = count.address(), .n_rows = n_rows});
+        run(stream, kernel, (n_rows + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
+            {.touched = touched, .rows = rows.address(), .count = count.address(), .n_rows = n_rows});
     }
 };
 

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Execution modes added to every module of the library: nothing else changes, and spirv-val, where there is one, accepts the result.
+// What is done to every module of the library when it is loaded: nothing else changes, and spirv-val, where there is one, accepts the result.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
+#include <set>
 
 #include <unistd.h>
 
@@ -87,16 +89,57 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         }
 }
 
-TEST(SpirvModes, AreAcceptedBySpirvVal) {
+/// Loads from the block of parameters, before and after the first branch of the entry point; those of other functions count as after.
+std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
+    enum : std::uint32_t { name = 5, type_pointer = 32, function = 54, call = 57, load = 61, chain = 65, loop_merge = 246, merge = 247 };
+    std::uint32_t block = 0, pointer = 0, entry = 0;
+    std::set<std::uint32_t> addresses, places;
+    bool at_start = false;
+    std::pair<int, int> n{0, 0};
+    for (const Words& i : instructions(words)) {
+        const std::uint32_t opcode = i[0] & 0xffffu;
+        if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock") block = i[1];
+        if (opcode == kOpEntryPoint) entry = i[2];
+        if (opcode == type_pointer && i[3] == block) pointer = i[1];
+        if (opcode == function) at_start = i[2] == entry;
+        if (opcode == merge || opcode == loop_merge || opcode == call) at_start = false;
+        if (opcode == load && i[1] == pointer) addresses.insert(i[2]);
+        if (opcode == chain && addresses.contains(i[3])) places.insert(i[2]);
+        if (opcode == load && places.contains(i[3])) ++(at_start ? n.first : n.second);
+    }
+    return n;
+}
+
+/// What is indexed by a value that the device alone knows stays where it is; nothing else does.
+TEST(SpirvParameters, AreReadWhereAModuleBegins) {
+    int n_before = 0, n_later = 0;
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        const auto [first, later] = parameter_loads(gpu::with_parameters_first(kernel.words));
+        EXPECT_GE(first, 1) << kernel.name;
+        n_before += parameter_loads(kernel.words).second;
+        n_later += later;
+    }
+    EXPECT_LT(n_later, n_before / 100) << "of " << n_before;
+}
+
+void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& change) {
     if (std::system("command -v spirv-val > /dev/null") != 0) GTEST_SKIP() << "no spirv-val";
-    const fs::path file = fs::temp_directory_path() / ("relidar-modes-" + std::to_string(::getpid()) + ".spv");
+    const fs::path file = fs::temp_directory_path() / ("relidar-modules-" + std::to_string(::getpid()) + ".spv");
     const std::string command = "spirv-val --target-env vulkan1.3 --scalar-block-layout " + file.string();
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const Words words = gpu::with_execution_mode(kernel.words, gpu::kSubgroupUniformControlFlow);
+        const Words words = change(kernel.words);
         std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
         EXPECT_EQ(std::system(command.c_str()), 0) << kernel.name;
     }
     fs::remove(file);
+}
+
+TEST(SpirvModes, AreAcceptedBySpirvVal) {
+    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow); });
+}
+
+TEST(SpirvParameters, AreAcceptedBySpirvVal) {
+    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_parameters_first(gpu::with_read_only_parameters(words)); });
 }
 
 }  // namespace

@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: Apache-2.0
+// Parameters of a kernel, read once where it begins: a module's loads through the address in its push constant become loads of private
+// variables, which the entry point fills first. As glslang writes them, without optimisation:
+//   %chain = OpAccessChain %address_in_push %push %int_0      %block = OpLoad %pointer_to_block %chain
+//   %place = OpAccessChain %pointer %block %int_0 %int_k ...  %value = OpLoad %type %place Aligned n
+#include <map>
+#include <optional>
+#include <string>
+
+#include "gpu/spirv.hpp"
+#include "gpu/spirv_words.hpp"
+
+namespace relidar::gpu {
+
+namespace {
+
+enum Op : std::uint32_t {
+    kEntryPoint = 15, kTypeInt = 21, kTypeFloat = 22, kTypeVector = 23, kTypeStruct = 30, kTypePointer = 32, kConstant = 43, kFunction = 54,
+    kVariable = 59, kLoad = 61, kStore = 62, kAccessChain = 65, kDecorate = 71, kCompositeConstruct = 80, kLabel = 248, kLine = 8,
+    kNoLine = 317
+};
+constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
+
+using Words = std::vector<std::uint32_t>;
+using Path = std::vector<std::uint32_t>;   // numbers of members, from that of the block on
+
+Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
+    Words words{std::uint32_t(operands.size() + 1) << 16 | op};
+    words.insert(words.end(), operands);
+    return words;
+}
+
+/// What a module says of types, constants and its parameters.
+struct Module {
+    std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
+    Words push_chain;                                     ///< one that leads to the block's address
+    std::uint32_t entry = 0;
+    std::map<std::uint32_t, Words> types;                 ///< by their ids
+    std::map<std::uint32_t, std::uint32_t> constants;     ///< whole numbers of 32 bits, by their ids
+    std::map<std::uint32_t, bool> addresses;              ///< ids of the block's address
+    std::map<std::uint32_t, Path> places;                 ///< ids of places in the block
+
+    explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
+        for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
+    }
+
+private:
+    std::map<std::uint32_t, Words> chains_;
+
+    void read(std::uint32_t op, Instruction i) {
+        if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block = i[1];
+        if (op == kEntryPoint) entry = i[2];
+        if (op >= 19 && op <= 39) types[i[1]] = Words(i.begin(), i.end());
+        if (op == kTypePointer && i[2] == kPhysicalStorage && i[3] == block) block_pointer = i[1];
+        if (op == kTypeInt && i[2] == 32 && !int_type) int_type = i[1];
+        if (op == kConstant && i.size() == 4 && types.contains(i[1]) && (types.at(i[1])[0] & 0xffffu) == kTypeInt) constants[i[2]] = i[3];
+        if (op == kAccessChain) read_chain(i);
+        if (op == kLoad && i[1] == block_pointer && block_pointer) {
+            addresses[i[2]] = true;
+            push_chain = chains_[i[3]];
+        }
+    }
+    void read_chain(Instruction i) {
+        if (!addresses.contains(i[3])) {
+            chains_[i[2]] = Words(i.begin(), i.end());
+            return;
+        }
+        Path path;
+        for (const std::uint32_t index : i.subspan(4)) {
+            if (!constants.contains(index)) return;
+            path.push_back(constants.at(index));
+        }
+        places[i[2]] = path;
+    }
+};
+
+/// A module being written: what it gains before its functions, and what stands in the place of the loads.
+class ParametersFirst {
+public:
+    explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
+
+    /// Whether values of a type are made of private variables.
+    bool takes(std::uint32_t type) const {
+        const Words& t = module_.types.at(type);
+        if ((t[0] & 0xffffu) != kTypeStruct) return align_of(type).has_value();
+        for (std::size_t k = 2; k < t.size(); ++k)
+            if (!takes(t[k])) return false;
+        return true;
+    }
+
+    /// Writes what loads the value of a place. @param id  of the value
+    void load(Words& code, std::uint32_t type, const Path& path, std::uint32_t id) {
+        const Words& t = module_.types.at(type);
+        if ((t[0] & 0xffffu) != kTypeStruct) {
+            append(code, instruction(kLoad, {type, id, variable(type, path)}));
+            return;
+        }
+        Words construct{std::uint32_t(t.size() + 1) << 16 | kCompositeConstruct, type, id};
+        for (std::size_t k = 2; k < t.size(); ++k) {
+            Path member = path;
+            member.push_back(std::uint32_t(k - 2));
+            construct.push_back(next_++);
+            load(code, t[k], member, construct.back());
+        }
+        append(code, construct);
+    }
+
+    /// The module with what has been asked for. @param code  its functions with the loads replaced, from the first OpFunction on
+    Words written(std::span<const std::uint32_t> words, const Words& code) {
+        const Words first = fill();
+        Words result(words.begin(), words.begin() + kHeaderWords);
+        bool functions = false, decorated = false;
+        for_each_instruction(words, [&](std::uint32_t op, Instruction i) {
+            if (op == kFunction && !functions) append(result, globals_);
+            functions = functions || op == kFunction;
+            if (functions) return;
+            if (op == kDecorate && !decorated) append(result, decorations_);
+            decorated = decorated || op == kDecorate;
+            append(result, op == kEntryPoint ? entry_point(i) : Words(i.begin(), i.end()));
+        });
+        append_code(result, code, first);
+        result[3] = next_;
+        return result;
+    }
+
+private:
+    struct Variable {
+        std::uint32_t id, type;
+    };
+    const Module& module_;
+    std::uint32_t next_;
+    std::map<Path, Variable> variables_;
+    std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
+    Words globals_, decorations_;
+
+    /// Bytes that an address of a value is a multiple of; nothing for what is no number, vector or address.
+    std::optional<std::uint32_t> align_of(std::uint32_t type) const {
+        const Words& t = module_.types.at(type);
+        switch (t[0] & 0xffffu) {
+            case kTypeInt: case kTypeFloat: return t[2] / 8;
+            case kTypeVector: return align_of(t[2]);
+            case kTypePointer: return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
+            default: return std::nullopt;
+        }
+    }
+    std::uint32_t pointer(std::map<std::uint32_t, std::uint32_t>& known, std::uint32_t storage, std::uint32_t type) {
+        const auto [at, is_new] = known.try_emplace(type, next_);
+        if (is_new) append(globals_, instruction(kTypePointer, {next_++, storage, type}));
+        return at->second;
+    }
+    std::uint32_t index(std::uint32_t value) {
+        for (const auto& [id, known] : module_.constants)
+            if (known == value) return id;
+        const auto [at, is_new] = index_.try_emplace(value, next_);
+        if (is_new) append(globals_, instruction(kConstant, {module_.int_type, next_++, value}));
+        return at->second;
+    }
+    std::uint32_t variable(std::uint32_t type, const Path& path) {
+        if (const auto known = variables_.find(path); known != variables_.end()) return known->second.id;
+        const std::uint32_t pointer_type = pointer(private_pointer_, kPrivate, type), id = next_++;
+        append(globals_, instruction(kVariable, {pointer_type, id, kPrivate}));
+        if ((module_.types.at(type)[0] & 0xffffu) == kTypePointer) append(decorations_, instruction(kDecorate, {id, kAliasedPointer}));
+        variables_[path] = {id, type};
+        return id;
+    }
+    /// What fills the variables.
+    Words fill() {
+        Words code, chain = module_.push_chain;
+        const std::uint32_t block = next_ + 1;
+        chain[2] = next_;
+        append(code, chain);
+        append(code, instruction(kLoad, {module_.block_pointer, block, chain[2]}));
+        next_ += 2;
+        for (const auto& [path, v] : variables_) {
+            Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, pointer(storage_pointer_, kPhysicalStorage, v.type), next_, block};
+            for (const std::uint32_t member : path) place.push_back(index(member));
+            append(code, place);
+            append(code, instruction(kLoad, {v.type, next_ + 1, next_, kAligned, *align_of(v.type)}));
+            append(code, instruction(kStore, {v.id, next_ + 1}));
+            next_ += 2;
+        }
+        return code;
+    }
+    Words entry_point(Instruction i) const {
+        Words words(i.begin(), i.end());
+        for (const auto& [path, v] : variables_) words.push_back(v.id);
+        words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
+        return words;
+    }
+    /// The functions, with `first` behind the variables of the entry point.
+    void append_code(Words& result, const Words& code, const Words& first) const {
+        bool in_entry = false, filled = false;
+        for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
+            const std::uint32_t op = code[at] & 0xffffu;
+            in_entry = in_entry || (op == kFunction && code[at + 2] == module_.entry);
+            if (in_entry && !filled && op != kFunction && op != kLabel && op != kVariable && op != kLine && op != kNoLine) {
+                append(result, first);
+                filled = true;
+            }
+            append(result, std::span(code).subspan(at, code[at] >> 16));
+        }
+    }
+};
+
+}  // namespace
+
+std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words) {
+    const Module module(words);
+    ParametersFirst result(module);
+    Words code;
+    bool functions = false, any = false;
+    for_each_instruction(words, [&](std::uint32_t op, Instruction i) {
+        functions = functions || op == kFunction;
+        if (!functions) return;
+        const auto place = op == kLoad ? module.places.find(i[3]) : module.places.end();
+        if (place == module.places.end() || !result.takes(i[1])) return append(code, i);
+        result.load(code, i[1], place->second, i[2]);
+        any = true;
+    });
+    return any ? result.written(words, code) : Words(words.begin(), words.end());
+}
+
+}  // namespace relidar::gpu

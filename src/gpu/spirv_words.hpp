@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// SPIR-V as words: a header, then instructions whose first word holds their length and opcode.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace relidar::gpu {
+
+inline constexpr std::size_t kHeaderWords = 5;
+inline constexpr std::uint32_t kOpName = 5;
+
+using Instruction = std::span<const std::uint32_t>;
+
+/// Calls f(opcode, instruction) for each instruction of a module, in order.
+template <class F>
+void for_each_instruction(std::span<const std::uint32_t> words, const F& f) {
+    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
+        f(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
+}
+
+inline void append(std::vector<std::uint32_t>& words, Instruction instruction) {
+    words.insert(words.end(), instruction.begin(), instruction.end());
+}
+
+inline const char* name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
+
+}  // namespace relidar::gpu
