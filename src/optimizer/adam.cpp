@@ -23,7 +23,8 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 namespace {
 
 constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
-constexpr std::size_t kListThreads = 1 << 17;      // at most, where the device alone knows how many rows there are
+// at most, where the device alone knows how many rows there are; on a CPU few, so that each of its threads has as much to do
+constexpr std::size_t kListThreads = 1 << 17, kListThreadsOfCpu = 1 << 12;
 
 std::vector<Constant> constants(bool per_float) {
     return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
@@ -109,7 +110,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? std::min(n_threads, kListThreads) : n_threads,
+        run(stream, a.kernel, listed ? std::min(n_threads, a.per_float ? kListThreads : kListThreadsOfCpu) : n_threads,
             {.values = group.device(p).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
