@@ -40,6 +40,18 @@ struct ScoredFrame {
     RangeErrorCounts range_errors;
 };
 
+/// What a scan and its simulation have of somebody in a box.
+struct PeoplePoints {
+    std::vector<glm::dvec3> real_m, simulated_m;   ///< [n,3] in the frame of the box, as it is when each is seen
+    std::size_t n_both = 0, n_missed = 0, n_false = 0;   ///< rays that return from there: in both, in reality alone, simulated alone
+};
+
+/// Points in a box grown by 0.1 m, the lowest 0.15 m left out, which are ground; for the rays it is grown by 0.3 m.
+/// @param rendered,real  of the same rays @param points_m [n] ranges of the simulated points, see point_ranges()
+/// @param box  that was observed then
+PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>& points_m, const RangeImage& real, const Sequence& sequence,
+                           const SweepMoment& seen, const BoxTrack& box);
+
 /// Is given each frame once it is scored, with its images, and may add metrics.
 using SeeFrame = std::function<void(ScoredFrame&)>;
 

@@ -12,6 +12,7 @@
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include "evaluation/frame_sensor.hpp"
+#include "evaluation/people.hpp"
 #include "evaluation/tails.hpp"
 
 namespace relidar {
@@ -79,10 +80,13 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     return frames;
 }
 
-void add_tail_shares(std::vector<ScoredFrame>& frames, const Sequence& sequence) {
+void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
     for (ScoredFrame& frame : frames) {
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
-        frame.metrics.merge(tail_shares(frame.rendered.image, frame.real, sequence, sweep));
+        const RangeImage& rendered = frame.rendered.image;
+        frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
+        const std::vector<float>& points_m = point_ranges(frame.rendered, config);   // none of a baseline
+        frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep));
     }
 }
 
@@ -129,7 +133,7 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
             some.push_back(render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
         }
         std::vector<ScoredFrame> done = score(std::move(some), many.config, lpips.get());
-        add_tail_shares(done, many.sequence);
+        add_actor_scores(done, many.sequence, many.config);
         for (ScoredFrame& frame : done) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (many.see) many.see(frame);

@@ -16,6 +16,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "evaluate/run_report.hpp"
+#include "evaluate/walking_strip.hpp"
 #include "train/train_blocks.hpp"
 #include "train/training.hpp"
 #include <relidar/stages/checkpoint.hpp>
@@ -179,6 +180,7 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
     const Evaluation evaluation = score(device, run, options);
     stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
+    if (std::optional<ReportFigure> strip = walking_strip(device, run)) report.figures.push_back(std::move(*strip));
     report.facts.emplace_back("Stages", stages_text(stages));
     write_report(run.folder / "report.html", report);
     stages.end();
