@@ -80,6 +80,7 @@ public:
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
     std::uint32_t n_surfels() const { return renderer_.scene().size(); }
+    std::uint32_t rays_of_last_batch() const { return renderer_.rendered().rays.n_rays; }
     std::uint32_t kept_hits() const { return renderer_.kept_hits(); }   ///< of a ray, now
     const TrainingFrames& frames() const { return frames_; }
 

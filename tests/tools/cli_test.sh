@@ -98,6 +98,7 @@ wrong_usage() {
     bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
     bad 2 'actors: found "x"' bench --actors x
     bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
+    bad 2 'steps: found no --run beside it' bench --steps 3
     bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
     bad 3 "found a folder, expected the name of a file" bench --json .
     absent x
@@ -856,6 +857,12 @@ bench() {
     check "bench --quiet prints" test ! -s out -a ! -s err
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json
     check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
+    good bench --run run --steps 2 --json steps.json
+    says "^forward/trace +1 +[0-9.]+ +[0-9.]+%$"
+    says "^between kernels +-?[0-9.]+ +-?[0-9.]+%$"
+    says "^step, wall time +[0-9.]+ +100.0%$"
+    check "steps.json: other batches than the run's" grep -q '"rays": 768' steps.json
+    bad 2 "steps: found 501, expected 1 to 500" bench --run run --steps 501
     bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
     good bench --actors 1,3 --repeat 2 --json actors.json
     says "^ +3 +one +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"

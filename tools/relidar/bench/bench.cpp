@@ -12,6 +12,7 @@
 #include "bench/measure.hpp"
 #include "bench/scans.hpp"
 #include "bench/serve.hpp"
+#include "bench/steps.hpp"
 #include "bench/text.hpp"
 #include "command.hpp"
 #include "console.hpp"
@@ -34,6 +35,7 @@ struct BenchOptions {
     std::string actors;   ///< "1,10,100": scenes of so many actors are timed instead
     ServeBench service;
     ScanBench scans;
+    int n_steps = 0;   ///< of training; 0: not asked for
     DeviceChoice device;
 };
 
@@ -67,6 +69,12 @@ void bench_scans(const BenchOptions& options, Device& device, const std::string&
     if (!options.settings.quiet) print(scans_text(times));
 }
 
+void bench_steps(const BenchOptions& options, Device& device, const std::string& command_line) {
+    const StepTimes times = measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
+    if (!options.json.empty()) write_text(options.json, steps_json(times, device, command_line));
+    if (!options.settings.quiet) print(steps_text(times, device));
+}
+
 void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!options.service.address.empty()) return bench_service(options.service);
     check(options.choice);
@@ -82,6 +90,10 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!options.actors.empty()) actor_counts(options.actors);
     if (options.scans.n_scans != 0 && options.choice.run.empty())
         throw UsageError("--scans: found no --run beside it, expected the run that is to be rendered");
+    if (options.n_steps != 0 && options.choice.run.empty())
+        throw UsageError("--steps: found no --run beside it, expected the run that is to be trained on");
+    if (options.n_steps < 0 || options.n_steps > kMostTimedSteps)
+        throw UsageError(fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
@@ -89,6 +101,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     catch_interrupts();
     if (!options.actors.empty()) return bench_actors(options, device, command_line);
     if (options.scans.n_scans != 0) return bench_scans(options, device, command_line);
+    if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const BenchCase bench = make_case(options.choice);
     const BenchResult result = measure(device, bench, settings);
     end_progress_line();
@@ -118,6 +131,10 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
                     "time scans, training and moves of so many copies of an actor of 1000 surfels; several numbers parted by commas")
         ->type_name("LIST");
     command.add_option("--scans", options.scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
+        ->type_name("N");
+    command
+        .add_option("--steps", options.n_steps,
+                    "time so many steps of training on from --run instead, on its own batches, and what lies between their kernels")
         ->type_name("N");
     command.add_flag("--sampled", options.scans.sampled, "scans of --scans are drawn by a seed, with the sensor's noise");
     ServeBench& service = options.service;
@@ -180,6 +197,7 @@ void add_bench(CLI::App& app, Call& call) {
         "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
         "  relidar bench --run run --repeat 50\n"
         "  relidar bench --run run --scans 100\n"
+        "  relidar bench --run run --steps 100\n"
         "  relidar bench --keep-hits 0 --deterministic\n"
         "  relidar bench --actors 1,1000\n"
         "  relidar bench --serve 127.0.0.1:50051 --sensor HDL-32E:512x10 --clients 4");

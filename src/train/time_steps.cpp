@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/measure/train.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "train/train_loop.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kWarmUp = 5;
+
+/// Launches and milliseconds so far.
+std::map<std::string, StepTimes::Kernel> sums(const KernelTimes& times) {
+    std::map<std::string, StepTimes::Kernel> all;
+    for (const auto& [kernel, ms] : times.milliseconds) all[kernel] = {double(ms.size()), std::accumulate(ms.begin(), ms.end(), 0.0)};
+    return all;
+}
+
+}  // namespace
+
+StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop) {
+    if (!run.scene.blocks.empty())
+        throw UsageError(fmt::format("timing steps of {}: found a run in blocks, expected one whose scene is whole", run.folder.string()));
+    if (n_steps < 1 || n_steps > kMostTimedSteps)
+        throw UsageError(fmt::format("timing steps: found {} steps, expected 1 to {}", n_steps, kMostTimedSteps));
+    TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
+    const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
+    for (int k = 0; k < kWarmUp; ++k) loop.iterate(first + k);
+    loop.settle();
+    const std::map<std::string, StepTimes::Kernel> before = sums(loop.times());
+    StepTimes result;
+    const auto start = std::chrono::steady_clock::now();
+    for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps) loop.iterate(first + kWarmUp + result.n_steps);
+    loop.settle();
+    if (result.n_steps == 0) return result;
+    result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / result.n_steps;
+    for (const auto& [kernel, sum] : sums(loop.times())) {
+        const auto earlier = before.find(kernel);
+        const StepTimes::Kernel had = earlier == before.end() ? StepTimes::Kernel{} : earlier->second;
+        if (sum.launches == had.launches) continue;
+        result.kernels[kernel] = {(sum.launches - had.launches) / result.n_steps, (sum.ms - had.ms) / result.n_steps};
+        result.kernels_ms += result.kernels[kernel].ms;
+    }
+    result.surfels = loop.n_surfels();
+    result.rays = loop.rays_of_last_batch();
+    result.kept_hits = loop.kept_hits();
+    return result;
+}
+
+}  // namespace relidar
