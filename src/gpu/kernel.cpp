@@ -32,7 +32,7 @@ constexpr std::array<std::string_view, 2> kReconverging{"accel/bvh_cluster", "ba
 /// The module as this device is to have it.
 std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem) {
     std::vector<std::uint32_t> words = gpu::with_read_only_parameters(find_words(name));
-    if (device.info.type == "CPU") words = gpu::with_parameters_first(words);
+    if (device.info.driver.starts_with("llvmpipe")) words = gpu::with_parameters_first(words);
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
         if (device.optional.maximal_reconvergence) return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
         if (device.optional.subgroup_uniform_control_flow) return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
