@@ -2,6 +2,8 @@
 #include "evaluation/people.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <optional>
 
 #include <relidar/evaluation.hpp>
 #include <relidar/scene.hpp>

@@ -5,6 +5,7 @@
 //   %place = OpAccessChain %pointer %block %int_0 %int_k ...  %value = OpLoad %type %place Aligned n
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 
 #include "gpu/spirv.hpp"
@@ -37,7 +38,7 @@ struct Module {
     std::uint32_t entry = 0;
     std::map<std::uint32_t, Words> types;                 ///< by their ids
     std::map<std::uint32_t, std::uint32_t> constants;     ///< whole numbers of 32 bits, by their ids
-    std::map<std::uint32_t, bool> addresses;              ///< ids of the block's address
+    std::set<std::uint32_t> addresses;                    ///< ids of the block's address
     std::map<std::uint32_t, Path> places;                 ///< ids of places in the block
 
     explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
@@ -56,7 +57,7 @@ private:
         if (op == kConstant && i.size() == 4 && types.contains(i[1]) && (types.at(i[1])[0] & 0xffffu) == kTypeInt) constants[i[2]] = i[3];
         if (op == kAccessChain) read_chain(i);
         if (op == kLoad && i[1] == block_pointer && block_pointer) {
-            addresses[i[2]] = true;
+            addresses.insert(i[2]);
             push_chain = chains_[i[3]];
         }
     }

@@ -14,6 +14,7 @@
 #include <relidar/train.hpp>
 
 #include "train/drops/refine_keeper.hpp"
+#include "train/drops/stripes.hpp"
 #include "train/frames/measured_frame.hpp"
 
 namespace relidar {
@@ -63,58 +64,6 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// Stretches of columns, in place of a whole image. A network of single pixels has a thousand parameters, which do not need every pixel of
-/// every frame; neighbouring columns stay together, since the angle of incidence is found from those around a pixel.
-class Stripes {
-public:
-    /// @param of_frame  number of the frame: one after the other sees all columns
-    Stripes(const Config& config, const SensorChoice& sensor, std::size_t of_frame)
-        : rows_(std::size_t(sensor.rays.rows)), columns_(sensor.rays.columns) {
-        const int n = columns_ / kColumns, share = int(sensor.rays.size()) / kPixels;
-        if (config.refine.network != "pixel" || sensor.grid || share < 2 || n < share) return;
-        for (int k = int(of_frame % std::size_t(share)); k < n / share * share; k += share) first_.push_back(k * kColumns);
-    }
-
-    /// The rays of the stripes and of a few columns to either side, which crop() takes away.
-    RayTable rays(const RayTable& all) const {
-        if (first_.empty()) return all;
-        RayTable some = some_rays(all, places(kMargin));
-        some.rows = int(rows_);
-        some.columns = int(first_.size()) * (kColumns + 2 * kMargin);
-        return some;
-    }
-    DropImage crop(const DropImage& image) const {
-        if (first_.empty()) return image;
-        constexpr std::size_t kRendered = kColumns + 2 * kMargin;
-        DropImage result{image.rows, int(first_.size()) * kColumns, {}, {}};
-        for (std::size_t i = 0; i < image.channels.size(); ++i)
-            if (const std::size_t column = i % kRendered; column >= kMargin && column < kMargin + kColumns)
-                result.channels.push_back(image.channels[i]);
-        return result;
-    }
-    std::vector<float> values(const std::vector<float>& all) const {
-        if (first_.empty()) return all;
-        std::vector<float> some;
-        for (const std::size_t i : places(0)) some.push_back(all[i]);
-        return some;
-    }
-
-private:
-    static constexpr int kColumns = 64, kMargin = 4, kPixels = 32768;   // of a stripe, beside it, of an image
-    const std::size_t rows_;
-    const int columns_;
-    std::vector<int> first_;   ///< columns; none: the whole image
-
-    std::vector<std::size_t> places(int margin) const {
-        std::vector<std::size_t> places;
-        for (std::size_t row = 0; row < rows_; ++row)
-            for (const int first : first_)
-                for (int c = first - margin; c < first + kColumns + margin; ++c)
-                    places.push_back(row * std::size_t(columns_) + std::size_t((c + columns_) % columns_));
-        return places;
-    }
-};
-
 /// What a network sees of the training frames and what came of it. @return nothing where stopped
 std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config, const RefineSession& session) {
     const std::vector<int> positions = spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
@@ -130,7 +79,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         if (session.progress) session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         SensorChoice sensor = rays_of(config, run.sequence, frame);
-        const Stripes stripes(config, sensor, images.size());
+        const bool parted = config.refine.network == "pixel" && !sensor.grid;
+        const Stripes stripes(parted ? stripe_share(sensor.rays) : 1, sensor.rays, images.size());
         sensor.rays = stripes.rays(turned_rays(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         images.push_back(stripes.crop(drop_image(scan, channels, first_origin(run.sequence))));
