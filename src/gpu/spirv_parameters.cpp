@@ -173,7 +173,8 @@ private:
         append(code, instruction(kLoad, {module_.block_pointer, block, chain[2]}));
         next_ += 2;
         for (const auto& [path, v] : variables_) {
-            Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, pointer(storage_pointer_, kPhysicalStorage, v.type), next_, block};
+            const std::uint32_t to_storage = pointer(storage_pointer_, kPhysicalStorage, v.type);
+            Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, next_, block};
             for (const std::uint32_t member : path) place.push_back(index(member));
             append(code, place);
             append(code, instruction(kLoad, {v.type, next_ + 1, next_, kAligned, *align_of(v.type)}));

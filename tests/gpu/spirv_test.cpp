@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is done to every module of the library when it is loaded: nothing else changes, and spirv-val, where there is one, accepts the result.
+// What is done to every module of the library when it is loaded: nothing else changes, and spirv-val, where there is one, accepts the
+// result.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scores of people: of the scan itself, of one that is 5 cm off, of one that lost them; their points against those of each ray at the moment
-// of its firing.
+// Scores of people: of the scan itself, of one that is 5 cm off, of one that lost them; their points against those of each ray at the
+// moment of its firing.
 #include "evaluation/people.hpp"
 
 #include <gtest/gtest.h>
@@ -68,7 +68,7 @@ TEST_F(PeopleScores, TakePointsAtTheMomentOfTheirFiring) {
             expected += glm::all(glm::lessThanEqual(glm::abs(p), half)) && p.z >= 0.15 - 0.5 * box.size_m.z;
         }
         const PeoplePoints points = people_points(real, real.range_m, real, street, moment_of(frame), box);
-        EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0) << box.id << ": a point at the edge of the box may fall to either side";
+        EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0) << box.id << ": a point at the edge may fall to either side";
     }
     EXPECT_EQ(n_people, 3u);
 }

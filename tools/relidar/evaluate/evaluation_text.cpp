@@ -33,9 +33,9 @@ constexpr const char* kRegions =
     "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
 constexpr const char* kActors =
     "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is "
-    "now; tail_share_real: of the log's; people_*: people and cyclists that move and really return 10 points, in their boxes grown by 0.1 m "
-    "and above the ground: Chamfer distance, both ways summed; share of the simulated points within 3 cm of a real one; F1 of the rays that "
-    "return from a box grown by 0.3 m";
+    "now; tail_share_real: of the log's; people_*: people and cyclists that move and really return 10 points, in their boxes grown by "
+    "0.1 m and above the ground: Chamfer distance, both ways summed; share of the simulated points within 3 cm of a real one; F1 of the "
+    "rays that return from a box grown by 0.3 m";
 constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json protocol_json(const Config& config) {
