@@ -105,7 +105,7 @@ Config quick() {
     config.train.log_every = 20;
     config.refine.network = "pixel";    // nearly all of what "small" gains, for a quarter of its time
     config.refine.frames = 32;
-    config.refine.epochs = 6;
+    config.refine.epochs = 12;
     return config;
 }
 

@@ -116,7 +116,9 @@ TEST_F(ConfigFile, FilesOfEarlierVersionsSayWhatPresetsSay) {
         Config config;
         load_config(config, std::filesystem::path(RELIDAR_SOURCE_DIR) / "tests/config/4f17562" / (std::string(name) + ".toml"),
                     [&](const std::string& note) { notes.push_back(note); });
-        expect_equal(config, make_preset(name));
+        Config preset = make_preset(name);
+        if (preset.preset == "quick") preset.refine.epochs = 6;   // 12 since its network sees a part of each frame
+        expect_equal(config, preset);
         ASSERT_EQ(notes.size(), 1u) << name;
         EXPECT_NE(notes[0].find("60 settings of an earlier version, whose values are what the program does now: dataset.allow_"),
                   std::string::npos);

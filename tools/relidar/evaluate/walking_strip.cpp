@@ -114,8 +114,9 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
     return ReportFigure{
-        fmt::format("{} {} walks, {:.0f} m away: successive frames, of training too, from the right, coloured from right to left",
-                    walk.box->category, walk.box->id, walk.distance_m),
+        fmt::format("{} {} {}, {:.0f} m away: successive frames, of training too, from the right, coloured from right to left",
+                    walk.box->category, walk.box->id, object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
+                    walk.distance_m),
         {{"real", drawn(real, walk.box->size_m)}, {"simulated", drawn(simulated, walk.box->size_m)}}};
 }
 
