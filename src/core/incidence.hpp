@@ -18,10 +18,13 @@ struct ImageRays {
     glm::dvec3 point(std::size_t i) const { return glm::dvec3(origin[i]) + double(range_m[i]) * glm::dvec3(direction[i]); }
 };
 
+/// Columns to either side that incidence_cosine() looks at.
+inline constexpr std::size_t kIncidenceColumns = 4;
+
 /// Cosine of the angle of incidence at pixel i, from the points four columns to either side, so that centimetres of noise do not tilt it,
 /// and from the rows above and below. @return below 0 where one of them is missing or lies on another surface
 inline double incidence_cosine(const ImageRays& image, std::size_t i) {
-    constexpr std::size_t kColumns = 4;
+    constexpr std::size_t kColumns = kIncidenceColumns;
     constexpr double kSameSurface = 0.2;   // of the range
     const auto columns = std::size_t(image.columns), row = i / columns, column = i % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) || !(image.range_m[i] > 0.0f)) return -1.0;

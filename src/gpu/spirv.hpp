@@ -30,7 +30,7 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
 
 /// The module with its parameters read into private variables where it begins. For Mesa's lavapipe: behind a branch or in a loop it loads
-/// what has one address for all lanes lane by lane, which cost Adam half of its time. A GPU chooses better when to read them.
+/// what has one address for all lanes lane by lane, which was two fifths of Adam's time. A GPU chooses better when to read them.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
 
 /// Ids of the module's specialisation constants.

@@ -9,9 +9,11 @@
 #include <relidar/refine.hpp>
 #include <relidar/sensor.hpp>
 
+#include "core/incidence.hpp"
+
 namespace relidar {
 
-/// One stripe in so many leaves about 32,768 pixels of an image. @return 1: all of it
+/// One stripe in so many leaves about 32,768 pixels of an image. @return below 2: all of it
 inline int stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Columns are a ring.
@@ -32,7 +34,7 @@ public:
         if (first_.empty()) return all;
         RayTable some = some_rays(all, places(kMargin));
         some.rows = int(rows_);
-        some.columns = int(first_.size()) * (kColumns + 2 * kMargin);
+        some.columns = int(first_.size() * (kColumns + 2 * kMargin));
         return some;
     }
     /// @param image  of rays()
@@ -54,7 +56,7 @@ public:
     }
 
 private:
-    static constexpr int kMargin = 4;   // that incidence_cosine() looks to either side
+    static constexpr std::size_t kMargin = kIncidenceColumns;
     std::size_t rows_, columns_;
     std::vector<std::size_t> first_;   ///< columns; none: the whole image
 
