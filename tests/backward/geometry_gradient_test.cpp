@@ -78,7 +78,7 @@ test::RandomScene smooth_wall(const reference::Settings& settings) {
 }
 
 /// The losses of a wall in double, and what they are made of.
-struct Problem {
+struct WallProblem {
     reference::Settings settings;
     test::RandomScene scene = smooth_wall(settings);
     LossWeights weights;
@@ -86,7 +86,7 @@ struct Problem {
     std::optional<std::vector<std::optional<glm::dvec3>>> frozen;   ///< normals held where they are
     std::vector<double> surfel_lengths, ray_lengths;   ///< by how much normals are not of length 1; empty: not at all
 
-    explicit Problem(const LossWeights& w) : weights(w) {
+    explicit WallProblem(const LossWeights& w) : weights(w) {
         settings.view_origin = scene.view_origin;
         std::mt19937_64 random(7);
         std::uniform_real_distribution<double> unit(0.0, 1.0);
@@ -149,7 +149,7 @@ struct DevicePasses : test::Passes {
     Array<float> loss_terms;
     double n_returned = 0.0;
 
-    DevicePasses(Device& d, const Problem& p, std::uint32_t keep_hits, const BackwardOptions& options)
+    DevicePasses(Device& d, const WallProblem& p, std::uint32_t keep_hits, const BackwardOptions& options)
         : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()),
                  {.accel = {.proxy = Proxy::boxes}, .trace = trace_options(p.weights), .keep_hits = keep_hits}, options),
           losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
@@ -168,12 +168,8 @@ struct DevicePasses : test::Passes {
     }
 };
 
-glm::dquat turn_by(const glm::dvec3& w) {
-    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
-}
-
 /// Rows by central differences, the same names and order as in `actual_rows`.
-std::vector<std::pair<std::string, std::vector<double>>> expected_rows(Problem& p) {
+std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProblem& p) {
     std::vector<std::pair<std::string, std::vector<double>>> rows;
     const auto terms = [&] { return p.terms(); };
     const auto add = [&](const char* name, double* x, int n, double step = test::kDifferenceStep) {
@@ -199,14 +195,14 @@ std::vector<std::pair<std::string, std::vector<double>>> expected_rows(Problem& 
     for (reference::Placement& placed : p.scene.world.instances) {
         const Pose start = placed.world_from_model;
         add_twist("pose", [&](const glm::dvec3& v, const glm::dvec3& w) {
-            placed.world_from_model = {turn_by(w) * start.rotation, start.translation + v};
+            placed.world_from_model = {test::turn_by(w) * start.rotation, start.translation + v};
         });
     }
     const std::vector<reference::Ray> rays = p.scene.rays;
     add_twist("sensor", [&](const glm::dvec3& v, const glm::dvec3& w) {
         for (std::size_t i = 0; i < rays.size(); ++i)
-            p.scene.rays[i] = {p.settings.view_origin + turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
-                               turn_by(w) * rays[i].direction, rays[i].measured_m};
+            p.scene.rays[i] = {p.settings.view_origin + test::turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
+                               test::turn_by(w) * rays[i].direction, rays[i].measured_m};
     });
     return rows;
 }
@@ -231,8 +227,8 @@ using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 /// The same problem with what Vulkan's exp and division may be off, each up or down: scales by the exp of their logarithm, alphas by the
 /// sigmoid of the opacity and by the exp of a hit one standard deviation from the mean, distances along a ray by their division, normals by
 /// their length.
-Problem rounded(const Problem& p, std::uint64_t seed) {
-    Problem moved = p;
+WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
+    WallProblem moved = p;
     std::mt19937_64 random(seed);
     const auto sign = [&] { return random() % 2 == 0 ? -1.0 : 1.0; };
     for (reference::Surfel& s : moved.scene.world.surfels) {
@@ -250,10 +246,10 @@ Problem rounded(const Problem& p, std::uint64_t seed) {
 }
 
 /// Rows of the problem, and how far each moves where the device computes other last digits, the most of some draws.
-std::pair<Rows, std::vector<double>> expected_and_moved(const Problem& p) {
+std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
     std::vector<Rows> draws(5);   // the first is the problem itself
     run_parallel(int(draws.size()), [&](int i) {
-        Problem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
+        WallProblem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
         draws[std::size_t(i)] = expected_rows(drawn);
     });
     std::vector<double> moved(draws[0].size(), 0.0);
@@ -283,7 +279,7 @@ protected:
     }
 
     void expect_agreement(const LossWeights& weights, const std::string& title) {
-        const Problem p(weights);
+        const WallProblem p(weights);
         const auto [expected, moved] = expected_and_moved(p);
         for (const Reduction reduction : {Reduction::atomics, Reduction::gather})
             for (const std::uint32_t kept : {0u, 4u}) {
@@ -322,7 +318,7 @@ TEST_F(GeometryGradient, WithTheImageLosses) { expect_agreement(geometry_weights
 
 /// What the tests above would not notice if the normals of the range image were taken for constants: a third of the gradient of the means.
 TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
-    Problem p(geometry_weights(0.0f, 0.0f, 1.0f));
+    WallProblem p(geometry_weights(0.0f, 0.0f, 1.0f));
     double all = 0.0, difference = 0.0;
     for (const bool hold : {false, true}) {
         if (hold) p.frozen = image_normals(p.image());
@@ -404,7 +400,7 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
 }
 
 TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
-    const Problem p(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f));
+    const WallProblem p(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f));
     std::vector<float> first;
     for (int i = 0; i < 3; ++i) {
         DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});

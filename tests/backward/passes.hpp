@@ -4,6 +4,8 @@
 
 #include <vector>
 
+#include <glm/gtc/quaternion.hpp>
+
 #include <relidar/stages/differentiable_renderer.hpp>
 
 #include "../support/device.hpp"
@@ -13,6 +15,11 @@
 #include "../support/random_scene.hpp"
 
 namespace relidar::test {
+
+/// The rotation by |w| radians about w.
+inline glm::dquat turn_by(const glm::dvec3& w) {
+    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
+}
 
 inline RendererOptions with_room(RendererOptions options, std::size_t n_rays) {
     options.n_rays = static_cast<std::uint32_t>(n_rays);

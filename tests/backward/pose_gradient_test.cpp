@@ -19,17 +19,13 @@ using test::GradientTable;
 using test::lanes;
 using test::Passes;
 
-glm::dquat turn_by(const glm::dvec3& w) {
-    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
-}
-
 /// A random scene, its upstream gradients and the double loss.
-struct Problem {
+struct PoseProblem {
     reference::Settings settings;
     test::RandomScene scene;
     std::vector<PixelGradient> upstream;
 
-    Problem(ShDirection direction, const test::RandomSceneOptions& options) {
+    PoseProblem(ShDirection direction, const test::RandomSceneOptions& options) {
         settings.image.sh_direction = direction;
         settings.image.primitive = options.primitive;
         scene = test::make_random_scene(options, settings);
@@ -49,7 +45,7 @@ struct Problem {
 
     /// The whole sensor moved by v and turned by w about the view origin.
     std::vector<double> terms_of_moved_sensor(const glm::dvec3& v, const glm::dvec3& w) const {
-        const glm::dquat turn = turn_by(w);
+        const glm::dquat turn = test::turn_by(w);
         reference::Settings s = settings;
         s.view_origin += v;
         std::vector<reference::Ray> rays = scene.rays;
@@ -79,7 +75,7 @@ void add_twist(GradientTable& table, const std::string& name, const std::vector<
 class PoseGradient : public test::DeviceTest {
 protected:
     void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options, const std::string& title) {
-        Problem p(direction, options);
+        PoseProblem p(direction, options);
         const reference::BruteForce brute(p.scene.world, p.settings.image, reference::Precision::double_record);
         reference::Gradients expected(p.scene.world);
         for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
@@ -95,7 +91,7 @@ protected:
             reference::Placement& placed = p.scene.world.instances[k];
             const Pose start = placed.world_from_model;
             const std::vector<double> differences = twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
-                placed.world_from_model = {turn_by(w) * start.rotation, start.translation + v};
+                placed.world_from_model = {test::turn_by(w) * start.rotation, start.translation + v};
                 return p.terms(p.scene.rays, p.settings);
             });
             placed.world_from_model = start;
@@ -198,7 +194,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
 TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     test::RandomSceneOptions options;
     options.seed = 44, options.actor_instances = 3;
-    Problem p(ShDirection::ray, options);
+    PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
     std::vector<InstancePose> placed = passes.renderer.scene().poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};

@@ -10,10 +10,9 @@
 #include "../support/pixel_gradients.hpp"
 #include "../support/random_scene.hpp"
 
-namespace relidar {
+namespace relidar::reference {
 namespace {
 
-using namespace reference;
 using test::GradientTable;
 
 /// A scene, random upstream gradients, and the loss sum_r g_r . pixel_r.
@@ -243,4 +242,4 @@ TEST(ReferenceGradient, ChunkSizeDoesNotMatter) {
 }
 
 }  // namespace
-}  // namespace relidar
+}  // namespace relidar::reference

@@ -109,6 +109,11 @@ std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses) {
     return columns;
 }
 
+std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses) {
+    for (FeatherColumn& column : pose_columns(poses)) columns.push_back(std::move(column));
+    return columns;
+}
+
 Pose Argoverse2Log::vehicle_at(double time_s) {
     return {glm::angleAxis(0.6 + 0.35 * time_s, glm::dvec3(0, 0, 1)), kCity_m + time_s * glm::dvec3(9.0, 6.0, 0.1)};
 }

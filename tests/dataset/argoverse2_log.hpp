@@ -15,6 +15,8 @@ namespace relidar::test {
 
 /// Rows of a pose table: quaternion and translation columns.
 std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses);
+/// These columns and those of the poses.
+std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
     bool half_precision = false;  ///< coordinates as the dataset has them; else single precision, so that truth can be compared

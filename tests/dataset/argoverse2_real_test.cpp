@@ -92,11 +92,6 @@ std::vector<RealSweep> read_real(const fs::path& scratch) {
     return sweeps;
 }
 
-std::vector<test::FeatherColumn> with_poses(std::vector<test::FeatherColumn> columns, const std::vector<Pose>& poses) {
-    for (test::FeatherColumn& column : test::pose_columns(poses)) columns.push_back(std::move(column));
-    return columns;
-}
-
 std::string sweep_bytes(const RealSweep& sweep) {
     std::vector<float> coordinate[3];
     for (std::size_t i = 0; i < sweep.xyz.size(); ++i) coordinate[i % 3].push_back(sweep.xyz[i]);
@@ -124,15 +119,15 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
     const auto write = [&](const char* file, const std::vector<test::FeatherColumn>& columns) {
         test::write_text(folder / file, test::feather_bytes(columns, test::FeatherCodec::lz4));
     };
-    write("annotations.feather", with_poses({test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
+    write("annotations.feather", test::with_poses({test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
                                              test::text_column("category", category), test::number_column("length_m", size[0]),
                                              test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
                                             boxes));
     write("city_SE3_egovehicle.feather",
-          with_poses({test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
+          test::with_poses({test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
                      {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
     write("calibration/egovehicle_SE3_sensor.feather",
-          with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, {kMounted[0], kMounted[1]}));
+          test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, {kMounted[0], kMounted[1]}));
 }
 
 double elevation_deg(const glm::dvec3& p) {

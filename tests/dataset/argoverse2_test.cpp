@@ -222,11 +222,6 @@ void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::s
     test::write_text(file, good);
 }
 
-std::vector<test::FeatherColumn> with_poses(std::vector<test::FeatherColumn> columns, const std::vector<Pose>& poses) {
-    for (test::FeatherColumn& column : test::pose_columns(poses)) columns.push_back(std::move(column));
-    return columns;
-}
-
 TEST(Argoverse2, SaysWhichFileIsWrong) {
     const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
     const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns, const std::string& part) {
@@ -235,21 +230,21 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"), way = log.file("city_SE3_egovehicle.feather"),
                    boxes = log.file("annotations.feather"), sweep = log.sweep(1);
     const std::vector<Pose> two(2);
-    refuse(sensors, with_poses({test::text_column("sensor_name", {"up_lidar", "ring"})}, two), "column 'sensor_name': no down_lidar");
+    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "ring"})}, two), "column 'sensor_name': no down_lidar");
     std::vector<Pose> bad = two;
     bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
-    refuse(sensors, with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, bad),
+    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, bad),
            "columns 'qw' to 'qz': row 1 has length 0.5, expected 1");
     const auto times = [](std::vector<std::int64_t> t) { return test::number_column("timestamp_ns", t); };
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
-    refuse(way, with_poses({times({first, first})}, two), "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
-    refuse(way, with_poses({times({first, first + 1})}, two), "no pose at 315966265360088000, the time of a sweep");
+    refuse(way, test::with_poses({times({first, first})}, two), "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
+    refuse(way, test::with_poses({times({first, first + 1})}, two), "no pose at 315966265360088000, the time of a sweep");
     bad = two;
     bad[0].translation.y = NAN;
-    refuse(way, with_poses({times({first, second})}, bad), "column 'ty_m': row 0 is nan, expected a finite number");
+    refuse(way, test::with_poses({times({first, second})}, bad), "column 'ty_m': row 0 is nan, expected a finite number");
     const auto label = [&](double length_m) {
         const std::vector<double> one{1.0};
-        return with_poses({times({first}), test::text_column("track_uuid", {"a"}), test::text_column("category", {"DOG"}),
+        return test::with_poses({times({first}), test::text_column("track_uuid", {"a"}), test::text_column("category", {"DOG"}),
                            test::number_column("length_m", std::vector<double>{length_m}), test::number_column("width_m", one),
                            test::number_column("height_m", one)},
                           {Pose{}});

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors put on the ground: on a slope that is known, below a roof, beside a wall, and on the street whose ground is at a known height.
+// Actors put_down on the ground: on a slope that is known, below a roof, beside a wall, and on the street whose ground is at a known height.
 #include <cmath>
 
 #include <gmock/gmock.h>
@@ -58,13 +58,13 @@ DrivingScene slope() {
     return d;
 }
 
-Start put(const DrivingScene& d, const GroundPlace& place, const std::string& track) {
+Start put_down(const DrivingScene& d, const GroundPlace& place, const std::string& track) {
     return start_on_ground({d.scene, d.sequence}, place, {d.scene, d.sequence}, track);
 }
 
 /// Pose in relidar's world of the van at a place.
 Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw_rad = {}) {
-    Start start = put(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
+    Start start = put_down(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
     EXPECT_EQ(start.speed_mps, 3.0);
     start.dataset_from_box.translation -= kWorldOffset_m;
     return start.dataset_from_box;
@@ -155,7 +155,7 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
 }
 
 std::string refusal(const DrivingScene& d, const glm::dvec2& dataset_m, const std::string& track = "van") {
-    return error_message<UsageError>([&] { (void)put(d, {dataset_m}, track); });
+    return error_message<UsageError>([&] { (void)put_down(d, {dataset_m}, track); });
 }
 
 TEST(Ground, SaysWhereThereIsNone) {
@@ -183,7 +183,7 @@ TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
     const BoxTrack& car = d.sequence.boxes.front();
     const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;   // the street is flat
     for (const glm::dvec2 beside : {glm::dvec2(0.0, 0.0), glm::dvec2(-6.0, 3.0), glm::dvec2(8.0, 0.0)}) {
-        const Pose pose = put(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;
+        const Pose pose = put_down(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;
         EXPECT_NEAR(pose.translation.z, there.z, 0.03) << beside.x << "," << beside.y;
         EXPECT_GT((pose.rotation * glm::dvec3(0, 0, 1)).z, std::cos(0.015)) << beside.x << "," << beside.y;
     }

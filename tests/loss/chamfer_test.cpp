@@ -49,7 +49,7 @@ Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     return c;
 }
 
-struct Found {
+struct FoundChamfer {
     std::array<std::vector<std::uint32_t>, 2> nearest;
     double loss = 0.0;
     std::vector<float> upstream;   ///< [n,5]
@@ -62,7 +62,7 @@ struct Setting {
     float weight = 1.0f;   ///< W of every rendered ray
 };
 
-Found device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
+FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
     const std::size_t n = c.rays.size();
     std::vector<shared::RenderedRay> rendered;
     std::vector<DeviceRay> rays(n * s.stride);
@@ -119,7 +119,7 @@ void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm
     }
 }
 
-void expect_exact(const Clouds& c, const Found& found, const std::string& what) {
+void expect_exact(const Clouds& c, const FoundChamfer& found, const std::string& what) {
     const std::vector<glm::vec3> simulated = points(c, c.simulated), measured = points(c, c.measured);
     expect_nearest(simulated, measured, found.nearest[0], (what + ", simulated").c_str());
     expect_nearest(measured, simulated, found.nearest[1], (what + ", measured").c_str());
@@ -151,7 +151,7 @@ TEST_F(Chamfer, DegenerateClouds) {
     const auto expect = [&](const char* what, const std::function<void(Clouds&)>& change) {
         Clouds c = scan;
         change(c);
-        const Found found = device_chamfer(device(), c);
+        const FoundChamfer found = device_chamfer(device(), c);
         expect_exact(c, found, what);
         const bool empty = c.simulated == std::vector<float>(320, 0.0f) || c.measured == std::vector<float>(320, 0.0f);
         EXPECT_EQ(found.loss == 0.0, empty || c.simulated == c.measured) << what;
@@ -175,13 +175,13 @@ TEST_F(Chamfer, DegenerateClouds) {
 
 TEST_F(Chamfer, UnknownDroppedAndThinRaysAreNoPoints) {
     const Clouds c = lattice_scan(4, 20, 0.0f);
-    const Found thin = device_chamfer(device(), c, {.weight = 0.05f}), solid = device_chamfer(device(), c, {.weight = 0.2f});
+    const FoundChamfer thin = device_chamfer(device(), c, {.weight = 0.05f}), solid = device_chamfer(device(), c, {.weight = 0.2f});
     EXPECT_EQ(thin.nearest[0], std::vector<std::uint32_t>(80, ~0u)) << "hardly any weight";
     EXPECT_EQ(thin.loss, 0.0);
     EXPECT_NE(solid.nearest[0][0], ~0u);
     Clouds broken = c;
     broken.simulated[7] = std::numeric_limits<float>::quiet_NaN();
-    const Found found = device_chamfer(device(), broken);
+    const FoundChamfer found = device_chamfer(device(), broken);
     EXPECT_EQ(found.nearest[0][7], ~0u);
     for (const std::uint32_t i : found.nearest[1]) EXPECT_NE(i, 7u);
     EXPECT_TRUE(std::isfinite(found.loss));
@@ -201,7 +201,7 @@ TEST_F(Chamfer, AgreesWithReference) {
         const float weight = 0.6f;
         std::vector<double> d_range;
         const double loss = reference::chamfer_loss(rays, &d_range);
-        const Found found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
+        const FoundChamfer found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
         EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
         std::vector<double> expected, actual;   // of the norm of all: differences of points 10 m away hold 1e-6 m
         for (std::size_t i = 0; i < rays.size(); ++i) {

@@ -47,13 +47,13 @@ RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
     return image;
 }
 
-struct Found {
+struct FoundLoss {
     double distortion = 0.0, normal = 0.0, likelihood = 0.0;
     std::vector<shared::RayGradient> upstream;        ///< [n]
     std::vector<shared::GeometryGradient> gradient;   ///< [n]
 };
 
-Found device_terms(Device& device, const RangeImage& image, const LossWeights& weights, std::uint32_t stride) {
+FoundLoss device_terms(Device& device, const RangeImage& image, const LossWeights& weights, std::uint32_t stride) {
     const std::size_t n = image.pixels.size();
     std::vector<shared::RenderedRay> rendered;
     std::vector<shared::RenderedGeometry> geometry;
@@ -97,7 +97,7 @@ Found device_terms(Device& device, const RangeImage& image, const LossWeights& w
 constexpr double kTolerance = 10.0 * test::kKernelGradient;
 
 /// Rows of every pixel against central differences of the reference.
-void add_differences(RangeImage image, const Found& found, test::GradientTable& table) {
+void add_differences(RangeImage image, const FoundLoss& found, test::GradientTable& table) {
     const auto terms = [&] { return normal_terms(image, image_normals(image)); };
     for (std::size_t i = 0; i < image.pixels.size(); ++i) {
         const shared::RayGradient& u = found.upstream[i];
@@ -134,7 +134,7 @@ TEST_F(GeometryTerms, AgreeWithReference) {
         }
         LossWeights weights;
         weights.distortion = 0.5f, weights.normal = 1.0f, weights.normalised_depth = c.normalised;
-        const Found found = device_terms(device(), image, weights, c.stride);
+        const FoundLoss found = device_terms(device(), image, weights, c.stride);
         EXPECT_NEAR(found.distortion, 0.5 * distortion / n_returned, 1e-6);
         EXPECT_NEAR(found.normal, std::accumulate(expected.begin(), expected.end(), 0.0), 1e-5);
         test::GradientTable table;
@@ -155,7 +155,7 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     const RangeImage image = random_image(4, 30, false, true);
     LossWeights weights;
     weights.distortion = 1.0f;
-    const Found found = device_terms(device(), image, weights, 1);
+    const FoundLoss found = device_terms(device(), image, weights, 1);
     EXPECT_GT(found.distortion, 0.01);
     EXPECT_EQ(found.normal, 0.0);
     EXPECT_EQ(found.likelihood, 0.0);
@@ -178,7 +178,7 @@ TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
         LossWeights weights;
         weights.likelihood = 0.7f, weights.likelihood_floor = 0.02f;
         if (!alone) weights.distortion = 0.5f, weights.normal = 0.5f, weights.normalised_depth = true;
-        const Found found = device_terms(device(), image, weights, 3);
+        const FoundLoss found = device_terms(device(), image, weights, 3);
         EXPECT_NEAR(found.likelihood, 0.7 * term, 1e-5 * term);
         EXPECT_EQ(found.distortion > 0.0 && found.normal > 0.0, !alone);
         for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -207,7 +207,7 @@ TEST_F(GeometryTerms, APlaneHasItsOwnNormalFarAway) {
     EXPECT_EQ(n, 18 * 8);
     LossWeights weights;
     weights.normal = 1.0f, weights.normalised_depth = true;
-    const Found found = device_terms(device(), image, weights, 1);
+    const FoundLoss found = device_terms(device(), image, weights, 1);
     EXPECT_LT(found.normal, 1e-4);
     int with_normal = 0;
     for (std::size_t i = 0; i < 200; ++i) with_normal += found.gradient[i].normal.z != 0.0f;

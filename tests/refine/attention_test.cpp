@@ -13,22 +13,22 @@ namespace {
 using refine::Attention, refine::AttentionState, refine::Grid;
 using test::OnDevice, test::worst_error;
 
-struct Case {
+struct AttentionCase {
     Grid grid;
     int channels, heads;
 };
-void PrintTo(const Case& c, std::ostream* out) {
+void PrintTo(const AttentionCase& c, std::ostream* out) {
     *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels << " in " << c.heads;
 }
 
 class AttentionTest : public test::DeviceTest {};
-class AttentionSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
+class AttentionSizes : public test::DeviceTest, public testing::WithParamInterface<AttentionCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
-                         testing::Values(Case{{1, 5, 13}, 8, 2}, Case{{4, 7, 9}, 18, 2}, Case{{1, 1, 3}, 3, 3}, Case{{4, 1, 1}, 4, 1},
-                                         Case{{2, 4, 32}, 64, 4}, Case{{4, 2, 5}, 17, 1}, Case{{1, 9, 17}, 1, 1}));
+                         testing::Values(AttentionCase{{1, 5, 13}, 8, 2}, AttentionCase{{4, 7, 9}, 18, 2}, AttentionCase{{1, 1, 3}, 3, 3}, AttentionCase{{4, 1, 1}, 4, 1},
+                                         AttentionCase{{2, 4, 32}, 64, 4}, AttentionCase{{4, 2, 5}, 17, 1}, AttentionCase{{1, 9, 17}, 1, 1}));
 
 TEST_P(AttentionSizes, ForwardAndBackward) {
-    const Case& c = GetParam();
+    const AttentionCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, 3 * c.channels, 1), asked = test::random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
     AttentionState state = attention.make_state(device(), c.grid, true);

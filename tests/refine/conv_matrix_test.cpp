@@ -52,11 +52,11 @@ test::ImageBatch half_images(const Grid& grid, int channels, std::uint64_t seed)
     return images;
 }
 
-struct Layer {
+struct HalfLayer {
     test::ImageBatch from, d_to;
     std::vector<double> weights, bias;
 
-    explicit Layer(const Case& c)
+    explicit HalfLayer(const Case& c)
         : from(half_images(c.grid, c.n_in, 1)),
           d_to(half_images(c.grid, c.n_out, 2)),
           weights(halves(std::size_t(c.n_in) * c.n_out * c.taps, 3)),
@@ -65,7 +65,7 @@ struct Layer {
 
 TEST_P(MatrixSizes, Forward) {
     const Case& c = GetParam();
-    const Layer layer(c);
+    const HalfLayer layer(c);
     Conv conv(device(), c.taps, Precision::fp16);
     Stream stream(device());
     const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out), sum(device(), layer.d_to);
@@ -82,7 +82,7 @@ TEST_P(MatrixSizes, Forward) {
 
 /// Both derivatives, where gradients of images are `scale` times what they are and those of weights are not.
 void expect_derivatives(Device& device, const Case& c, float scale) {
-    const Layer layer(c);
+    const HalfLayer layer(c);
     Conv conv(device, c.taps, Precision::fp16);
     conv.scale_gradients(scale);
     conv.reserve(device, conv.partial_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
@@ -110,7 +110,7 @@ TEST_P(MatrixSizes, DerivativesOfScaledGradients) { expect_derivatives(device(),
 
 TEST_F(MatrixTest, InputGradientsAreAdded) {
     const Case c{9, {2, 5, 13}, 17, 9};
-    const Layer layer(c);
+    const HalfLayer layer(c);
     Conv conv(device(), c.taps, Precision::fp16);
     conv.scale_gradients(64.0f);
     Stream stream(device());

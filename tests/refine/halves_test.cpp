@@ -25,7 +25,7 @@ namespace {
 using refine::Grid, refine::Precision, refine::Storage;
 using test::ImageBatch, test::OnDevice;
 
-ImageBatch half_images(const Grid& grid, int channels, std::uint64_t seed) {
+ImageBatch rounded_images(const Grid& grid, int channels, std::uint64_t seed) {
     ImageBatch images = test::random_images(grid, channels, seed);
     for (double& x : images.values) x = double(glm::unpackHalf1x16(glm::packHalf1x16(float(x))));
     return images;
@@ -79,9 +79,9 @@ TEST_P(HalvesTest, Convolutions) {
         expect_rounded([&](Storage storage, Stream& stream) -> Made {
             refine::Conv conv(device(), taps, precision, storage);
             conv.reserve(device(), conv.partial_floats(grid, n_in, n_out));
-            const OnDevice from(device(), half_images(grid, n_in, 1), storage), d_to(device(), half_images(grid, n_out, 2), storage);
+            const OnDevice from(device(), rounded_images(grid, n_in, 1), storage), d_to(device(), rounded_images(grid, n_out, 2), storage);
             const OnDevice to = OnDevice::unwritten(device(), grid, n_out, 1, 2, storage);
-            const OnDevice sum(device(), half_images(grid, n_out, 5), storage);
+            const OnDevice sum(device(), rounded_images(grid, n_out, 5), storage);
             const OnDevice d_from = OnDevice::unwritten(device(), grid, n_in, 0, 1, storage);
             const auto d_weights = test::to_device<shared::ConvWeights>(device(), std::vector<double>(weights.size()));
             conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
@@ -106,9 +106,9 @@ TEST_P(HalvesTest, Normalisations) {
         state.dropout_key = 7;
         const auto beta_gamma = test::pairs_to_device<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, beta);
-        const OnDevice from(device(), half_images(grid, channels, 1), storage), d_to(device(), half_images(grid, channels, 2), storage);
+        const OnDevice from(device(), rounded_images(grid, channels, 1), storage), d_to(device(), rounded_images(grid, channels, 2), storage);
         const OnDevice to = OnDevice::unwritten(device(), grid, channels, 1, 2, storage);
-        const OnDevice d_from(device(), half_images(grid, channels, 3), storage);
+        const OnDevice d_from(device(), rounded_images(grid, channels, 3), storage);
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(2 * channels));
         const auto d_bias = test::to_device<shared::ConvBias>(device(), std::vector<double>(channels));
         norm.forward(stream, from.slice(), {beta_gamma.address(), running.address()}, state, to.slice());
@@ -124,11 +124,11 @@ TEST_P(HalvesTest, ChangesOfSize) {
     const int channels = 3;
     expect_rounded([&](Storage storage, Stream& stream) -> Made {
         refine::Resample resample(device(), storage);
-        const OnDevice large(device(), half_images(grid, channels, 1), storage);
-        const OnDevice d_small(device(), half_images(small, channels, 2), storage);
+        const OnDevice large(device(), rounded_images(grid, channels, 1), storage);
+        const OnDevice d_small(device(), rounded_images(small, channels, 2), storage);
         const OnDevice pooled = OnDevice::unwritten(device(), small, channels, 1, 2, storage),
                        upsampled = OnDevice::unwritten(device(), grid, channels, 1, 0, storage),
-                       d_pooled(device(), half_images(grid, channels, 3), storage),
+                       d_pooled(device(), rounded_images(grid, channels, 3), storage),
                        d_upsampled = OnDevice::unwritten(device(), small, channels, 2, 0, storage);
         resample.pool(stream, large.slice(), pooled.slice());
         resample.pool_vjp(stream, large.slice(), d_small.slice(), d_pooled.slice());
@@ -148,7 +148,7 @@ TEST_P(HalvesTest, Attention) {
         Stream stream(device());
         refine::Attention attention(device(), heads, storage);
         refine::AttentionState state = attention.make_state(device(), grid, true);
-        const OnDevice qkv(device(), half_images(grid, 3 * channels, 1), storage), d_to(device(), half_images(grid, channels, 2), storage);
+        const OnDevice qkv(device(), rounded_images(grid, 3 * channels, 1), storage), d_to(device(), rounded_images(grid, channels, 2), storage);
         const OnDevice to = OnDevice::unwritten(device(), grid, channels, 1, 2, storage),
                        d_qkv = OnDevice::unwritten(device(), grid, 3 * channels, 0, 1, storage);
         attention.forward(stream, qkv.slice(), state, to.slice());
@@ -170,7 +170,7 @@ TEST_P(HalvesTest, Inputs) {
     network.normalisation = {0.7f, 0.1f, 1.3f, -2.0f, 1.0f, 0.3f};
     std::vector<DropImage> samples;
     for (std::uint64_t i = 0; i < grid.n; ++i) {
-        const std::vector<double> channels = half_images({1, grid.rows, grid.columns}, 3, i).values;
+        const std::vector<double> channels = rounded_images({1, grid.rows, grid.columns}, 3, i).values;
         samples.push_back({int(grid.rows), int(grid.columns), {channels.begin(), channels.end()}, {}});
     }
     expect_rounded([&](Storage storage, Stream& stream) -> Made {
@@ -190,7 +190,7 @@ TEST_P(HalvesTest, Inputs) {
 
 TEST_P(HalvesTest, LossAndItsScale) {
     const Grid grid = GetParam();
-    const ImageBatch logits = half_images(grid, 1, 1);
+    const ImageBatch logits = rounded_images(grid, 1, 1);
     std::vector<double> targets(grid.all_pixels());
     for (std::size_t i = 0; i < targets.size(); ++i) targets[i] = double(i % 3) - 1.0;   // a third is not known
     const auto target = test::to_device<shared::DropTargets>(device(), targets);

@@ -13,18 +13,18 @@ namespace {
 using refine::Grid, refine::Norm, refine::NormState, refine::NormWeights;
 using test::OnDevice, test::worst_error;
 
-struct Case {
+struct NormCase {
     Grid grid;
     int channels;
 };
 
-void PrintTo(const Case& c, std::ostream* out) { *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels; }
+void PrintTo(const NormCase& c, std::ostream* out) { *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels; }
 
 class NormTest : public test::DeviceTest {};
-class NormSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
+class NormSizes : public test::DeviceTest, public testing::WithParamInterface<NormCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
-                         testing::Values(Case{{1, 66, 1030}, 3}, Case{{4, 5, 13}, 17}, Case{{1, 7, 9}, 1}, Case{{4, 1, 3}, 9},
-                                         Case{{1, 2, 1}, 3}, Case{{4, 33, 65}, 9}));
+                         testing::Values(NormCase{{1, 66, 1030}, 3}, NormCase{{4, 5, 13}, 17}, NormCase{{1, 7, 9}, 1}, NormCase{{4, 1, 3}, 9},
+                                         NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
 
 /// A layer and its parameters on the device.
 struct OnePass {
@@ -35,7 +35,7 @@ struct OnePass {
     Array<glm::vec2, shared::RunningMoments> running;
     Stream stream;
 
-    OnePass(Device& device, const Case& c)
+    OnePass(Device& device, const NormCase& c)
         : norm(device),
           state(device, std::uint32_t(c.channels)),
           layer{test::random_floats(std::size_t(c.channels), 5, 0.5), test::random_floats(std::size_t(c.channels), 6), {}, 1e-5},
@@ -46,7 +46,7 @@ struct OnePass {
         norm.reserve(device, std::uint32_t(c.channels), c.grid);
     }
     NormWeights weights() const { return {beta_gamma.address(), running.address()}; }
-    test::ImageBatch forward(Device& device, const OnDevice& from, const Case& c) {
+    test::ImageBatch forward(Device& device, const OnDevice& from, const NormCase& c) {
         const OnDevice to = OnDevice::unwritten(device, c.grid, c.channels);
         norm.forward(stream, from.slice(), weights(), state, to.slice());
         stream.finish();
@@ -55,7 +55,7 @@ struct OnePass {
 };
 
 /// What a pass lets through of each value, found from what it made of values that are all positive.
-std::vector<double> gate_of(Device& device, const Case& c, float dropout, std::uint32_t key) {
+std::vector<double> gate_of(Device& device, const NormCase& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
     pass.beta_gamma =   // all become 1
@@ -81,7 +81,7 @@ double largest_term(const test::ImageBatch& from, const reference::NormLayer& la
 }
 
 TEST_P(NormSizes, ForwardAndRunningMoments) {
-    const Case& c = GetParam();
+    const NormCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
     const OnDevice from(device(), values);
@@ -97,7 +97,7 @@ TEST_P(NormSizes, ForwardAndRunningMoments) {
 }
 
 TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
-    const Case& c = GetParam();
+    const NormCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
     pass.state.dropout = 0.9f;   // of no account
@@ -111,7 +111,7 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
 }
 
 TEST_P(NormSizes, Derivatives) {
-    const Case& c = GetParam();
+    const NormCase& c = GetParam();
     for (const float dropout : {0.0f, 0.3f}) {
         const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
         test::ImageBatch asked = test::random_images(c.grid, c.channels, 2);
@@ -140,7 +140,7 @@ TEST_P(NormSizes, Derivatives) {
 }
 
 TEST_P(NormSizes, DerivativeByABias) {
-    const Case& c = GetParam();
+    const NormCase& c = GetParam();
     const test::ImageBatch asked = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
     OnePass pass(device(), c);
     const OnDevice d_to(device(), asked);
@@ -156,7 +156,7 @@ TEST_P(NormSizes, DerivativeByABias) {
 /// Mean 1000, deviation 1: the naive E[x^2] - E[x]^2 has no digits left in single precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
-        const Case c{grid, 3};
+        const NormCase c{grid, 3};
         const test::ImageBatch values = test::random_images(grid, 3, 1, 1.0, 1000.0);
         OnePass pass(device(), c);
         pass.forward(device(), OnDevice(device(), values), c);
@@ -171,7 +171,7 @@ TEST_F(NormTest, MomentsOfValuesFarFromZero) {
 
 /// One value: nothing to divide by.
 TEST_F(NormTest, ASinglePixelIsFinite) {
-    const Case c{{1, 1, 1}, 3};
+    const NormCase c{{1, 1, 1}, 3};
     OnePass pass(device(), c);
     const test::ImageBatch actual = pass.forward(device(), OnDevice(device(), test::random_images(c.grid, 3, 1)), c);
     for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(actual.values[k], std::max(pass.layer.beta[k], 0.0), 1e-5);
@@ -179,7 +179,7 @@ TEST_F(NormTest, ASinglePixelIsFinite) {
 }
 
 TEST_F(NormTest, DropoutDropsItsShareByKey) {
-    const Case c{{4, 33, 65}, 9};
+    const NormCase c{{4, 33, 65}, 9};
     for (const float dropout : {0.1f, 0.5f}) {
         const std::vector<double> gate = gate_of(device(), c, dropout, 11);
         double n_dropped = 0.0, of_image[4] = {}, same = 0.0;

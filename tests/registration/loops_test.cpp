@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-LoopOptions options() {
+LoopOptions loop_options() {
     return {{2.0, 0.5}, {0.5, 0.1}, [](double) { return true; }};
 }
 
@@ -47,7 +47,7 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
     const PoseTrack& exact = drive.world_from_vehicle;
     const PoseTrack drifted = bent(exact, 2e-4, 2e-4);   // 3.2 degrees on 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
-    const ClosedLoops closed = close_loops(drifted, thin(drive), options());
+    const ClosedLoops closed = close_loops(drifted, thin(drive), loop_options());
     EXPECT_GE(closed.places, 2u);
     EXPECT_GT(closed.largest_m, 2.0);
     EXPECT_LT(gap_m(closed.track, exact), 0.1);
@@ -63,10 +63,10 @@ TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     const Sequence log = make_synthetic_street(street);
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
-    EXPECT_EQ(close_loops(exact, scans, options()).places, 0u);
+    EXPECT_EQ(close_loops(exact, scans, loop_options()).places, 0u);
     // turned to a circle by wrong poses: the end comes near the beginning, and looks different
     const PoseTrack circle = bent(exact, 2.0 * kPi / 120.0, 0.0);
-    const ClosedLoops closed = close_loops(circle, scans, options());
+    const ClosedLoops closed = close_loops(circle, scans, loop_options());
     EXPECT_EQ(closed.places, 0u) << "up to " << closed.largest_m << " m";
     for (std::size_t k = 0; k < exact.pose.size(); ++k) ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);
 }

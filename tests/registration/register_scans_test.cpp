@@ -20,17 +20,11 @@ namespace {
 using test::PoseError;
 using test::error_of;
 
-constexpr double kDegree = kPi / 180.0;
 
 Sequence street_of(int n_frames) {
     SyntheticOptions options;
     options.n_frames = n_frames, options.rows = 32, options.columns = 256;
     return make_synthetic_street(options);
-}
-
-Sequence with_poses(Sequence street, PoseTrack track) {
-    set_vehicle_poses(street, std::move(track));
-    return street;
 }
 
 RegisterOptions leaving_out(const std::vector<BoxTrack>& movers) {
@@ -76,17 +70,17 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     const Sequence street = street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 10);
-    expect_found(registered(with_poses(street, test::perturbed(exact, 0.05, 0.3 * kDegree, 1)), 10), exact, split,
+    expect_found(registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1)), 10), exact, split,
                  "noise of 5 cm and 0.3 degrees");
-    expect_found(registered(with_poses(street, test::drifting(exact, 0.2, 0.3 * kDegree)), 10), exact, split, "drift of 20 cm");
+    expect_found(registered(test::with_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree)), 10), exact, split, "drift of 20 cm");
 }
 
 /// Three sweeps, one of them held out: planes of two are made of more points of each.
 TEST(RegisterScans, TwoScansAreEnough) {
     const Sequence street = street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
-    PoseTrack wrong = test::perturbed(exact, 0.1, 0.3 * kDegree, 6);
-    const Registration found = register_scans(with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
+    PoseTrack wrong = test::perturbed(exact, 0.1, 0.3 * test::kDegree, 6);
+    const Registration found = register_scans(test::with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
     ASSERT_TRUE(found.done);
     EXPECT_TRUE(found.lost.empty());
     const PoseError error = error_of(found.world_from_vehicle, exact, {0, 1, 2});
@@ -105,12 +99,12 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
-    expect_found(registered(with_poses(street, test::perturbed(exact, 0.05, 0.3 * kDegree, 2)), 5), exact, split_frames(street, 5),
+    expect_found(registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact, split_frames(street, 5),
                  "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
-    const Sequence street = street_of(11), wrong = with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * kDegree, 3));
+    const Sequence street = street_of(11), wrong = test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
     const Registration found = registered(wrong);
     glm::dvec3 v(0.0), w(0.0);
     for (std::size_t k = 0; k < found.world_from_vehicle.pose.size(); ++k) {
@@ -129,7 +123,7 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
 /// However a held-out scan looks, the training poses are the same, bit for bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
     Sequence street = street_of(11);
-    set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * kDegree, 4));
+    set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
     const Split split = split_frames(street, 5);
     const Registration found = register_scans(street, split, leaving_out(street.boxes));
     Sequence other = street;
@@ -148,7 +142,7 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
 TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
     Sequence street = street_of(11);
     const PoseTrack exact = street.world_from_vehicle;
-    set_vehicle_poses(street, test::drifting(exact, 0.2, 0.3 * kDegree));
+    set_vehicle_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree));
     std::mt19937_64 random(5);
     std::uniform_real_distribution<float> range(2.0f, 70.0f);
     for (float& r : street.frames[5].scan.range_m) r = range(random);

@@ -15,6 +15,11 @@ double median(std::vector<double> x) {
 
 }  // namespace
 
+Sequence with_poses(Sequence street, PoseTrack track) {
+    set_vehicle_poses(street, std::move(track));
+    return street;
+}
+
 PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));

@@ -5,9 +5,14 @@
 #include <cstdint>
 #include <vector>
 
+#include <relidar/math.hpp>
 #include <relidar/sequence.hpp>
 
 namespace relidar::test {
+
+inline constexpr double kDegree = kPi / 180.0;
+
+Sequence with_poses(Sequence street, PoseTrack track);
 
 /// Every pose moved by white noise with these standard deviations in total.
 PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);

@@ -20,18 +20,18 @@ namespace relidar {
 namespace {
 
 constexpr double kDegree = kPi / 180.0;
-constexpr int kRows = 128, kColumns = 192;
+constexpr int kBeams = 128, kSteps = 192;
 constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 
 /// Rays a quarter of a degree apart towards a wall at 20 m, on which reflectors are round: as {azimuth_deg, elevation_deg, range_m}.
 RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
-    constexpr std::size_t n = std::size_t(kRows) * kColumns;
+    constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
-    scan.image.rows = kRows, scan.image.columns = kColumns;
-    for (int row = 0; row < kRows; ++row) {
-        for (int column = 0; column < kColumns; ++column) {
-            const double azimuth = kDegree * kStep_deg * (column - kColumns / 2 + 0.5);
-            const double elevation = kDegree * kStep_deg * (kRows / 2 - row - 0.5);
+    scan.image.rows = kBeams, scan.image.columns = kSteps;
+    for (int row = 0; row < kBeams; ++row) {
+        for (int column = 0; column < kSteps; ++column) {
+            const double azimuth = kDegree * kStep_deg * (column - kSteps / 2 + 0.5);
+            const double elevation = kDegree * kStep_deg * (kBeams / 2 - row - 0.5);
             const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             const auto has_ray = [&](const glm::dvec3& r) {
                 return std::hypot(azimuth - r.x * kDegree, elevation - r.y * kDegree) < kRadius_deg * kDegree;
@@ -48,7 +48,7 @@ RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
     scan.weight.assign(n, 1.0f), scan.instance.assign(n, 0), scan.time_offset_s.assign(n, 0.0f);
     return scan;
 }
-std::size_t ray_at(int row, int column) { return std::size_t(row) * kColumns + std::size_t(column); }
+std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std::size_t(column); }
 
 /// Integral of angle^-3 over a round reflector in front, by small squares, degrees.
 double integral_at(double azimuth_deg, double elevation_deg) {
@@ -65,17 +65,17 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
     double sum = 0.0, squares = 0.0, n = 0.0;
     const auto expected_in = [](int column) {
         std::vector<double> of_row;
-        for (int row = 0; row < kRows; ++row)
-            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kColumns / 2 + 0.5), kStep_deg * (kRows / 2 - row - 0.5)));
+        for (int row = 0; row < kBeams; ++row)
+            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kSteps / 2 + 0.5), kStep_deg * (kBeams / 2 - row - 0.5)));
         return of_row;
     };
-    const std::vector<double> of_near = expected_in(kColumns / 2 + 24), of_far = expected_in(kColumns / 2 - 60);
+    const std::vector<double> of_near = expected_in(kSteps / 2 + 24), of_far = expected_in(kSteps / 2 - 60);
     for (std::uint64_t seed = 0; seed < 40; ++seed) {
         const std::vector<Echo> stray = stray_light(scan, 1e-4, seed);
         ASSERT_EQ(stray.size(), scan.ring.size());
-        EXPECT_EQ(stray[ray_at(kRows / 2, kColumns / 2)].source, PointSource::nothing) << "the reflector itself";
-        for (int row = 0; row < kRows; ++row) {
-            const Echo &here = stray[ray_at(row, kColumns / 2 + 24)], &beside = stray[ray_at(row, kColumns / 2 - 60)];
+        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, PointSource::nothing) << "the reflector itself";
+        for (int row = 0; row < kBeams; ++row) {
+            const Echo &here = stray[ray_at(row, kSteps / 2 + 24)], &beside = stray[ray_at(row, kSteps / 2 - 60)];
             ASSERT_EQ(here.source, PointSource::blooming);
             ASSERT_NEAR(here.range_m, 4.0, 1e-6);
             const double deviate = here.reflectivity / of_near[std::size_t(row)];
@@ -95,9 +95,9 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
 TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
     const RenderedScan scan = wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
     const std::vector<Echo> stray = stray_light(scan, 1e-4, 1);
-    const int row = kRows / 2 + 20;
-    EXPECT_NEAR(stray[ray_at(row, kColumns / 2)].range_m, 4.0, 1e-6);
-    EXPECT_NEAR(stray[ray_at(row, kColumns / 2 + 32)].range_m, 8.0, 1e-6);
+    const int row = kBeams / 2 + 20;
+    EXPECT_NEAR(stray[ray_at(row, kSteps / 2)].range_m, 4.0, 1e-6);
+    EXPECT_NEAR(stray[ray_at(row, kSteps / 2 + 32)].range_m, 8.0, 1e-6);
 }
 
 TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
@@ -152,7 +152,7 @@ TEST(SprayPlume, HoldsWhatLiesInItsBox) {
 class GlareInScenes : public test::DeviceTest {};
 
 /// A disc of 2 m, 12 m ahead, and beams from -1 to 2.5 degrees.
-Surfels wall_ahead() {
+Surfels disc_ahead() {
     Surfels disc;
     disc.resize(1);
     disc.mean[0] = {12.0f, 0.0f, 0.0f};
@@ -176,7 +176,7 @@ Sequence level_beams() {
 TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
     const Sequence sequence = level_beams();
-    ScanRenderer renderer(device(), make_background_scene(wall_ahead()), config, sequence);
+    ScanRenderer renderer(device(), make_background_scene(disc_ahead()), config, sequence);
     const SensorChoice sensor = configured_sensor(config, sequence);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {

@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-struct Sample {
+struct StreetSurfel {
     std::size_t index;
     glm::vec3 mean;
     glm::vec4 rotation;
@@ -42,7 +42,7 @@ Sums sums_of(const Surfels& s) {
     return sums;
 }
 
-void expect_sample(const Surfels& s, const Sample& expected) {
+void expect_sample(const Surfels& s, const StreetSurfel& expected) {
     const std::size_t i = expected.index;
     EXPECT_EQ(s.mean[i], expected.mean);
     EXPECT_EQ(s.rotation[i], expected.rotation);
@@ -64,10 +64,10 @@ void expect_sums(const Surfels& s, const Sums& expected) {
     EXPECT_NEAR(actual.sh_weighted / expected.sh_weighted, 1.0, 1e-9);
 }
 
-const Sample kFirstOf1000{0, {68.3377914f, 8.55495834f, 0.714409709f}, {-0.536881626f, 0.581468642f, -0.429807872f, -0.434646487f},
+const StreetSurfel kFirstOf1000{0, {68.3377914f, 8.55495834f, 0.714409709f}, {-0.536881626f, 0.581468642f, -0.429807872f, -0.434646487f},
                           {0.118451133f, 0.123938195f}, 0.339413583, {0.645263671875f, -0.073486328125f, -1.383056640625f},
                           {0.0703125f, 0.04296875f, 0.05078125f}};
-const Sample kLastOf1000{999, {65.5324249f, -8.33455467f, -0.019092001f}, {0.494429827f, 0.0104154749f, 0.0382775925f, 0.868311882f},
+const StreetSurfel kLastOf1000{999, {65.5324249f, -8.33455467f, -0.019092001f}, {0.494429827f, 0.0104154749f, 0.0382775925f, 0.868311882f},
                          {0.295972884f, 0.132527739f}, 0.336544931, {-0.590087890625f, 3.05859375f, -1.75537109375f},
                          {-0.0703125f, 0.0078125f, 0.0234375f}};
 
@@ -81,7 +81,7 @@ TEST(Street, FamilyAOf1000) {
 
 TEST(Street, FamilyBScalesWithTheCount) {
     const Surfels s = make_benchmark_street(1000, 20261120, true);
-    Sample first = kFirstOf1000, last = kLastOf1000;
+    StreetSurfel first = kFirstOf1000, last = kLastOf1000;
     first.scale = {1.1845113f, 1.23938191f};
     last.scale = {2.95972896f, 1.32527745f};
     expect_sample(s, first);

@@ -185,7 +185,7 @@ TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {
     EXPECT_EQ(refused(moving()).error_code(), Code::UNIMPLEMENTED);
 }
 
-struct Case {
+struct SensorsimCase {
     const char* name;
     std::function<void(wire::LidarRenderRequest&)> spoil;
     Code code;
@@ -195,7 +195,7 @@ struct Case {
 TEST_F(Sensorsim, SaysWhatMakesNoSense) {
     start_sensorsim();
     const Pose here{};
-    const std::vector<Case> cases = {
+    const std::vector<SensorsimCase> cases = {
         {"unknown scene", [](auto& r) { r.set_scene_id("smal"); }, Code::NOT_FOUND,
          "reading scene_id: found \"smal\", expected one that is there, as \"small\""},
         {"no pose", [](auto& r) { r.clear_sensor_pose(); }, Code::INVALID_ARGUMENT, "reading sensor_pose: found no pose at the start"},
@@ -220,7 +220,7 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
         {"object twice", [&](auto& r) { add_car(r, here, here), add_car(r, here, here); }, Code::INVALID_ARGUMENT,
          "reading dynamic_objects[1].track_id: found \"car\" again"},
     };
-    for (const Case& wrong : cases) {
+    for (const SensorsimCase& wrong : cases) {
         wire::LidarRenderRequest request = moving();
         wrong.spoil(request);
         const grpc::Status status = refused(request);

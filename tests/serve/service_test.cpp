@@ -17,10 +17,10 @@ protected:
 
     /// The same as the library renders it.
     RenderedScan rendered(const ScanRequest& request, const std::string& sensor, std::optional<std::uint64_t> sample,
-                          const std::string& weather = "") {
+                          const std::string& in_weather = "") {
         const relidar::Run run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
-        renderer.set_weather(parse_weather(weather));
+        renderer.set_weather(parse_weather(in_weather));
         const SensorChoice choice =
             sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);

@@ -12,7 +12,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kRays = 100'000;
+constexpr int kPulses = 100'000;
 constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
 /// The weakest return is one of reflectivity 0.005 at 60 m. Its pulse is 6 m of way long.
@@ -27,10 +27,10 @@ RayEchoes towards_sun(const RayEchoes& surfaces, double from_sun_deg) {
     ray.from_sun_rad = from_sun_deg * kDegree;
     return ray;
 }
-Echo wall(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
+Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
 /// chi^2 of counts against what is expected, as a standard normal deviate (Wilson and Hilferty 1931); -4 to 4 but one time in 16,000.
-double deviation(const std::vector<double>& counts, const std::vector<double>& expected) {
+double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
     double chi2 = 0.0;
     for (std::size_t k = 0; k < counts.size(); ++k) chi2 += (counts[k] - expected[k]) * (counts[k] - expected[k]) / expected[k];
     const double f = double(counts.size()) - 1.0, spread = 2.0 / (9.0 * f);
@@ -65,9 +65,9 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     for (const double off_deg : {0.35, 0.4, 0.5}) {
         const double level = sensor.weakest() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
-        std::vector<double> counts(21), expected(21, kRays * (1.0 - std::exp(-n)) / 20.0);
-        expected.back() = kRays * std::exp(-n);
-        for (std::uint64_t seed = 0; seed < kRays; ++seed) {
+        std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
+        expected.back() = kPulses * std::exp(-n);
+        for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
             const Echo echo = air.look(towards_sun({}, off_deg), 60.0, seed).strongest;
             if (echo.source == PointSource::nothing) ++counts.back();
             else {
@@ -77,7 +77,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
             }
         }
         ASSERT_GT(expected.front(), 20.0) << off_deg;
-        EXPECT_LT(std::abs(deviation(counts, expected)), 4.0) << off_deg;
+        EXPECT_LT(std::abs(chi2_deviate(counts, expected)), 4.0) << off_deg;
     }
 }
 
@@ -97,9 +97,9 @@ TEST(Sunlight, HidesWeakTargets) {
             const double power = reflectivity / (range_m * range_m);
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
-            for (std::uint64_t seed = 0; seed < kRays; ++seed)
-                n += air.look(towards_sun({wall(range_m, reflectivity), {}}, 0.3), range_m, seed).strongest.source == PointSource::noise;
-            EXPECT_NEAR(n / kRays, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kRays)) << range_m;
+            for (std::uint64_t seed = 0; seed < kPulses; ++seed)
+                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed).strongest.source == PointSource::noise;
+            EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
     }
@@ -107,7 +107,7 @@ TEST(Sunlight, HidesWeakTargets) {
 
 TEST(Sunlight, ElsewhereChangesNothing) {
     const Air air({.sun = {0.0, 0.0, 150.0}}, sensor_to_60_m());
-    const Echo before = wall(20.0, 0.3);
+    const Echo before = surface_at(20.0, 0.3);
     for (std::uint64_t seed = 0; seed < 1000; ++seed) {
         for (const double off_deg : {8.0, 90.0, double(INFINITY)}) {
             const RayEchoes seen = air.look(towards_sun({before, {}}, off_deg), 20.0, seed);
@@ -122,7 +122,7 @@ TEST(Sunlight, ElsewhereChangesNothing) {
 /// Of 0.002 at 4 m, as bright as 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
     const Air air({.bloom = 1e-4}, sensor_to_60_m());
-    RayEchoes ray{wall(20.0, 0.049), {}};
+    RayEchoes ray{surface_at(20.0, 0.049), {}};
     ray.stray = {4.0, 0.002, PointSource::blooming};
     const RayEchoes lost = air.look(ray, 20.0, 1);
     EXPECT_EQ(lost.strongest.source, PointSource::blooming);
@@ -148,7 +148,7 @@ TEST(Spray, DepthIsTheIntegralOfItsExtinction) {
     }
 }
 
-/// Each stretch of half a pulse returns, on average, pi alpha / 18.8 c tau / 2 exp(-2 depth); a wall behind is darker by exp(-2 depth).
+/// Each stretch of half a pulse returns, on average, pi alpha / 18.8 c tau / 2 exp(-2 depth); a surface_at behind is darker by exp(-2 depth).
 TEST(Spray, ReturnsAndTakesByItsDensity) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.separation_m = 0.01;
@@ -158,8 +158,8 @@ TEST(Spray, ReturnsAndTakesByItsDensity) {
     for (double r = 10.0005; r < 13.0; r += 0.001)
         expected += kPi * 0.05 * std::exp(-0.2 * (r - 10.0)) / 18.8 * 3.0 *
                     std::exp(-2.0 * 0.05 / 0.2 * (1.0 - std::exp(-0.2 * (r - 10.0)))) / 3000.0;
-    for (std::uint64_t seed = 0; seed < kRays; ++seed) {
-        RayEchoes ray{wall(20.0, 0.9), {}};
+    for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
+        RayEchoes ray{surface_at(20.0, 0.9), {}};
         ray.spray = spray;
         const RayEchoes seen = air.look(ray, 20.0, seed);
         const Echo& surface = seen.strongest.source == PointSource::surface ? seen.strongest : seen.second;
@@ -170,8 +170,8 @@ TEST(Spray, ReturnsAndTakesByItsDensity) {
         ASSERT_TRUE(drops.range_m >= 10.0 && drops.range_m <= 13.0);
         sum += drops.reflectivity;
     }
-    EXPECT_NEAR(sum / kRays / expected, 1.0, 0.02) << "1.3 sqrt(1/n) is one deviation, and what is too weak to see is little";
-    RayEchoes before{wall(9.0, 0.9), {}};
+    EXPECT_NEAR(sum / kPulses / expected, 1.0, 0.02) << "1.3 sqrt(1/n) is one chi2_deviate, and what is too weak to see is little";
+    RayEchoes before{surface_at(9.0, 0.9), {}};
     before.spray = spray;
     const RayEchoes seen = air.look(before, 9.0, 1);
     EXPECT_EQ(seen.strongest.reflectivity, 0.9);
