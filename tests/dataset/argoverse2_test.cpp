@@ -237,7 +237,8 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
            "columns 'qw' to 'qz': row 1 has length 0.5, expected 1");
     const auto times = [](std::vector<std::int64_t> t) { return test::number_column("timestamp_ns", t); };
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
-    refuse(way, test::with_poses({times({first, first})}, two), "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
+    refuse(way, test::with_poses({times({first, first})}, two),
+           "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
     refuse(way, test::with_poses({times({first, first + 1})}, two), "no pose at 315966265360088000, the time of a sweep");
     bad = two;
     bad[0].translation.y = NAN;

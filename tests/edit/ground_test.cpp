@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors put_down on the ground: on a slope that is known, below a roof, beside a wall, and on the street whose ground is at a known height.
+// Actors put on the ground: on a slope that is known, below a roof, beside a wall, and on the street whose ground is at a known height.
 #include <cmath>
 
 #include <gmock/gmock.h>

@@ -24,8 +24,9 @@ void PrintTo(const AttentionCase& c, std::ostream* out) {
 class AttentionTest : public test::DeviceTest {};
 class AttentionSizes : public test::DeviceTest, public testing::WithParamInterface<AttentionCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
-                         testing::Values(AttentionCase{{1, 5, 13}, 8, 2}, AttentionCase{{4, 7, 9}, 18, 2}, AttentionCase{{1, 1, 3}, 3, 3}, AttentionCase{{4, 1, 1}, 4, 1},
-                                         AttentionCase{{2, 4, 32}, 64, 4}, AttentionCase{{4, 2, 5}, 17, 1}, AttentionCase{{1, 9, 17}, 1, 1}));
+                         testing::Values(AttentionCase{{1, 5, 13}, 8, 2}, AttentionCase{{4, 7, 9}, 18, 2}, AttentionCase{{1, 1, 3}, 3, 3},
+                                         AttentionCase{{4, 1, 1}, 4, 1}, AttentionCase{{2, 4, 32}, 64, 4}, AttentionCase{{4, 2, 5}, 17, 1},
+                                         AttentionCase{{1, 9, 17}, 1, 1}));
 
 TEST_P(AttentionSizes, ForwardAndBackward) {
     const AttentionCase& c = GetParam();

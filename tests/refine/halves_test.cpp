@@ -106,7 +106,8 @@ TEST_P(HalvesTest, Normalisations) {
         state.dropout_key = 7;
         const auto beta_gamma = test::pairs_to_device<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, beta);
-        const OnDevice from(device(), rounded_images(grid, channels, 1), storage), d_to(device(), rounded_images(grid, channels, 2), storage);
+        const OnDevice from(device(), rounded_images(grid, channels, 1), storage);
+        const OnDevice d_to(device(), rounded_images(grid, channels, 2), storage);
         const OnDevice to = OnDevice::unwritten(device(), grid, channels, 1, 2, storage);
         const OnDevice d_from(device(), rounded_images(grid, channels, 3), storage);
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(2 * channels));
@@ -148,7 +149,8 @@ TEST_P(HalvesTest, Attention) {
         Stream stream(device());
         refine::Attention attention(device(), heads, storage);
         refine::AttentionState state = attention.make_state(device(), grid, true);
-        const OnDevice qkv(device(), rounded_images(grid, 3 * channels, 1), storage), d_to(device(), rounded_images(grid, channels, 2), storage);
+        const OnDevice qkv(device(), rounded_images(grid, 3 * channels, 1), storage);
+        const OnDevice d_to(device(), rounded_images(grid, channels, 2), storage);
         const OnDevice to = OnDevice::unwritten(device(), grid, channels, 1, 2, storage),
                        d_qkv = OnDevice::unwritten(device(), grid, 3 * channels, 0, 1, storage);
         attention.forward(stream, qkv.slice(), state, to.slice());

@@ -18,13 +18,15 @@ struct NormCase {
     int channels;
 };
 
-void PrintTo(const NormCase& c, std::ostream* out) { *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels; }
+void PrintTo(const NormCase& c, std::ostream* out) {
+    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels;
+}
 
 class NormTest : public test::DeviceTest {};
 class NormSizes : public test::DeviceTest, public testing::WithParamInterface<NormCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
-                         testing::Values(NormCase{{1, 66, 1030}, 3}, NormCase{{4, 5, 13}, 17}, NormCase{{1, 7, 9}, 1}, NormCase{{4, 1, 3}, 9},
-                                         NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
+                         testing::Values(NormCase{{1, 66, 1030}, 3}, NormCase{{4, 5, 13}, 17}, NormCase{{1, 7, 9}, 1},
+                                         NormCase{{4, 1, 3}, 9}, NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
 
 /// A layer and its parameters on the device.
 struct OnePass {

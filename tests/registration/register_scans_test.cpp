@@ -99,12 +99,13 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
-    expect_found(registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact, split_frames(street, 5),
-                 "all rays at once");
+    expect_found(registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact,
+                 split_frames(street, 5), "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
-    const Sequence street = street_of(11), wrong = test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
+    const Sequence street = street_of(11);
+    const Sequence wrong = test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
     const Registration found = registered(wrong);
     glm::dvec3 v(0.0), w(0.0);
     for (std::size_t k = 0; k < found.world_from_vehicle.pose.size(); ++k) {

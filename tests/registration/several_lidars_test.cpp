@@ -70,7 +70,8 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
         const Sequence street = one_after_the_other(off_s);
         const PoseTrack& exact = street.world_from_vehicle;
         ASSERT_EQ(exact.pose.size(), 24u);
-        const PoseTrack sweeps = test::two_lidar_street(two_lidar_options()).world_from_vehicle, drift = test::drifting(sweeps, 0.2, 0.3 * test::kDegree);
+        const PoseTrack sweeps = test::two_lidar_street(two_lidar_options()).world_from_vehicle;
+        const PoseTrack drift = test::drifting(sweeps, 0.2, 0.3 * test::kDegree);
         PoseTrack wrong = exact;
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
             wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);

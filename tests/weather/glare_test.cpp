@@ -98,7 +98,8 @@ TEST(Sunlight, HidesWeakTargets) {
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed).strongest.source == PointSource::noise;
+                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed).strongest.source ==
+                     PointSource::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
@@ -148,7 +149,7 @@ TEST(Spray, DepthIsTheIntegralOfItsExtinction) {
     }
 }
 
-/// Each stretch of half a pulse returns, on average, pi alpha / 18.8 c tau / 2 exp(-2 depth); a surface_at behind is darker by exp(-2 depth).
+/// Each stretch of half a pulse returns, on average, pi alpha / 18.8 c tau / 2 exp(-2 depth); a wall behind is darker by exp(-2 depth).
 TEST(Spray, ReturnsAndTakesByItsDensity) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.separation_m = 0.01;
