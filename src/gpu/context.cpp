@@ -334,6 +334,7 @@ Device::Impl::~Impl() {
     if (!device) return;
     transfers.reset();
     memory.reset();
+    for (const auto& [key, pipeline] : pipelines.by_key) vkDestroyPipeline(device, pipeline, nullptr);
     pipeline_cache.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);

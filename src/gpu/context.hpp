@@ -4,6 +4,7 @@
 
 #include <array>
 #include <atomic>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -75,6 +76,13 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
 
+/// By kernel, specialisation constants and what is expected of subgroups. Drivers take milliseconds for one even where its code is in a
+/// cache, and a training or a renderer makes about 40, so all kernels of a device that are alike have one, kept until the device closes.
+struct Pipelines {
+    std::mutex mutex;
+    std::map<std::string, VkPipeline> by_key;
+};
+
 /// What relidar can do on a physical device, with every missing piece named.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
@@ -99,6 +107,7 @@ struct Device::Impl {
     std::unique_ptr<gpu::MemoryPools> memory;
     std::unique_ptr<gpu::Transfers> transfers;
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
+    gpu::Pipelines pipelines;
     std::mutex queue_mutex;
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none

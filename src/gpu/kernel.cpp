@@ -72,6 +72,34 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
     return result;
 }
 
+std::string key_of(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
+    std::string key = fmt::format("{} {}", name, subgroups == Subgroups::full);
+    for (const Constant& c : constants) key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
+    return key;
+}
+
+/// The device's pipeline of such a kernel, made where it is the first. Threads may make different ones at the same time.
+VkResult find_or_make_pipeline(Device::Impl& device, std::string_view name, std::string_view stem, const std::vector<Constant>& constants,
+                               Subgroups subgroups, VkPipeline& pipeline) {
+    const std::string key = key_of(name, constants, subgroups);
+    {
+        const std::scoped_lock lock(device.pipelines.mutex);
+        const auto found = device.pipelines.by_key.find(key);
+        if (found != device.pipelines.by_key.end()) {
+            pipeline = found->second;
+            return VK_SUCCESS;
+        }
+    }
+    VkPipeline made = VK_NULL_HANDLE;
+    const VkResult result = make_pipeline(device, module_words(device, name, stem), constants, subgroups, made);
+    if (result != VK_SUCCESS) return result;
+    const std::scoped_lock lock(device.pipelines.mutex);
+    const auto [place, is_new] = device.pipelines.by_key.try_emplace(key, made);
+    if (!is_new) vkDestroyPipeline(device.device, made, nullptr);   // another thread was faster
+    pipeline = place->second;
+    return VK_SUCCESS;
+}
+
 std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
     std::sort(constants.begin(), constants.end(), [](const Constant& a, const Constant& b) { return a.id < b.id; });
     const std::set<std::uint32_t> of_module = gpu::constant_ids(words);
@@ -99,24 +127,23 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     Device::Impl& device = impl_of(owner);
     impl_->device = &device;
     impl_->name = std::string(name.substr(0, name.find('@')));
-    const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);
     std::vector<Constant> all(constants);
     const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
     if (device.compile_only) {
-        compile_only(name, words, all, subgroups);
+        compile_only(name, all, subgroups);
         return;
     }
-    const VkResult result = make_pipeline(device, words, all, subgroups, impl_->pipeline);
+    const VkResult result = find_or_make_pipeline(device, name, impl_->name, all, subgroups, impl_->pipeline);
     if (result != VK_SUCCESS)
         throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name,
                                       gpu::result_name(result)));
 }
 
-void KernelBase::compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
-                              Subgroups subgroups) {
+void KernelBase::compile_only(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
     Device::Impl& device = *impl_->device;
+    const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);
     PipelineStatistics s;
     s.kernel = name;
     s.constants = constants_text(words, constants);
@@ -125,14 +152,10 @@ void KernelBase::compile_only(std::string_view name, std::span<const std::uint32
         return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size;
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
-    const VkResult result = make_pipeline(device, words, constants, subgroups, impl_->pipeline);
+    const VkResult result = find_or_make_pipeline(device, name, impl_->name, constants, subgroups, impl_->pipeline);
     if (result != VK_SUCCESS) s.failure = gpu::result_name(result);
     else if (device.pipeline_statistics) gpu::read_statistics(device.device, impl_->pipeline, s);
     device.compiled.push_back(s);
-}
-
-KernelBase::Impl::~Impl() {
-    if (pipeline) vkDestroyPipeline(device->device, pipeline, nullptr);
 }
 
 KernelBase::~KernelBase() = default;

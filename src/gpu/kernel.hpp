@@ -57,7 +57,7 @@ consteval std::string_view name_of_struct() {
     return text.substr(text.rfind(':') + 1);
 }
 
-/// A pipeline, compiled once. Workgroups have the device's size, unless the constants name one.
+/// A pipeline of the device, which kernels of the same name and constants share. Workgroups have the device's size, unless the constants name one.
 class KernelBase {
 public:
     /// @param name of an embedded kernel @throws DeviceError where the driver rejects it
@@ -73,8 +73,7 @@ private:
     std::unique_ptr<Impl> impl_;
 
     /// Makes the pipeline where it is a new one, and notes what the driver says of it.
-    void compile_only(std::string_view name, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
-                      Subgroups subgroups);
+    void compile_only(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups);
 };
 
 /// The name of a kernel that takes these parameters, "stage/stem". That of another kernel does not compile.

@@ -15,9 +15,8 @@ namespace relidar {
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
     std::string name;
-    VkPipeline pipeline = VK_NULL_HANDLE;
-    std::uint32_t workgroup_size = 0;   ///< threads
-    ~Impl();
+    VkPipeline pipeline = VK_NULL_HANDLE;   ///< the device's
+    std::uint32_t workgroup_size = 0;       ///< threads
 };
 
 struct Stream::Impl {

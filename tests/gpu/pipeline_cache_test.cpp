@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <thread>
 
 #include <stdlib.h>
 
@@ -12,6 +13,8 @@
 #include "gpu/context.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/prefix_sum.hpp"
+#include "gpu/stream.hpp"
+#include "shared/optimizer.h"
 
 namespace relidar {
 namespace {
@@ -32,6 +35,8 @@ std::string rehashed(std::string bytes) {
 }
 
 void put(const fs::path& path, const std::string& bytes) { std::ofstream(path, std::ios::binary) << bytes; }
+
+class PipelinesOfADevice : public test::DeviceTest {};
 
 class PipelineCacheFile : public test::DeviceTest {
 protected:
@@ -124,6 +129,29 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
     EXPECT_EQ(files(folder / "home" / ".cache" / "relidar"), 1u);
     ::unsetenv("HOME");
     EXPECT_TRUE(open().path.empty());
+}
+
+/// Kernels that are alike have one pipeline of their device, also one after the other; those that differ in anything have their own.
+TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
+    Device opened(from_environment());
+    const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
+    const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}}, of_32{{ConstantId::WORKGROUP_SIZE, 32}};
+    const auto pipeline_of = [&](const std::vector<Constant>& constants, Subgroups subgroups = Subgroups::any) {
+        return Kernel<shared::ListTouchedParams>(opened, "optimizer/list_touched", constants, subgroups).impl().pipeline;
+    };
+    const VkPipeline first = pipeline_of(of_64);
+    EXPECT_NE(first, VK_NULL_HANDLE);
+    EXPECT_EQ(pipeline_of(of_64), first);
+    EXPECT_EQ(n_made(), 1u);
+    EXPECT_NE(pipeline_of(of_32), first);
+    EXPECT_NE(pipeline_of(of_64, Subgroups::full), first);
+    EXPECT_EQ(n_made(), 3u);
+    std::vector<VkPipeline> of_threads(8);
+    std::vector<std::thread> threads;
+    for (VkPipeline& found : of_threads) threads.emplace_back([&] { found = pipeline_of({{ConstantId::WORKGROUP_SIZE, 128}}); });
+    for (std::thread& thread : threads) thread.join();
+    for (const VkPipeline found : of_threads) EXPECT_EQ(found, of_threads[0]);
+    EXPECT_EQ(n_made(), 4u);
 }
 
 }  // namespace
