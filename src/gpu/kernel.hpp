@@ -57,7 +57,8 @@ consteval std::string_view name_of_struct() {
     return text.substr(text.rfind(':') + 1);
 }
 
-/// A pipeline of the device, which kernels of the same name and constants share. Workgroups have the device's size, unless the constants name one.
+/// A pipeline of the device, which kernels of the same name and constants share.
+/// Workgroups have the device's size, unless the constants name one.
 class KernelBase {
 public:
     /// @param name of an embedded kernel @throws DeviceError where the driver rejects it
