@@ -76,8 +76,8 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
 
-/// By kernel, specialisation constants and what is expected of subgroups. Drivers take milliseconds for one even where its code is in a
-/// cache, and a training or a renderer makes about 40, so all kernels of a device that are alike have one, kept until the device closes.
+/// Pipelines by kernel name, specialisation constants and what is expected of subgroups. lavapipe takes 10 ms for one even where its code
+/// is in a cache, and trainings and renderers make dozens, so kernels of a device that are alike share one, kept until it closes.
 struct Pipelines {
     std::mutex mutex;
     std::map<std::string, VkPipeline> by_key;

@@ -143,10 +143,9 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
 
 void KernelBase::compile_only(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
     Device::Impl& device = *impl_->device;
-    const std::vector<std::uint32_t> words = module_words(device, name, impl_->name);
     PipelineStatistics s;
     s.kernel = name;
-    s.constants = constants_text(words, constants);
+    s.constants = constants_text(find_words(name), constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size;

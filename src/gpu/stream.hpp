@@ -15,7 +15,7 @@ namespace relidar {
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
     std::string name;
-    VkPipeline pipeline = VK_NULL_HANDLE;   ///< the device's
+    VkPipeline pipeline = VK_NULL_HANDLE;   ///< owned by the device
     std::uint32_t workgroup_size = 0;       ///< threads
 };
 

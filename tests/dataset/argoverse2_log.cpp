@@ -90,7 +90,7 @@ std::string annotation_bytes(int sweeps, FeatherCodec codec) {
     std::vector<FeatherColumn> columns{number_column("timestamp_ns", time_ns),  text_column("track_uuid", id),
                                        text_column("category", category, true), number_column("length_m", length),
                                        number_column("width_m", width),         number_column("height_m", height)};
-    for (FeatherColumn& column : pose_columns(poses)) columns.push_back(std::move(column));
+    columns = with_poses(std::move(columns), poses);
     columns.push_back(number_column("num_interior_pts", n_points));
     return feather_bytes(columns, codec);
 }
@@ -131,8 +131,8 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
     vehicle_from_lidar = {Pose{glm::dquat(1, 0, 0, 0), {1.3626, 0.0006, 1.6406}},
                           Pose{glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)), {1.37536, 0.00165, 1.52427}}};
     const Pose camera{glm::dquat(0.5, -0.5, 0.5, -0.5), {1.6, 0.0, 1.4}};
-    std::vector<FeatherColumn> sensors{text_column("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})};
-    for (FeatherColumn& column : pose_columns({camera, vehicle_from_lidar[0], vehicle_from_lidar[1]})) sensors.push_back(std::move(column));
+    const std::vector<FeatherColumn> sensors = with_poses({text_column("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})},
+                                                          {camera, vehicle_from_lidar[0], vehicle_from_lidar[1]});
     write_text(file("calibration/egovehicle_SE3_sensor.feather"), feather_bytes(sensors, options.codec));
     // poses between the sweeps too, as the dataset has them
     std::vector<std::int64_t> time_ns;
@@ -141,8 +141,7 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
         time_ns.push_back(sweep_ns(0) + i * (sweep_ns(1) - sweep_ns(0)) / 4);
         poses.push_back(vehicle_at(1e-9 * double(time_ns.back() - kFirstSweep_ns)));
     }
-    std::vector<FeatherColumn> way{number_column("timestamp_ns", time_ns)};
-    for (FeatherColumn& column : pose_columns(poses)) way.push_back(std::move(column));
+    const std::vector<FeatherColumn> way = with_poses({number_column("timestamp_ns", time_ns)}, poses);
     write_text(file("city_SE3_egovehicle.feather"), feather_bytes(way, options.codec));
     write_text(file("annotations.feather"), annotation_bytes(options.sweeps, options.codec));
     for (int i = 0; i < options.sweeps; ++i) {

@@ -120,12 +120,12 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
         test::write_text(folder / file, test::feather_bytes(columns, test::FeatherCodec::lz4));
     };
     write("annotations.feather", test::with_poses({test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
-                                             test::text_column("category", category), test::number_column("length_m", size[0]),
-                                             test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
-                                            boxes));
+                                                   test::text_column("category", category), test::number_column("length_m", size[0]),
+                                                   test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
+                                                  boxes));
     write("city_SE3_egovehicle.feather",
           test::with_poses({test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
-                     {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
+                           {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
     write("calibration/egovehicle_SE3_sensor.feather",
           test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, {kMounted[0], kMounted[1]}));
 }

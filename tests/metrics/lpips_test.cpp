@@ -167,19 +167,19 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
         shared ? std::filesystem::path(shared) : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
     const std::filesystem::path file = folder / "data" / "lpips" / "lpips_alex_v0.1_f16.safetensors";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
-    constexpr int kRows = 64, kColumns = 96;
+    constexpr int n_rows = 64, n_columns = 96;
     const auto image = [](double y0, double y1, double k2) {
         std::vector<float> values;
         for (int colour = 0; colour < 3; ++colour)
-            for (int y = 0; y < kRows; ++y)
-                for (int x = 0; x < kColumns; ++x)
+            for (int y = 0; y < n_rows; ++y)
+                for (int x = 0; x < n_columns; ++x)
                     values.push_back(float(colour == 0   ? std::sin(0.1 * x + y0 * y)
                                            : colour == 1 ? std::cos(0.07 * x - y1 * y)
                                                          : std::sin(k2 * (x + y))));
         return values;
     };
     const std::array<double, 5> found =
-        Lpips(read_lpips_weights(file)).by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), kRows, kColumns);
+        Lpips(read_lpips_weights(file)).by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows, n_columns);
     const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695, 0.02966426871716976, 0.01576225645840168};
     double sum = 0.0;
     for (std::size_t l = 0; l < 5; ++l) {

@@ -171,7 +171,7 @@ TEST(Spray, ReturnsAndTakesByItsDensity) {
         ASSERT_TRUE(drops.range_m >= 10.0 && drops.range_m <= 13.0);
         sum += drops.reflectivity;
     }
-    EXPECT_NEAR(sum / kPulses / expected, 1.0, 0.02) << "1.3 sqrt(1/n) is one chi2_deviate, and what is too weak to see is little";
+    EXPECT_NEAR(sum / kPulses / expected, 1.0, 0.02) << "1.3 sqrt(1/n) is one deviation, and what is too weak to see is little";
     RayEchoes before{surface_at(9.0, 0.9), {}};
     before.spray = spray;
     const RayEchoes seen = air.look(before, 9.0, 1);
