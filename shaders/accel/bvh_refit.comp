@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved. One thread a wide
-// node; those without inner children start, and the last child to reach a node goes on. Input: boxes, topology of wide. Output: origin,
-// exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read, 28 B read and 104 B written a wide node.
+// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved. A thread
+// takes every n-th wide node without inner children, n threads in all, and the last child to reach a node goes on. Input: boxes, topology
+// of wide. Output: origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read, 28 B read and 104 B written a
+// wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -29,9 +30,8 @@ void refit_node(uint node, uint first_surfel, uint inner_mask) {
     store_shared_box(params.wide.boxes, node, write_boxes(params.wide.nodes, node, inner_mask, boxes));
 }
 
-void main() {
-    uint node = thread_index();
-    if (node >= min(params.bound, params.wide.count.at[0])) return;
+/// Refits a node without inner children, and every node above whose children are then all refitted.
+void refit_upwards(uint node) {
     uint inner_mask = params.wide.nodes.at[node].exponents >> 24;
     if (inner_mask != 0u) return;
     uvec2 link = params.wide.links.at[node];
@@ -44,4 +44,9 @@ void main() {
         params.wide.arrivals.at[node] = 0u;   // for the next launch
         link = params.wide.links.at[node];
     }
+}
+
+void main() {
+    uint n_nodes = min(params.bound, params.wide.count.at[0]);
+    for (uint node = thread_index(); node < n_nodes; node += thread_count()) refit_upwards(node);
 }

@@ -74,12 +74,12 @@ uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedH
 void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
     reset_hits(0.0);
     hits_closed = true;
-    for (; n_hits < min(n, CHUNK); ++n_hits) {
-        KeptHit kept = params.kept.at[first + n_hits];
+    for (uint i = 0u; i < min(n, CHUNK); ++i) {
+        KeptHit kept = params.kept.at[first + i];
         SurfelHit hit;
         enter_instance(scene, ray, kept.instance);
         intersect(scene.records.at[kept.surfel], entered_origin, entered_direction, hit);
-        put_hit(n_hits, n_hits, Hit(hit.t, hit.alpha, kept.instance, kept.surfel));
+        append_hit(Hit(hit.t, hit.alpha, kept.instance, kept.surfel));
     }
 }
 
@@ -123,8 +123,9 @@ BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
 /// Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1. With the
 /// worth of the nearest surface, the first hit in the buffer, as that number, small differences are no longer differences of large numbers.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
-    state.first_t = hit_t[0];
-    state.shift = shade_of(scene, ray, g, hit_at(0u), state);
+    Hit nearest = hit_at(0u);
+    state.first_t = nearest.t;
+    state.shift = shade_of(scene, ray, g, nearest, state);
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);
     add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
 }
@@ -143,7 +144,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
             // whole chunks alone, so that sums are the same however many hits are kept
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
-            else next_hits(scene, ray, after, remaining_budget(scene, state.transmittance));
+            else next_hits(scene, ray, after, least_of_rest(scene, state.transmittance));
             n = min(n_hits, final.n_hits - blended);
             if (pass == 0u) start_shift(scene, ray, final, g, state);
             blended += n;

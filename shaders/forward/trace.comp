@@ -18,7 +18,7 @@ void render(TraceScene scene, Ray ray, uint ray_index) {
     Key after = first_key(scene);
     bool ended = false;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
-        next_hits(scene, ray, after, remaining_budget(scene, b.ray.transmittance));
+        next_hits(scene, ray, after, least_of_rest(scene, b.ray.transmittance));
         for (uint i = 0u; i < n_hits && !ended; ++i) ended = blend_hit(scene, ray, ray_index, hit_at(i), b);
         if (!hits_closed) ended = true;
         else after = hit_key(n_hits - 1u);

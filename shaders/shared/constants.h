@@ -9,7 +9,7 @@
     X(CHUNK, 1u)               /* hits sorted at a time */                                                                   \
     X(BOXES, 2u)               /* proxies: 0: triangles; 1: boxes for a driver; 2: boxes for the software structure */       \
     X(SH_PER_SURFEL, 3u)       /* harmonics are evaluated 1: once a surfel; 0: a hit */                                      \
-    X(TOGETHER, 4u)            /* 1: rays of a subgroup walk the tree together */                                            \
+    X(TOGETHER, 4u)            /* 1: rays of a subgroup walk the tree together; 2: and load surfels for each other */        \
     X(COUNT_VISITS, 5u)        /* 1: nodes opened and surfels tested are counted */                                          \
     X(GATHER, 6u)              /* 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics */    \
     X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit; 0: each lane those of its own */          \

@@ -3,8 +3,7 @@
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_BRUTE_FORCE_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_BRUTE_FORCE_GLSL
 
-void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
-    reset_hits(budget);
+void find_hits(TraceScene scene, Ray ray, Key after) {
     for (uint instance = 0u; instance < scene.n_instances; ++instance) {
         uint count = scene.instances.at[instance].n_surfels;
         for (uint i = 0u; i < count; ++i) offer(scene, ray, after, instance, i);

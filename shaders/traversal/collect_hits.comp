@@ -15,7 +15,7 @@ void main() {
     uint count = 0u;
     bool more = true;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && more; ++pass) {
-        next_hits(params.scene, ray, after, 1e30);
+        next_hits(params.scene, ray, after, 0.0);
         for (uint i = 0u; i < n_hits; ++i, ++count) {
             if (count >= params.max_hits) continue;
             uint slot = ray_index * params.max_hits + count;

@@ -4,96 +4,140 @@
 #define RELIDAR_INCLUDED_TRAVERSAL_HIT_BUFFER_GLSL
 RELIDAR_CONSTANT(uint, CHUNK, 16u);
 
-// The buffer: hits in the order of their keys, nearest first, CHUNK of them at most. Only what is compared lies in order; the rest of a hit
-// stays where it was put, so that making room moves two words a hit.
-float hit_t[SLOTS];
-uint hit_place[SLOTS];     // where the rest of it lies; behind the last hit: places of dropped ones, to be taken again
-uint n_hits;
-uint n_places;             // taken so far, at most CHUNK
+// The buffer, while it is filled: a ring of at most CHUNK places from the farthest hit to the nearest, so that a hit is put between two
+// others and none is moved. Place CHUNK is no hit: it follows the nearest one, and the farthest follows it. A hit's place is looked for
+// from the far end, for hits are found roughly from near to far, or from the latest hit on, where it is nearer than that: they come in
+// clusters.
+const float kFar = 1e38;
+float placed_t[SLOTS];
+uint next_nearer[SLOTS];   // place of the next nearer hit
 float placed_alpha[SLOTS];
 uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
+uint n_hits;
+uint n_places;             // taken so far
+uint free_place;           // one whose hit was dropped, CHUNK for none; next_nearer is the next such place
+uint latest;               // the hit that was taken last
+float latest_t;            // -kFar: it was dropped
+float farthest_t;          // of the last hit, where hits_closed
 bool hits_closed;          // nothing beyond the last hit can matter any more in this pass: the ray may end there
-float hits_optical_depth;  // sum of -log(1 - alpha) over the buffer
-float optical_budget;      // hits behind this optical depth cannot be blended; huge = keep all
+float hits_transmittance;  // product of 1 - alpha over the buffer
+float least_transmittance; // once it is less, hits behind cannot be blended; 0: keep all
 
-/// Hit i of the buffer, 0 the nearest.
-Hit hit_at(uint i) {
-    uint place = hit_place[i];
-    return Hit(hit_t[i], placed_alpha[place], placed_instance[place], placed_surfel[place]);
-}
+// When it is filled: places in the order of the hits' keys, nearest first.
+uint hit_place[SLOTS];
 
-Key hit_key(uint i) { return Key(hit_t[i], placed_instance[hit_place[i]], placed_surfel[hit_place[i]]); }
+Hit placed_hit(uint place) { return Hit(placed_t[place], placed_alpha[place], placed_instance[place], placed_surfel[place]); }
+Key placed_key(uint place) { return Key(placed_t[place], placed_instance[place], placed_surfel[place]); }
 
-/// A place for the rest of a hit: that of one that was dropped, or a new one.
-uint take_place() { return n_places > n_hits ? hit_place[n_hits] : n_places++; }
+/// Hit i of the filled buffer, 0 the nearest.
+Hit hit_at(uint i) { return placed_hit(hit_place[i]); }
+Key hit_key(uint i) { return placed_key(hit_place[i]); }
 
-/// Writes a hit into a slot of the buffer.
-void put_hit(uint slot, uint place, Hit hit) {
-    hit_t[slot] = hit.t;
-    hit_place[slot] = place;
+/// Writes a hit to a place of the buffer.
+void place_hit(uint place, Hit hit) {
+    placed_t[place] = hit.t;
     placed_alpha[place] = hit.alpha;
     placed_instance[place] = hit.instance;
     placed_surfel[place] = hit.surfel;
 }
 
-float optical_depth(float alpha, float alpha_max) { return -log(1.0 - min(alpha, alpha_max)); }
+/// Appends a hit that is known to be the next farther one.
+void append_hit(Hit hit) {
+    place_hit(n_hits, hit);
+    hit_place[n_hits] = n_hits;
+    ++n_hits;
+}
+
+/// Puts the places of a filled ring in order.
+void order_hits() {
+    uint place = next_nearer[CHUNK];
+    for (uint i = n_hits; i > 0u; --i) {
+        hit_place[i - 1u] = place;
+        place = next_nearer[place];
+    }
+}
+
+/// Takes the farthest hit out. @param left  transmittance of the others @return its place
+uint drop_farthest(float left) {
+    uint place = next_nearer[CHUNK];
+    next_nearer[CHUNK] = next_nearer[place];
+    hits_transmittance = left;
+    if (place == latest) latest_t = -kFar;
+    --n_hits;
+    return place;
+}
+
+/// Transmittance of the hits before the farthest one.
+float left_before_farthest(float alpha_max) { return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max)); }
 
 /// Drops the farthest hits while those before them already end the ray (T under T_min whatever comes behind).
 void cut_by_transmittance(float alpha_max) {
-    while (hits_optical_depth >= optical_budget && n_hits > 1u) {
-        float last = optical_depth(hit_at(n_hits - 1u).alpha, alpha_max);
-        if (hits_optical_depth - last < optical_budget) return;
-        hits_optical_depth -= last;
-        --n_hits;
+    while (hits_transmittance < least_transmittance && n_hits > 1u) {
+        float left = left_before_farthest(alpha_max);
+        if (!(left < least_transmittance)) return;
+        uint place = drop_farthest(left);
+        next_nearer[place] = free_place;
+        free_place = place;
         hits_closed = true;
     }
 }
 
-/// Whether the hit is in the buffer. Equal keys are rare: t alone is looked at as long as it decides.
-bool is_known(Key key) {
-    uint slot = n_hits;
-    while (slot > 0u && hit_t[slot - 1u] > key.t) --slot;
-    while (slot > 0u && before(key, hit_key(slot - 1u))) --slot;
-    return slot > 0u && hit_key(slot - 1u) == key;
+/// A place for a hit: that of a dropped one, or a new one.
+uint take_place(float alpha_max) {
+    if (n_hits == CHUNK) return drop_farthest(left_before_farthest(alpha_max));
+    uint place = free_place;
+    if (place == CHUNK) return n_places++;
+    free_place = next_nearer[place];
+    return place;
 }
 
-/// Takes a hit into the buffer; the farthest one leaves where it is full. Each hit is moved once, as its place is looked for.
+/// Takes a hit into the buffer; the farthest one leaves where it is full.
 void insert(Key key, float alpha, float alpha_max) {
-#ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    if (is_known(key)) return;   // the second triangle of one surfel, or a box the driver reports twice
-#endif
-    if (n_hits == CHUNK) {
-        --n_hits;
-        hits_optical_depth -= optical_depth(hit_at(n_hits).alpha, alpha_max);
-    }
-    uint slot = n_hits, own_place = take_place();
-    for (; slot > 0u; --slot) {
-        float t = hit_t[slot - 1u];
-        uint place = hit_place[slot - 1u];
+    uint farther = key.t < latest_t ? latest : CHUNK, nearer = next_nearer[farther];
+    for (;;) {
+        float t = placed_t[nearer];
         if (!(t >= key.t)) break;
-        if (t == key.t && before(Key(t, placed_instance[place], placed_surfel[place]), key)) break;
-        hit_t[slot] = t;
-        hit_place[slot] = place;
+        if (t == key.t) {   // rare
+            Key known = placed_key(nearer);
+            if (known == key) return;   // the second triangle of one surfel, or a box the driver reports twice
+            if (before(known, key)) break;
+        }
+        farther = nearer;
+        nearer = next_nearer[nearer];
     }
-    put_hit(slot, own_place, Hit(key.t, alpha, key.instance, key.surfel));
+    uint own = take_place(alpha_max);
+    if (own == farther) farther = CHUNK;   // it was the farthest hit's
+    place_hit(own, Hit(key.t, alpha, key.instance, key.surfel));
+    latest = own;
+    latest_t = key.t;
+    next_nearer[own] = nearer;
+    next_nearer[farther] = own;
     ++n_hits;
-    hits_optical_depth += optical_depth(alpha, alpha_max);
+    hits_transmittance *= 1.0 - min(alpha, alpha_max);
     if (n_hits == CHUNK) hits_closed = true;
     cut_by_transmittance(alpha_max);
+    if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
 /// Where the last hit lies, behind which a closed buffer takes none.
-float last_hit_t() { return hit_t[n_hits - 1u]; }
+float last_hit_t() { return farthest_t; }
 
 /// Whether a hit can not matter any more in this pass.
-bool is_behind(Key key) { return hits_closed && !before(key, hit_key(n_hits - 1u)); }
+bool is_behind(Key key) {
+    if (!hits_closed || key.t < farthest_t) return false;
+    return key.t > farthest_t || !before(key, placed_key(next_nearer[CHUNK]));
+}
 
-void reset_hits(float budget) {
+void reset_hits(float least) {
     n_hits = 0u;
     n_places = 0u;
+    free_place = CHUNK;
+    placed_t[CHUNK] = -kFar;   // nearer than any hit
+    next_nearer[CHUNK] = CHUNK;
+    latest_t = -kFar;
     hits_closed = false;
-    hits_optical_depth = 0.0;
-    optical_budget = budget;
+    hits_transmittance = 1.0;
+    least_transmittance = least;
 }
 #endif

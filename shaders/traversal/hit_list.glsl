@@ -51,12 +51,15 @@ void insert(Key key, float alpha, float alpha_max) {
     }
 }
 
-void reset_hits(float budget) {
+/// forward/sort_hits does.
+void order_hits() {}
+
+void reset_hits(float least) {
     n_hits = 0u;
     hits_closed = false;
     end_t = 0.0;
     set_transmittance = 1.0;
-    least_transmittance = exp(-budget);
+    least_transmittance = least;
     farthest_t = 0.0;
 }
 #endif

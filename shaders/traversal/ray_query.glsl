@@ -9,8 +9,7 @@
 #define RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
-void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
-    reset_hits(budget);
+void find_hits(TraceScene scene, Ray ray, Key after) {
     float start = search_start(after);
     rayQueryEXT query;
     rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT, 0xffu,

@@ -5,7 +5,8 @@
 // test its surfels all at once. Together, every ray still keeps its own stack and its own distances, and takes the union of what its
 // subgroup wants. Rays take the same entry at a time, that of the first of them, and one whose stack has come to differ waits for its turn:
 // so nothing is missing however a driver lets lanes part and meet, and what is loaded has the same address in all lanes, as a broadcast
-// tells the compiler, which then loads it once.
+// tells the compiler, which then loads it once. A CPU's compiler does not, so there lanes load for each other (kSharesLoads): its lanes are
+// those of one vector, and cannot part.
 //
 // No hit is lost:
 // - The slab test uses the very ray that intersect() uses (entered_origin, entered_direction). t is the ray's parameter, the same in the
@@ -23,7 +24,9 @@
 #extension GL_KHR_shader_subgroup_vote : enable
 #extension GL_KHR_shader_subgroup_ballot : enable
 #extension GL_KHR_shader_subgroup_arithmetic : enable
+#extension GL_KHR_shader_subgroup_shuffle : enable
 RELIDAR_CONSTANT(uint, TOGETHER, 0u);
+const uint kSharesLoads = 2u;
 RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 
 // At most 7 entries stay behind a level: enough for 9 levels of full nodes, 8^9 surfels. A tree as deep and as wide as to need more makes
@@ -128,6 +131,35 @@ uint take_lowest(inout uint entries) {
     return lowest;
 }
 
+/// What the lane `from` holds.
+SurfelRecord shuffled(SurfelRecord r, uint from) {
+    SurfelRecord s;
+    s.mean = subgroupShuffle(r.mean, from);
+    s.opacity = subgroupShuffle(r.opacity, from);
+    s.axis_u = subgroupShuffle(r.axis_u, from);
+    s.axis_v = subgroupShuffle(r.axis_v, from);
+    s.normal = subgroupShuffle(r.normal, from);
+    return s;
+}
+
+/// Offers opened entries to all rays that take this turn. Each of their lanes loads another one, so that a record is loaded once for all of
+/// them and misses of the cache overlap; then the records are passed round. Lanes that part in between would pass round nothing.
+void offer_together(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf, uint entries) {
+    uvec4 lanes = subgroupBallot(true);
+    uint rank = subgroupBallotExclusiveBitCount(lanes);
+    while (entries != 0u) {
+        uint own = entries;
+        for (uint k = min(rank, uint(bitCount(entries)) - 1u); k > 0u; --k) own &= own - 1u;
+        uint surfel = first_surfel + scene.bvh.order.at[first_leaf + uint(findLSB(own))];
+        SurfelRecord record = scene.records.at[surfel];
+        for (uvec4 left = lanes; entries != 0u && subgroupBallotBitCount(left) != 0u; entries &= entries - 1u) {
+            uint lane = subgroupBallotFindLSB(left);
+            left[lane >> 5u] &= left[lane >> 5u] - 1u;
+            offer_record(scene, after, instance, subgroupShuffle(surfel, lane), shuffled(record, lane));
+        }
+    }
+}
+
 /// Moves the boxes' ray to the frame of an instance's model, or of the world.
 void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
@@ -152,13 +184,13 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
     }
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
-    while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+    if (TOGETHER == kSharesLoads) offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
+    else while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
     if (hits_closed) walked.end = last_hit_t() + (1e-4 + 1e-5 * last_hit_t());
     return n_tested;
 }
 
-void next_hits(TraceScene scene, Ray ray, Key after, float budget) {
-    reset_hits(budget);
+void find_hits(TraceScene scene, Ray ray, Key after) {
     BoxRay walked;
     walked.start = search_start(after);
     walked.end = kNever;

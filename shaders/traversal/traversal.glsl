@@ -18,15 +18,19 @@ const uint SLOTS = 65u;
 #include "hit_buffer.glsl"
 #endif
 
-/// Takes a candidate proposed by a backend: a surfel of the instance that was entered last, counted in the scene.
-void offer_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
+/// Takes a candidate proposed by a backend: a surfel of the instance that was entered last, counted in the scene, and its record.
+void offer_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
-    if (!intersect(scene.records.at[surfel], entered_origin, entered_direction, hit)) return;
+    if (!intersect(record, entered_origin, entered_direction, hit)) return;
     if (!(hit.alpha >= scene.alpha_min)) return;
     Key key = Key(hit.t, instance, surfel);
     if (!before(after, key)) return;
     if (is_behind(key)) return;
     insert(key, hit.alpha, scene.alpha_max);
+}
+
+void offer_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
+    offer_record(scene, after, instance, surfel, scene.records.at[surfel]);
 }
 
 /// The same of any instance, counted from its first surfel.
@@ -41,10 +45,8 @@ Key first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffff
 /// Where a continued search may start: hits before are known. Rounding of a backend's own t is far below this (docs: platform).
 float search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
 
-/// Optical depth still to go before a ray that has transmittance T left must end, with room for rounding of the sum.
-float remaining_budget(TraceScene scene, float transmittance) {
-    return log(transmittance / scene.transmittance_min) + 0.01;
-}
+/// Transmittance of further hits with which a ray that has this much left must end, with room for rounding of the product.
+float least_of_rest(TraceScene scene, float transmittance) { return 0.99 * scene.transmittance_min / transmittance; }
 
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
 #include "ray_query.glsl"
@@ -53,4 +55,10 @@ float remaining_budget(TraceScene scene, float transmittance) {
 #else
 #include "brute_force.glsl"
 #endif
+
+void next_hits(TraceScene scene, Ray ray, Key after, float least) {
+    reset_hits(least);
+    find_hits(scene, ray, after);
+    order_hits();
+}
 #endif

@@ -24,6 +24,10 @@ namespace {
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
 constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};   // kernels that share memory
 
+// There is room for more nodes than there are. A CPU's threads each take a stretch of a launch: few threads, each of which takes nodes
+// from everywhere, give them a like share.
+constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
+
 /// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
 
@@ -63,7 +67,7 @@ constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDeman
 constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
 
 struct Bvh::Impl {
-    std::uint32_t n, n_models, n_instances, bound;
+    std::uint32_t n, n_models, n_instances, bound, n_refitting;
     Kernel<shared::ProxyParams> proxies;
     Kernel<shared::BvhBoundsParams> bounds_kernel;
     Kernel<shared::BvhKeysParams> keys_kernel;
@@ -119,6 +123,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
+      n_refitting(coalesces(d) ? bound : std::min(bound, kRefitThreadsOfCpu)),
       proxies(d, "accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
       bounds_kernel(d, "accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "accel/bvh_keys"),
@@ -242,7 +247,7 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
 }
 
 void Bvh::Impl::fit_nodes(Stream& stream) {
-    run(stream, refit_kernel, bound, {.wide = wide(), .boxes = boxes.address(), .bound = bound});
+    run(stream, refit_kernel, n_refitting, {.wide = wide(), .boxes = boxes.address(), .bound = bound});
 }
 
 Bvh::Bvh(Device& device, const DeviceScene& scene) {

@@ -104,6 +104,7 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
+    groups.need(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
     groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups of 4 to 64 lanes");
     groups.need(known_subgroups(sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;

@@ -66,10 +66,12 @@ inline KernelVariant traversal_variant(const Device& device) {
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
-/// Whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe (docs/platform.md); on a GPU lanes
-/// are free to part.
-inline bool walks_together(const Device& device, const TraceOptions& options) {
-    return options.walk == Walk::automatic ? device.info().type == "CPU" : options.walk == Walk::subgroup;
+/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe
+/// (docs/platform.md). On a GPU lanes are free to part; on a CPU they are those of one vector, and load surfels for each other.
+inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
+    const bool is_cpu = device.info().type == "CPU";
+    if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
+    return is_cpu ? 2 : 1;
 }
 
 /// Specialisation constants of the tracing kernels (shaders/traversal).
@@ -77,7 +79,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
     return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
             {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
             {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {ConstantId::TOGETHER, walks_together(device, options) ? 1u : 0u},
+            {ConstantId::TOGETHER, walks_together(device, options)},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
             {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},

@@ -141,7 +141,8 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
 TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     subgroup.supportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
-    subgroup.supportedOperations = VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT;
+    subgroup.supportedOperations = VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT |
+                                   VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;
@@ -154,6 +155,8 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "");
     sizes.maxSubgroupSize = 8;
     EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "") << "one size";
+    subgroup.supportedOperations &= ~VkSubgroupFeatureFlags(VK_SUBGROUP_FEATURE_SHUFFLE_BIT);
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
 }
 
 TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
