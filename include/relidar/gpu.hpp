@@ -103,8 +103,15 @@ private:
 
 /// Milliseconds a kernel over the submissions measured.
 struct KernelTimes {
-    /// kernel name -> one entry a launch, at most the last 4096 (older ones are dropped)
-    std::map<std::string, std::vector<double>> milliseconds;
+    static constexpr std::ptrdiff_t kLast = 4096;
+    struct Total {
+        double launches = 0.0, ms = 0.0;
+    };
+    std::map<std::string, std::vector<double>> milliseconds;   ///< kernel name -> one entry a launch, of the last kLast launches
+    std::map<std::string, Total> totals;                       ///< of all launches
+
+    void add(const std::string& kernel, double ms);   ///< one more launch
+    void add(const KernelTimes& later);               ///< those of launches that came afterwards
 };
 
 }  // namespace relidar

@@ -16,6 +16,7 @@ struct LossWeights {
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     bool normalised_depth = false;   ///< compare D / W instead of D (paper)
+    float intensity_delta = 0.0f;    ///< Huber loss of intensities: up to this error squared, beyond it linear; 0: L1 (paper)
     float box_scale_share = 0.2f;    ///< standard deviation an actor's surfel may have, over half the diagonal of its box
     float likelihood_scale_m = 0.05f;        ///< spread of measured ranges about what is there, metres
     float likelihood_floor = 0.01f;          ///< share of returns that may lie anywhere

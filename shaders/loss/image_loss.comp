@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 on returned rays, ray-drop cross-entropy of the softmax
+// Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 or Huber on returned rays, ray-drop cross-entropy of the softmax
 // of the two blended logits (M6) on all known rays. One thread a ray.
 // Input: rendered, targets. Output: upstream. Accumulated: terms.
 #version 460
@@ -22,6 +22,14 @@ float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     return params.depth_weight * abs(error);
 }
 
+/// Huber loss, e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 where delta is 0. @return the term
+float intensity_term(float error, inout RayGradient g) {
+    float delta = params.intensity_delta, size = abs(error);
+    bool squared = size < delta;
+    g.intensity += params.intensity_weight * (squared ? error / delta : sign(error));
+    return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
+}
+
 /// -log of the probability of what happened; log(1 + exp(x)) without overflow. @return the term
 float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     float x = r.drop_logit - r.hit_logit;
@@ -39,9 +47,7 @@ vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
     bool dropped = !(target.range_m > 0.0);
     if (!dropped) {
         terms.x = depth_term(r, target.range_m, g);
-        float error = r.intensity - target.intensity;
-        g.intensity += params.intensity_weight * sign(error);
-        terms.y = params.intensity_weight * abs(error);
+        terms.y = intensity_term(r.intensity - target.intensity, g);
         float missing = 1.0 - r.weight;
         g.weight -= 2.0 * params.opacity_weight * missing;
         terms.w = params.opacity_weight * missing * missing;

@@ -23,6 +23,7 @@ struct ImageLossParams {
     float intensity_weight;
     float drop_weight;
     float opacity_weight;                  // (1 - W)^2 on returned pixels
+    float intensity_delta;                 // of the Huber loss; 0: L1
     uint n_rays;
     uint first_ray;
     uint ray_stride;

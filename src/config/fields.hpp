@@ -164,6 +164,8 @@ void visit_losses(C& c, Visitor&& f) {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
+    f("loss.intensity_delta", c.loss.intensity_delta, between(0, 1),
+      expert("Huber loss of intensities: errors up to this are squared, which finds means, larger ones are not; 0: L1, the paper's"));
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), expert("the range term compares D / W; false: D, as the paper does"));
 }
 

@@ -174,9 +174,7 @@ void Stream::Impl::collect_times(Slot& slot) {
     const VkResult result = vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
                                                   stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
-        std::vector<double>& entry = times.milliseconds[slot.launches[i]];
-        if (entry.size() >= 4096) entry.erase(entry.begin());
-        entry.push_back(double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6);
+        times.add(slot.launches[i], double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6);
     }
     slot.launches.clear();
 }
@@ -239,7 +237,28 @@ const KernelTimes& Stream::times() const {
 
 void Stream::reset_times() {
     times();
-    impl_->times.milliseconds.clear();
+    impl_->times = {};
+}
+
+void KernelTimes::add(const std::string& kernel, double ms) {
+    std::vector<double>& last = milliseconds[kernel];
+    if (std::ssize(last) >= kLast) last.erase(last.begin());
+    last.push_back(ms);
+    Total& total = totals[kernel];
+    total.launches += 1.0;
+    total.ms += ms;
+}
+
+void KernelTimes::add(const KernelTimes& later) {
+    for (const auto& [kernel, ms] : later.milliseconds) {
+        std::vector<double>& last = milliseconds[kernel];
+        last.insert(last.end(), ms.begin(), ms.end());
+        if (std::ssize(last) > kLast) last.erase(last.begin(), last.end() - kLast);
+    }
+    for (const auto& [kernel, more] : later.totals) {
+        totals[kernel].launches += more.launches;
+        totals[kernel].ms += more.ms;
+    }
 }
 
 }  // namespace relidar

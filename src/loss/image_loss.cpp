@@ -48,6 +48,7 @@ void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetB
                   .intensity_weight = (1.0f - w.intensity_ssim) * w.intensity * per_return,
                   .drop_weight = w.drop * per_ray,
                   .opacity_weight = w.opacity * per_return,
+                  .intensity_delta = w.intensity_delta,
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
                   .ray_stride = batch.stride,

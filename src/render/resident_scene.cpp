@@ -11,15 +11,6 @@ namespace {
 
 constexpr double kSweep_m = 10.0;   // that a sensor may come along while it sweeps
 constexpr double kMiB = 1024.0 * 1024.0;
-constexpr std::ptrdiff_t kMostLaunches = 4096;   // of a kernel, as KernelTimes has it: a server loads blocks for as long as it runs
-
-void add_times(KernelTimes& sum, const KernelTimes& times) {
-    for (const auto& [kernel, milliseconds] : times.milliseconds) {
-        std::vector<double>& all = sum.milliseconds[kernel];
-        all.insert(all.end(), milliseconds.begin(), milliseconds.end());
-        if (std::ssize(all) > kMostLaunches) all.erase(all.begin(), all.end() - kMostLaunches);
-    }
-}
 
 }  // namespace
 
@@ -35,7 +26,7 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
 }
 
 void ResidentScene::load(const std::vector<std::size_t>& blocks) {
-    if (renderer_) add_times(past_, renderer_->stream().times());
+    if (renderer_) past_.add(renderer_->stream().times());
     renderer_.reset();   // gives its memory back first
     loaded_.clear();
     Scene scene = read_blocks(scene_, blocks);
@@ -76,7 +67,7 @@ void ResidentScene::bring(const glm::vec3& sensor_m, double reach_m) {
 const KernelTimes& ResidentScene::times() {
     if (renderer_ && past_.milliseconds.empty()) return renderer_->stream().times();
     times_ = past_;
-    if (renderer_) add_times(times_, renderer_->stream().times());
+    if (renderer_) times_.add(renderer_->stream().times());
     return times_;
 }
 

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <numeric>
 
 #include <fmt/format.h>
 
@@ -16,13 +15,6 @@ namespace {
 
 constexpr int kWarmUp = 5;
 
-/// Launches and milliseconds so far.
-std::map<std::string, StepTimes::Kernel> sums(const KernelTimes& times) {
-    std::map<std::string, StepTimes::Kernel> all;
-    for (const auto& [kernel, ms] : times.milliseconds) all[kernel] = {double(ms.size()), std::accumulate(ms.begin(), ms.end(), 0.0)};
-    return all;
-}
-
 }  // namespace
 
 StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop) {
@@ -34,16 +26,16 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.iterate(first + k);
     loop.settle();
-    const std::map<std::string, StepTimes::Kernel> before = sums(loop.times());
+    const std::map<std::string, KernelTimes::Total> before = loop.times().totals;
     StepTimes result;
     const auto start = std::chrono::steady_clock::now();
     for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps) loop.iterate(first + kWarmUp + result.n_steps);
     loop.settle();
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / result.n_steps;
-    for (const auto& [kernel, sum] : sums(loop.times())) {
+    for (const auto& [kernel, sum] : loop.times().totals) {
         const auto earlier = before.find(kernel);
-        const StepTimes::Kernel had = earlier == before.end() ? StepTimes::Kernel{} : earlier->second;
+        const KernelTimes::Total had = earlier == before.end() ? KernelTimes::Total{} : earlier->second;
         if (sum.launches == had.launches) continue;
         result.kernels[kernel] = {(sum.launches - had.launches) / result.n_steps, (sum.ms - had.ms) / result.n_steps};
         result.kernels_ms += result.kernels[kernel].ms;

@@ -91,6 +91,21 @@ TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 20u : 0u);
 }
 
+TEST_F(Gpu, TimesKeepTheLastLaunchesAndTheTotalsOfAll) {
+    KernelTimes times, later;
+    for (int i = 0; i < KernelTimes::kLast + 3; ++i) times.add("fill", i < 3 ? 5.0 : 1.0);
+    EXPECT_EQ(times.milliseconds.at("fill"), std::vector<double>(KernelTimes::kLast, 1.0));
+    EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kLast + 3);
+    EXPECT_EQ(times.totals.at("fill").ms, KernelTimes::kLast + 15);
+    later.add("fill", 2.0);
+    later.add("copy", 3.0);
+    times.add(later);
+    EXPECT_EQ(times.milliseconds.at("fill").size(), std::size_t(KernelTimes::kLast));
+    EXPECT_EQ(times.milliseconds.at("fill").back(), 2.0);
+    EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kLast + 4);
+    EXPECT_EQ(times.totals.at("copy").ms, 3.0);
+}
+
 TEST_F(Gpu, CopiesAreOrderedAndKeepWhatLiesBehind) {
     const std::vector<std::uint32_t> zeros(1000, 0u);
     const Array<std::uint32_t> from(device(), 1000, "test"), to(device(), std::span<const std::uint32_t>(zeros), "test");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// loss/image_loss (Eq. 10, M6) against the double reference, values and derivatives, on both depth terms; masked rays, extreme logits,
-// strided batches.
+// loss/image_loss (Eq. 10, M6) against the double reference, values and derivatives, on both depth and both intensity terms; masked rays,
+// extreme logits, strided batches.
 #include <cmath>
 #include <random>
 
@@ -51,9 +51,11 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             const Data d = random_data(n, n);
             LossWeights weights;
             weights.normalised_depth = normalised;
+            weights.intensity_delta = normalised ? 0.2f : 0.0f;
             std::vector<reference::PixelGradient> expected;
             const reference::LossTerms terms =
-                reference::evaluate_loss(d.pixels, d.expected_targets, {weights.depth, weights.intensity, weights.drop},
+                reference::evaluate_loss(d.pixels, d.expected_targets,
+                                         {weights.depth, weights.intensity, weights.drop, weights.intensity_delta},
                                          normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
             ImageLoss loss(device(), weights);
             Stream stream(device());

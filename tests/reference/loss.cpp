@@ -3,6 +3,7 @@
 // neither overflow nor lose their derivative: with x = drop - hit, ln(1 + e^x) - y x, derivative beta - y.
 #include "loss.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -35,9 +36,10 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
             if (kind == DepthKind::normalised) d[i].weight = -d[i].depth * p.depth * scale;
         }
         if (returned) {
-            const double residual = p.intensity - targets[i].intensity;
-            terms.intensity += std::abs(residual) / n_returned;
-            d[i].intensity = weights.intensity * sign(residual) / n_returned;
+            const double residual = p.intensity - targets[i].intensity, delta = weights.intensity_delta;
+            const double within = std::min(std::abs(residual), delta);   // where the loss is squared; the rest is linear
+            terms.intensity += (std::abs(residual) - within + (delta > 0.0 ? within * within / (2.0 * delta) : 0.0)) / n_returned;
+            d[i].intensity = weights.intensity * sign(residual) * (within < delta ? within / delta : 1.0) / n_returned;
         }
         const double x = p.drop_logit - p.hit_logit, y = returned ? 0.0 : 1.0;
         terms.drop += (softplus(x) - y * x) / n_rays;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The per-ray loss terms of docs/method.md section 5 in double, with their derivatives with respect to the rendered values:
-// L1 of depth and intensity on returned rays, cross-entropy of the ray-drop probability beta = softmax(hit, drop) (M6).
+// L1 of depth, L1 or Huber of intensity on returned rays, cross-entropy of the ray-drop probability beta = softmax(hit, drop) (M6).
 #pragma once
 
 #include <vector>
@@ -13,6 +13,7 @@ struct LossWeights {
     double depth = 0.1;
     double intensity = 0.1;
     double drop = 0.01;
+    double intensity_delta = 0.0;   ///< of the Huber loss; 0: L1
 };
 
 /// What the depth term compares with the measured range.
@@ -26,7 +27,7 @@ struct Target {
 
 struct LossTerms {
     double depth = 0.0;       ///< mean |depth - range| over returned rays, metres
-    double intensity = 0.0;   ///< mean |intensity - measured| over returned rays
+    double intensity = 0.0;   ///< mean |intensity - measured| over returned rays, or their Huber loss
     double drop = 0.0;        ///< mean -[y ln beta + (1 - y) ln(1 - beta)] over all rays, y = 1 where dropped
     double total = 0.0;       ///< weighted sum
 };

@@ -37,7 +37,7 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
         targets.push_back({i % 3 == 0 ? 0.0 : 10 * uniform(random), uniform(random)});
     }
     for (const DepthKind kind : {DepthKind::blended, DepthKind::normalised}) {
-        const LossWeights weights{0.7, 1.3, 0.9};
+        const LossWeights weights{0.7, 1.3, 0.9, kind == DepthKind::blended ? 0.0 : 0.3};
         std::vector<PixelGradient> d;
         evaluate_loss(pixels, targets, weights, kind, &d);
         test::GradientTable table;
@@ -52,6 +52,15 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
         table.print(kind == DepthKind::blended ? "loss on D" : "loss on D / W");
         EXPECT_LE(table.worst_error(), test::kReferenceGradient);
     }
+}
+
+TEST(ReferenceLoss, HuberIsSquaredUpToDelta) {
+    const auto of = [](double error) {
+        return evaluate_loss({pixel(1, 1, 0.5 + error, 0, 0)}, {{1, 0.5}}, {0, 1, 0, 0.2}, DepthKind::blended).intensity;
+    };
+    EXPECT_NEAR(of(0.1), 0.025, 1e-15);
+    EXPECT_NEAR(of(-0.2), 0.1, 1e-15) << "where both parts meet";
+    EXPECT_NEAR(of(0.3), 0.2, 1e-15);
 }
 
 TEST(ReferenceLoss, Likelihood) {

@@ -99,6 +99,7 @@ wrong_usage() {
     bad 2 'actors: found "x"' bench --actors x
     bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
     bad 2 'steps: found no --run beside it' bench --steps 3
+    bad 2 'steps: found --scans beside it' bench --run none --steps 3 --scans 3
     bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
     bad 3 "found a folder, expected the name of a file" bench --json .
     absent x

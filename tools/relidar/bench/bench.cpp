@@ -92,6 +92,8 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
         throw UsageError("--scans: found no --run beside it, expected the run that is to be rendered");
     if (options.n_steps != 0 && options.choice.run.empty())
         throw UsageError("--steps: found no --run beside it, expected the run that is to be trained on");
+    if (options.n_steps != 0 && options.scans.n_scans != 0)
+        throw UsageError("--steps: found --scans beside it, expected one of them: scans are rendered, steps train");
     if (options.n_steps < 0 || options.n_steps > kMostTimedSteps)
         throw UsageError(fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
     std::optional<OutputFolder> folder;

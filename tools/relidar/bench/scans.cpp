@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <chrono>
 #include <ctime>
-#include <numeric>
 #include <vector>
 
 #include <fmt/format.h>
@@ -39,7 +38,7 @@ private:
 
 double kernel_ms(const KernelTimes& times) {
     double sum = 0.0;
-    for (const auto& [kernel, ms] : times.milliseconds) sum += std::accumulate(ms.begin(), ms.end(), 0.0);
+    for (const auto& [kernel, total] : times.totals) sum += total.ms;
     return sum;
 }
 

@@ -73,10 +73,7 @@ public:
         add(result.log);
         sum_.initialise_s += result.initialise_s;
         sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
-        for (const auto& [kernel, ms] : result.times.milliseconds) {
-            std::vector<double>& all = sum_.times.milliseconds[kernel];
-            all.insert(all.end(), ms.begin(), ms.end());
-        }
+        sum_.times.add(result.times);
     }
     TrainResult take(int iterations) {
         for (TrainProgress& line : sum_.log) {
