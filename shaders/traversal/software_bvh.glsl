@@ -131,7 +131,7 @@ uint take_lowest(inout uint entries) {
     return lowest;
 }
 
-/// What the lane `from` holds.
+/// What the lane `from` holds, as far as intersect() reads it.
 SurfelRecord shuffled(SurfelRecord r, uint from) {
     SurfelRecord s;
     s.mean = subgroupShuffle(r.mean, from);
@@ -184,8 +184,11 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
     }
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
-    if (TOGETHER == kSharesLoads) offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
-    else while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+    if (TOGETHER == kSharesLoads) {
+        offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
+    } else {
+        while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+    }
     if (hits_closed) walked.end = last_hit_t() + (1e-4 + 1e-5 * last_hit_t());
     return n_tested;
 }
