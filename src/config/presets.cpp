@@ -62,7 +62,7 @@ Config standard() {
     config.image.sh_direction = ShDirection::surfel;   // 48 coefficients a surfel and frame instead of a hit
     config.image.transmittance_min = 1e-3f;
     config.loss.intensity = 0.3f;                      // its Huber loss finds means, L1 medians:
-    config.loss.intensity_delta = 0.2f;                // RMSE 0.0866 -> 0.0846 and, on 50:100, 0.0911 -> 0.0898 (`quick` then)
+    config.loss.intensity_delta = 0.2f;                // RMSE 0.0866 -> 0.0846 and, on 50:100, 0.0911 -> 0.0898 (`quick`, degree 1)
     config.loss.normalised_depth = true;               // with D a weight of 0.97 pushes every surface 3 % away
     config.loss.chamfer = 0.0f;  // 0.01 changed no metric by more than 1 % over 110 steps of `quick`, and costs a tenth of a step
     config.loss.opacity = 0.1f;                        // what D no longer does: close the holes

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <functional>
 #include <memory>
-#include <numeric>
 
 #include <fmt/format.h>
 
@@ -213,9 +212,7 @@ void check_lpips_weights(const Config& config) {
 
 MetricRow mean_times(const KernelTimes& times) {
     MetricRow row;
-    for (const auto& [kernel, ms] : times.milliseconds) {
-        if (!ms.empty()) row[kernel] = std::accumulate(ms.begin(), ms.end(), 0.0) / static_cast<double>(ms.size());
-    }
+    for (const auto& [kernel, total] : times.totals) row[kernel] = total.ms / total.launches;
     return row;
 }
 
