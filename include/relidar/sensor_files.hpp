@@ -27,6 +27,9 @@ namespace relidar {
 /// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
 
+/// The sensor of what a FILE.json holds. @param name  of the sensor @param where  what messages call the text @throws DataError
+SensorModel sensor_of_json(const std::string& text, const std::string& name, const std::string& where);
+
 /// A sensor of a rig.
 struct MountedSensor {
     std::string name;

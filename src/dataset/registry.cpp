@@ -12,11 +12,14 @@
 #include "core/files.hpp"
 #include "dataset/argoverse2/argoverse2.hpp"
 #include "dataset/bag/ros_bag.hpp"
+#include "dataset/boreas/boreas.hpp"
 #include "dataset/kitti/kitti_360.hpp"
 #include "dataset/kitti/kitti_files.hpp"
 #include "dataset/kitti/kitti_odometry.hpp"
 #include "dataset/kitti/kitti_raw.hpp"
+#include "dataset/mulran/mulran.hpp"
 #include "dataset/nuscenes/nuscenes.hpp"
+#include "dataset/once/once.hpp"
 #include "dataset/folder/plain_folder.hpp"
 #include "dataset/folder/point_table.hpp"
 #include "dataset/street/synthetic.hpp"
@@ -46,6 +49,9 @@ constexpr Kind kKinds[] = {
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true, check_waymo},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
     {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes, true},
+    {"boreas", "applanix", "a Boreas sequence", load_boreas},
+    {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran},
+    {"once", "lidar_roof", "a ONCE sequence", load_once},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic},
     {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},

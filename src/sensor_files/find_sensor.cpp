@@ -73,6 +73,10 @@ SensorModel read_sensor(const SensorName& name) {
 
 }  // namespace
 
+SensorModel sensor_of_json(const std::string& text, const std::string& name, const std::string& where) {
+    return sensor_files::parse_sensor_json(text, name, where, 0, 0.0);
+}
+
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known) {
     const SensorName name = parse_name(name_or_file);
     if (const auto known = known_sensor(name.name, name.columns, name.rate_hz)) return *known;

@@ -14,7 +14,9 @@
 #include <relidar/error.hpp>
 
 #include "core/bytes.hpp"
+#include "dataset/bag/byte_reader.hpp"
 #include "dataset/bag/messages.hpp"
+#include "dataset/packets/ouster.hpp"
 #include "dataset/packets/packet_log.hpp"
 #include "dataset/packets/packet_messages.hpp"
 
@@ -269,7 +271,17 @@ std::vector<std::string> message_seeds(const fs::path&) {
             '\4' + packets(kStart_ns),
             '\6' + livox,
             '\x12' + detections.take(),
-            '\x14' + objects.take()};
+            '\x14' + objects.take(),
+            '\x1b' + sized(packet(0)),
+            '\x1c' + Draft(false).add_text("{}").take()};
+}
+
+/// Of messages that all hold the same packets.
+void read_turns(const packets::PacketLog& log, const std::vector<packets::PacketView>& views) {
+    if (log.empty()) return;
+    const SpinningSensor sensor = log.sensor();
+    for (const packets::PacketTurn& turn : log.turns())
+        log.scan(turn, std::vector(log.messages(turn).size(), views), sensor, turn.forward_ns);
 }
 
 void read_message(std::string_view input, const fs::path&) {
@@ -278,7 +290,7 @@ void read_message(std::string_view input, const fs::path&) {
                                                 "foxglove.PointCloud",         "foxglove.FrameTransforms",
                                                 "foxglove.SceneUpdate",        "vision_msgs/Detection3DArray",
                                                 "autoware_perception_msgs/TrackedObjects", "nebula_msgs/NebulaPackets",
-                                                "pandar_msgs/PandarScan"};
+                                                "pandar_msgs/PandarScan", "ouster_ros/PacketMsg", "std_msgs/String"};
     if (input.empty()) return;
     const unsigned kind = static_cast<unsigned char>(input[0]);
     const std::size_t type = kind / 2 % std::size(kMessages);
@@ -290,17 +302,62 @@ void read_message(std::string_view input, const fs::path&) {
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
         packets::PacketLog log;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, header);
-        for (int k = 0; k < 2; ++k) log.add(views, 0, {}, "");
-        if (log.empty()) return;
-        const SpinningSensor sensor = log.sensor();
-        for (const packets::PacketTurn& turn : log.turns())
-            log.scan(turn, std::vector(log.messages(turn).size(), views), sensor, turn.forward_ns);
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
+        for (int k = 0; k < 2; ++k) log.add(views, 0, {}, {});
+        read_turns(log, views);
     } else if (bag::use_of(topic) == bag::Use::boxes) {
         bag::read_boxes(topic, bytes);
+    } else if (topic_type == "std_msgs/String") {
+        packets::read_text_message(topic, bytes);
     } else {
         bag::read_transforms(topic, bytes);
     }
+}
+
+/// Metadata of an Ouster behind its length, then what its packets hold one after the other. Two beams, four columns a turn, two a packet.
+std::vector<std::string> ouster_seeds(const fs::path&) {
+    struct Profile {
+        const char* name;
+        std::size_t pixel_bytes;
+        bool is_nested;
+    };
+    std::vector<std::string> seeds;
+    for (const Profile& profile : {Profile{"LEGACY", 12, false}, Profile{"RNG19_RFL8_SIG16_NIR16", 12, true},
+                                   Profile{"RNG19_RFL8_SIG16_NIR16_DUAL", 16, false}, Profile{"RNG15_RFL8_NIR8", 4, true}}) {
+        const bool is_legacy = std::string_view(profile.name) == "LEGACY";
+        const std::string layout = std::string(R"({"columns_per_frame": 4, "columns_per_packet": 2, "pixels_per_column": 2, )") +
+                                   R"("column_window": [0, 3], "udp_profile_lidar": ")" + profile.name + "\"}";
+        const std::string beams = std::string(R"("beam_altitude_angles": [-1, 1], "beam_azimuth_angles": [3, -3], )") +
+                                  R"("lidar_origin_to_beam_origin_mm": 15)";
+        std::string seed = sized(profile.is_nested ? "{\"beam_intrinsics\": {" + beams + "}, \"lidar_data_format\": " + layout +
+                                                         R"(, "config_params": {"lidar_mode": "4x10", "udp_port_lidar": 7502}})"
+                                                   : "{" + beams + ", \"data_format\": " + layout + R"(, "lidar_mode": "4x10"})");
+        for (int column = 0; column < 24; ++column) {
+            if (!is_legacy && column % 2 == 0) append(seed, std::uint32_t(1)), seed.append(28, '\0');
+            append(seed, std::uint64_t(column) * 25000000), append(seed, std::uint16_t(column % 4));
+            seed.append(is_legacy ? 6 : 2, '\1');
+            for (int pixel = 0; pixel < 2; ++pixel)
+                append(seed, std::uint32_t(0x05000400)), seed.append(profile.pixel_bytes - 4, '\2');
+            if (is_legacy) append(seed, std::uint32_t(0xFFFFFFFF));
+            if (!is_legacy && column % 2 == 1) seed.append(32, '\0');
+        }
+        seeds.push_back(seed);
+    }
+    return seeds;
+}
+
+void read_ousters(std::string_view input, const fs::path&) {
+    constexpr std::size_t kMostPackets = 64;
+    bag::ByteReader reader(input);
+    packets::Calibration calibration;
+    calibration.ouster = packets::read_ouster_metadata(std::string(reader.sized()), "metadata");
+    std::vector<packets::PacketView> views;
+    while (reader.left() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
+        views.push_back({std::int64_t(views.size()) * 50000000, reader.take(calibration.ouster->packet_bytes)});
+    packets::format_of({calibration.ouster}, "/ouster/lidar_packets", views.empty() ? std::string_view() : views.front().bytes);
+    packets::PacketLog log;
+    log.add(views, 0, {}, calibration);
+    read_turns(log, views);
 }
 
 }  // namespace
@@ -309,7 +366,8 @@ std::vector<Harness> bag_harnesses() {
     return {{"mcap", mcap_seeds, read_mcap},
             {"ros1", ros1_seeds, read_ros1},
             {"db3", db3_seeds, read_db3},
-            {"message", message_seeds, read_message}};
+            {"message", message_seeds, read_message},
+            {"ouster", ouster_seeds, read_ousters}};
 }
 
 }  // namespace relidar::fuzz

@@ -27,6 +27,7 @@ std::vector<Harness> waymo_harnesses();
 std::vector<Harness> folder_harnesses();
 std::vector<Harness> argoverse2_harnesses();
 std::vector<Harness> nuscenes_harnesses();
+std::vector<Harness> stamped_harnesses();
 std::vector<Harness> sensor_harnesses();
 std::vector<Harness> run_harnesses();
 std::vector<Harness> request_harnesses();

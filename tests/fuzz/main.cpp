@@ -39,7 +39,8 @@ void on_free(const volatile void* bytes) {
 std::vector<Harness> all_harnesses() {
     std::vector<Harness> all = array_harnesses();
     for (const auto& more : {text_harnesses(), drive_harnesses(), argoverse2_harnesses(), folder_harnesses(), nuscenes_harnesses(),
-                             sensor_harnesses(), waymo_harnesses(), run_harnesses(), request_harnesses(), bag_harnesses()})
+                             sensor_harnesses(), stamped_harnesses(), waymo_harnesses(), run_harnesses(), request_harnesses(),
+                             bag_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }

@@ -64,6 +64,46 @@ def firing(product, number, dual):
     return values, truth
 
 
+class Ouster:
+    """16 beams in no order of their elevations, 128 columns a turn, in the profile of one return."""
+    lasers, columns, per_packet, start_m = 16, 128, 16, 0.0158
+    elevation = np.array([15.0 - 2 * (row ^ 1) for row in range(16)])
+    azimuth = np.where(np.arange(16) % 2 == 0, 2.8125, -2.8125)
+
+    def metadata(self, port=7502):
+        return {"beam_altitude_angles": self.elevation.tolist(), "beam_azimuth_angles": self.azimuth.tolist(), "prod_line": "OS-1-16",
+                "lidar_origin_to_beam_origin_mm": 1000 * self.start_m, "lidar_mode": "128x10", "udp_port_lidar": port,
+                "data_format": {"columns_per_frame": 128, "columns_per_packet": 16, "pixels_per_column": 16, "column_window": [0, 127],
+                                "udp_profile_lidar": "RNG19_RFL8_SIG16_NIR16"}}
+
+    def column(self, number):
+        """(mm, reflectivity) of each row; the head looks backward at number 0, relidar's frame has x forward. Every third ray is dropped."""
+        head = np.pi - 2 * np.pi * number / self.columns
+        a, e = head - np.radians(self.azimuth), np.radians(self.elevation)
+        d = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
+        start = self.start_m * np.array([np.cos(head), np.sin(head), 0.0])
+        with np.errstate(divide="ignore"):
+            r = ((np.copysign(WALLS, d) - start) / d).min(-1)
+        mm = np.rint(1000 * (r + self.start_m)).astype(int)
+        mm[(number + np.arange(self.lasers)) % 3 == 0] = 0
+        return mm, 90 + np.arange(self.lasers)
+
+    def packets(self, turns):
+        """(ns of the last column, bytes)."""
+        out = []
+        for k in range(turns * self.columns // self.per_packet):
+            body = struct.pack("<HHI", 1, k // 8, 0).ljust(32, b"\0")
+            for number in range(k * self.per_packet, (k + 1) * self.per_packet):
+                mm, bright = self.column(number % self.columns)
+                body += struct.pack("<QHH", self.time_ns(number), number % self.columns, 1)
+                body += b"".join(struct.pack("<IBBHHH", r, q, 0, 500, 16, 0) for r, q in zip(mm, bright))
+            out.append((self.time_ns(number), body + bytes(32)))
+        return out
+
+    def time_ns(self, number):
+        return 7_000_000_000 + number * 781_250
+
+
 def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
     """(ns after time 0 of the first firing's clock, bytes) of n packets, and the truth of those that are not lost."""
     per_block = 2 if product.name == "VLP-16" else 1

@@ -23,6 +23,8 @@ import packet_writer as lidars
 RELIDAR, WORK, PCAP = sys.argv[1], pathlib.Path(sys.argv[2]), "pcap" in sys.argv[3:]
 T0 = 1_700_000_000_250_000_000
 bags.TYPES["pandar_msgs/PandarScan"] = [("header", bags.HEADER), ("packets", [[("stamp", "time"), ("data", ("B", 1500)), ("size", "I")]])]
+for driver in ("ouster_sensor_msgs", "ouster_msgs", "ouster_ros"):
+    bags.TYPES[driver + "/PacketMsg"] = [("buf", "bytes")]
 bags.TYPES["nebula_msgs/NebulaPackets"] = [("header", bags.HEADER), ("packets", [[("stamp", "time"), ("data", "bytes")]])]
 
 
@@ -132,6 +134,61 @@ def test_strangers():
         expect(expected in run("info", bag, code=3), f"packets of another product: {expected}")
 
 
+def test_ousters():
+    """Topics of both of Ouster's drivers: a packet a message, the metadata as a text before or behind the first of them, or beside the bag."""
+    ouster, tf = lidars.Ouster(), "tf2_msgs/TFMessage"
+    packets, metadata = ouster.packets(4), json.dumps(ouster.metadata())
+    first = packets[0][0]
+    link = lambda parent, child, x, w, stamp=T0: {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": {
+        "position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": (1 - w * w) ** 0.5, "w": w}}}
+    for form, package, when, moves in (("cdr", "ouster_sensor_msgs", -1, False), ("cdr", "ouster_msgs", 10, False), ("ros1", "ouster_ros", -1, True),
+                                       ("ros1", "ouster_ros", None, False)):
+        name = f"{package} of {form}, metadata {'beside' if when is None else 'late' if when > 0 else 'first'}"
+        out = [("/ouster/lidar_packets", package + "/PacketMsg", T0 + ns - first + 200_000 + 90_000 * (k % 3), {"buf": data})
+               for k, (ns, data) in enumerate(packets)]
+        out += [("/ouster/imu_packets", package + "/PacketMsg", t + 1000, {"buf": bytes(48)}) for _, _, t, _ in out[::4]]
+        out += [("/camera/metadata", "std_msgs/String", T0, {"data": "{}"})]
+        if moves:   # along x, the sensor's base 0.3 m behind the vehicle's; and a cloud that the driver made
+            out += [("/tf_static", tf, T0, {"transforms": [link("base_link", "os_sensor", -0.3, 1.0), link("os_sensor", "os_lidar", 0.0, 0.0)]})]
+            out += [("/tf", tf, t, {"transforms": [link("map", "base_link", (t - T0) * 5e-9, 1.0, t)]})
+                    for t in range(T0 - 50_000_000, T0 + 600_000_000, 10_000_000)]
+            cloud = {"header": {"stamp": T0, "frame_id": "os_lidar"}, "height": 1, "width": 1, "fields": [
+                {"name": n, "offset": 4 * k, "datatype": 7, "count": 1} for k, n in enumerate("xyz")], "is_bigendian": 0, "point_step": 12,
+                "row_step": 12, "data": np.ones(3, "<f4").tobytes(), "is_dense": 1}
+            out += [("/ouster/points", "sensor_msgs/PointCloud2", T0 + k * 100_000_000, cloud) for k in range(4)]
+        if when is not None:
+            out += [("/ouster/metadata", "std_msgs/String", T0 + when * 1_000_000, {"data": metadata})]
+        out.sort(key=lambda m: m[2])
+        bag = WORK / f"ouster_{package}_{when}.{'bag' if form == 'ros1' else 'mcap'}"
+        write = bags.write_ros1 if form == "ros1" else bags.write_mcap
+        write(bag, out) if form == "ros1" else write(bag, out, form=form)
+        if when is None:
+            text = run("info", bag, code=3)
+            expect("packets of 3328 bytes of /ouster/lidar_packets look like an Ouster's, expected its metadata" in text, f"{name}: {text}")
+            bag.with_suffix(".json").write_text(metadata)
+        log = converted(bag)
+        notes = "\n".join(log[1]["notes"])
+        expect("32 packets of a 16-beam Ouster, OS-1-16" in notes and "4 whole turns: used" in notes, f"{name}: {notes}")
+        expect(len(log[1]["frames"]) == 4 and len(log[1]["lidars"]) == 1 and "missing" not in notes, f"{name}: {log[1]['frames']}, {notes}")
+        for frame in log[1]["frames"]:
+            scan = np.load(log[0] / frame["scan"])
+            expect(scan["range"].shape == (16, 128) and abs((scan["range"] > 0).mean() - 2 / 3) < 0.01, f"{name}: {scan['range'].shape}")
+            hit = scan["range"] > 0
+            points = scan["origin"][hit] + scan["range"][hit][:, None] * scan["directions"][hit]
+            off = np.abs((np.abs(points) / lidars.WALLS).max(1) - 1).max()
+            expect(off < 1e-3, f"{name}: {off} of the walls' distance off them")
+            expect(abs(scan["time"].min() + 0.05) < 1e-6 and abs(scan["time"].max() - 0.05 + 781250e-9) < 1e-6, f"{name}: times")
+            ring = np.argsort(np.argsort(-ouster.elevation, kind="stable"), kind="stable")
+            expect(np.abs(255 * scan["intensity"][hit] - (90 + np.argsort(ring)[scan["ring"][hit]])).max() < 1e-3, f"{name}: reflectivities")
+        step = [b["time_s"] - a["time_s"] for a, b in zip(log[1]["frames"], log[1]["frames"][1:])]
+        expect(np.abs(np.array(step) - 0.1).max() < 1e-6, f"{name}: frames {step} s apart")
+        if moves:   # x of a mounting turned by 180 degrees twice is not turned
+            poses = np.loadtxt(log[0] / "poses.txt")
+            expect("poses of 'base_link' in 'map'" in notes and "/ouster/points" in notes, f"{name}: {notes}")
+            expect(np.abs(np.diff(poses[:, 1]) - 0.5).max() < 1e-3 and np.abs(np.abs(poses[:, 4]) - 1).max() < 1e-6, f"{name}: {poses}")
+        print(f"{name}: as written")
+
+
 def same_scans(name, one, other):
     (a, a_head), (b, b_head) = one, other
     expect(len(a_head["frames"]) == len(b_head["frames"]) > 1, f"{name}: {len(b_head['frames'])} scans, expected {len(a_head['frames'])}")
@@ -174,6 +231,7 @@ shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
 test_bags()
 test_strangers()
+test_ousters()
 if PCAP:
     test_captures()
 print("done")

@@ -79,7 +79,7 @@ Scan BagScans::rays(std::size_t frame) const {
     std::vector<std::vector<packets::PacketView>> packets;
     Header header;
     for (std::size_t m = 0; m < messages.size(); ++m)
-        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m], header));
+        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m], sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
     return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
 }

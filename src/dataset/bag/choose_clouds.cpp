@@ -31,9 +31,6 @@ struct PacketDriver {
 };
 constexpr PacketDriver kDrivers[] = {
     {"hesai_ros_driver/", "hesai_ros_driver"},
-    {"ouster_ros/PacketMsg", "ouster-ros"},
-    {"ouster_msgs/", "ouster-ros"},
-    {"ouster_sensor_msgs/PacketMsg", "ouster-ros"},
     {"rslidar_msg/", "rslidar_sdk"},
     {"robosense_msgs/", "nebula"},
     {"seyond/", "seyond_ros_driver"},
@@ -106,7 +103,14 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey, cons
     return lidars;
 }
 
-/// The rawest topic of each frame.
+/// What parts LiDARs: the frame, of clouds that were made of packets that are there too that of the packets.
+const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
+    for (const CloudTopic& other : survey.clouds)
+        if (!other.turns.empty() && std::ranges::find(other.frames_beside, clouds.frame) != other.frames_beside.end()) return other.frame;
+    return clouds.frame;
+}
+
+/// The rawest topic of each LiDAR.
 std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_of_sensor(c); });
@@ -114,7 +118,7 @@ std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     for (std::size_t c = 0; c < survey.clouds.size(); ++c) {
         const CloudTopic& clouds = survey.clouds[c];
         if (!has_clouds(clouds) || (any_of_sensor && !is_of_sensor(clouds))) continue;
-        const auto [at, is_new] = best.try_emplace(clouds.frame, c);
+        const auto [at, is_new] = best.try_emplace(sensor_of(survey, clouds), c);
         if (!is_new && rawness(clouds) > rawness(survey.clouds[at->second])) at->second = c;
     }
     std::vector<std::size_t> lidars;

@@ -159,9 +159,10 @@ Cloud read_point_cloud(MessageReader& reader) {
 
 Use use_of(const Topic& topic) {
     if (topic.encoding == packets::kDatagrams && topic.type == packets::kCorrection) return Use::calibration;
-    if (packets::carries_packets(topic.type)) return Use::packets;
+    if (packets::carries_packets(topic)) return Use::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
+    if (packets::may_be_ouster_metadata(topic)) return Use::metadata;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return Use::nothing;
     const auto known = std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
     return known == std::end(kTypeUses) ? Use::nothing : known->use;

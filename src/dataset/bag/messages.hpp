@@ -62,7 +62,7 @@ struct BoxList {
 };
 
 /// What a topic's messages may be used as. Detections without an identity are not read: they cannot be joined to tracks.
-enum class Use { nothing, cloud, packets, calibration, transforms, pose, boxes, nameless_boxes };
+enum class Use { nothing, cloud, packets, calibration, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
 class MessageReader;

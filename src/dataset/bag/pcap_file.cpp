@@ -19,6 +19,7 @@
 #include "dataset/bag/bag.hpp"
 #include "dataset/bag/part_file.hpp"
 #include "dataset/packets/decoder.hpp"
+#include "dataset/packets/ouster.hpp"
 #include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::bag {
@@ -117,6 +118,9 @@ public:
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
         tell_correction(topics, pass);
+        std::vector<std::string> broken;
+        ousters_ = packets::ouster_metadata_beside(path_, broken);
+        for (const std::string& text : broken) pass.note(text);
         streams_.clear();
         seek(begin_);
         n_cut_ = 0;
@@ -127,10 +131,12 @@ public:
             pass.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
             if (stream->n++ == 0) stream->at = datagram->at, stream->log_ns = datagram->stamp_ns;
             if (stream->product) append_to(stream->run, *datagram);
+            if (!stream->product && stream->n_of_bytes.size() < kMostPending) ++stream->n_of_bytes[payload(*datagram).size()];
             if (stream->n == (stream->product ? kRun : 1)) flush(*stream, pass);
         }
         for (auto& [key, stream] : streams_)
             if (stream.n > 0) flush(stream, pass);
+        if (broken.empty() || !ousters_.empty()) tell_strange_ousters(pass);
         if (n_cut_ > 0) pass.note(fmt::format("{}: the capture cut {} frames short: what they held is missing", path_.string(), n_cut_));
     }
 
@@ -162,7 +168,10 @@ private:
         std::size_t n = 0;
         std::uint64_t at = 0;
         std::int64_t log_ns = 0;
+        std::map<std::size_t, std::size_t> n_of_bytes;        ///< of no product: how many datagrams are so long
+        std::shared_ptr<const packets::OusterFormat> ouster;  ///< its metadata
     };
+    packets::OusterFormats ousters_;  ///< of the metadata beside the file
     const std::filesystem::path path_;
     const std::uint64_t bytes_;
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
@@ -211,7 +220,31 @@ private:
         }
     }
 
-    static Key key_of(const Datagram& datagram) { return {datagram.source, packets::find_product(payload(datagram))}; }
+    std::shared_ptr<const packets::OusterFormat> ouster_of(const Datagram& datagram) const {
+        return packets::format_of(ousters_, datagram.source, payload(datagram));
+    }
+    Key key_of(const Datagram& datagram) const {
+        return {datagram.source, packets::find_product(payload(datagram), {{}, ouster_of(datagram)})};
+    }
+
+    /// Of each port the packets that may be an Ouster's, or are as long as its metadata says, and are not read; and those of two senders
+    /// that only one metadata tells of.
+    void tell_strange_ousters(const Pass& pass) const {
+        std::map<const packets::OusterFormat*, std::string> senders;
+        for (const auto& [key, stream] : streams_) {
+            for (const auto& [bytes, n] : stream.n_of_bytes) {
+                const bool is_told = std::ranges::any_of(ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
+                if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
+                    pass.note(fmt::format("{}: {}", path_.string(), packets::ouster_text(ousters_, path_, key.first, bytes)));
+            }
+            if (!stream.ouster) continue;
+            std::string& first = senders[stream.ouster.get()];
+            if (!first.empty())
+                pass.note(fmt::format("{}: packets of {} and of {} are read by one sensor's metadata, {}, expected one for each",
+                                      path_.string(), first, key.first, stream.ouster->where));
+            first = key.first;
+        }
+    }
 
     Stream* stream_of(const Datagram& datagram, TopicTable& topics) {
         Key key = key_of(datagram);
@@ -220,6 +253,7 @@ private:
         Stream stream;
         stream.number = streams_.size();
         stream.product = key.second;
+        if (stream.product) stream.ouster = ouster_of(datagram);
         stream.topic = topics.number_of({datagram.source, stream.product ? packets::kDatagrams : "other UDP", packets::kDatagrams});
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }

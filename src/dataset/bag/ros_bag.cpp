@@ -91,7 +91,7 @@ private:
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
-            if (has_poses_ && use_of(bag_.topics()[t]) != Use::cloud)
+            if (has_poses_ && !used[t])
                 used[t] = use_of(bag_.topics()[t]) == Use::transforms || poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         for (const std::string& text : bag_.notes()) note(text);

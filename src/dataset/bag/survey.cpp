@@ -3,12 +3,14 @@
 
 #include <algorithm>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
 
+#include "dataset/packets/ouster.hpp"
 #include "dataset/packets/packet_messages.hpp"
 
 namespace relidar::bag {
@@ -30,6 +32,7 @@ public:
             if (use == Use::cloud) add_cloud(topic, message);
             if (use == Use::packets) add_packets(topic, message);
             if (use == Use::calibration) correction_ = message.bytes;
+            if (use == Use::metadata) add_metadata(topic, message);
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
             if (use == Use::boxes) add_boxes(topic, message);
@@ -38,10 +41,35 @@ public:
         }
     }
 
+    /// Packets that came before the metadata that they need, in a second pass. @return whether there are any
+    bool wants_late_packets() const { return !late_.empty(); }
+    bool is_late(std::size_t topic) const { return late_.contains(topic); }
+    void take_late(const Message& message) {
+        TopicFacts& facts = survey_.facts[message.topic];
+        try {
+            add_packets(bag_.topics()[message.topic], message);
+        } catch (const DataError& error) {
+            if (facts.n_broken++ == 0) facts.broken = error.what();
+        }
+    }
+    /// Before that pass, and before packets of a capture: the metadata that lies beside the recording.
+    void read_metadata_beside() {
+        if (is_beside_read_) return;
+        is_beside_read_ = true;
+        std::vector<std::string> broken;
+        for (const std::filesystem::path& file : bag_.files())
+            for (const auto& format : packets::ouster_metadata_beside(file, broken)) ousters_.push_back(format);
+        for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
+    }
+
 private:
     const Bag& bag_;
     Survey& survey_;
-    std::string correction_;  ///< of the angles of Hesai's beams
+    std::string correction_;           ///< of the angles of Hesai's beams
+    packets::OusterFormats ousters_;   ///< that are known so far
+    std::set<std::size_t> late_;       ///< topics of packets that came before their metadata
+    std::string broken_metadata_;
+    bool is_beside_read_ = false;
 
     void add_cloud(const Topic& topic, const Message& message) {
         const Cloud cloud = read_cloud(topic, message.bytes);
@@ -59,10 +87,27 @@ private:
 
     void add_packets(const Topic& topic, const Message& message) {
         Header header;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, message.bytes, header);
+        const std::vector<packets::PacketView> views = packets::read_packets(topic, message.bytes, message.log_ns, header);
+        if (views.empty()) return;
+        packets::Calibration calibration{correction_};
+        if (topic.encoding == packets::kDatagrams) read_metadata_beside();
+        calibration.ouster = packets::format_of(ousters_, topic.name, views.front().bytes);
+        if (packets::carries_ouster_packets(topic)) {
+            if (!is_beside_read_ && (late_.contains(message.topic) || !calibration.ouster)) return void(late_.insert(message.topic));
+            if (!calibration.ouster)
+                throw DataError(packets::ouster_text(ousters_, bag_.files().front(), topic.name, views.front().bytes.size()) +
+                                broken_metadata_);
+        }
         CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
         clouds.frame = header.frame;
-        clouds.packets.add(views, message.log_ns, message.place, correction_);
+        clouds.packets.add(views, message.log_ns, message.place, calibration);
+    }
+
+    /// The first of a topic, for it is told again; other texts on such a topic are none of our business.
+    void add_metadata(const Topic& topic, const Message& message) {
+        if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; })) return;
+        const std::string text = packets::read_text_message(topic, message.bytes);
+        if (packets::is_ouster_metadata(text)) ousters_.push_back(packets::read_ouster_metadata(text, topic.name));
     }
 
     void add_transforms(const Topic& topic, const Message& message) {
@@ -96,6 +141,24 @@ private:
         return entries.back();
     }
 };
+
+/// Where the LiDARs are whose packets name no frame: where Ouster's driver puts them, turned by 180 degrees, as relidar has them.
+void place_ousters(const Bag& bag, Survey& survey) {
+    std::vector<CloudTopic*> ousters;
+    for (CloudTopic& clouds : survey.clouds)
+        if (packets::carries_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty()) ousters.push_back(&clouds);
+    for (CloudTopic* clouds : ousters) {
+        const std::string& name = bag.topics()[clouds->topic].name;
+        std::vector<std::string> prefixes{name.substr(0, name.rfind('/') + 1)};
+        if (prefixes[0].starts_with('/')) prefixes[0].erase(0, 1);
+        if (ousters.size() == 1) prefixes.emplace_back();
+        for (const std::string& prefix : prefixes) {
+            for (const char* frame : {"os_lidar", "os_sensor"}) clouds->frames_beside.push_back(prefix + frame);
+            if (survey.frames.way_up(clouds->frame).size() > 1 || survey.frames.way_up(prefix + "os_lidar").size() < 2) continue;
+            survey.frames.add({{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}}, 0, true);
+        }
+    }
+}
 
 /// Whole turns in the place of their parts. A turn's time is that of the part in its middle: turns begin at the back.
 void join_parts(CloudTopic& topic) {
@@ -133,6 +196,16 @@ Survey take_survey(Bag& bag, const Progress& progress) {
     bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; }, [&](const Message& message) { surveyor.take(message); },
              progress);
     survey.facts.resize(bag.topics().size());
+    if (surveyor.wants_late_packets()) {
+        surveyor.read_metadata_beside();
+        std::vector<bool> is_late;
+        for (std::size_t t = 0; t < bag.topics().size(); ++t) is_late.push_back(surveyor.is_late(t));
+        bag.each([&](const Topic& topic) { return packets::carries_ouster_packets(topic); },
+                 [&](const Message& message) {
+                     if (message.topic < is_late.size() && is_late[message.topic]) surveyor.take_late(message);
+                 },
+                 progress);
+    }
     for (CloudTopic& clouds : survey.clouds) {
         clouds.turns = clouds.packets.turns();
         for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
@@ -141,6 +214,7 @@ Survey take_survey(Bag& bag, const Progress& progress) {
         }
     }
     for (CloudTopic& clouds : survey.clouds) join_parts(clouds);
+    place_ousters(bag, survey);
     return survey;
 }
 

@@ -39,6 +39,7 @@ struct CloudEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;                 ///< of the first cloud
+    std::vector<std::string> frames_beside;  ///< of packets: in which drivers put the clouds that they make of them
     std::vector<Cloud::Field> fields;  ///< of the first cloud
     std::vector<CloudEntry> clouds;    ///< that have points, as they were recorded; or whole turns of their parts
     std::string parts_about;           ///< of clouds that are parts of turns: what they are

@@ -31,7 +31,7 @@ PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt
     for (int k = 0; k <= n; ++k) {
         const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
         const std::optional<Pose> own = world_from_vehicle(t_s);
-        if (!own || (k > 0 && offset_s <= track.time_s.back())) continue;
+        if (!own || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
         track.time_s.push_back(offset_s);
         track.pose.push_back(inverse(sequence.world_from_vehicle.at(t_s, mounted)) * (*own * mounted));
     }

@@ -111,7 +111,7 @@ public:
 
     Packet decode(std::string_view bytes) const override {
         Packet packet;
-        packet.clock_us = bag::ByteReader(bytes.substr(layout_.time_at)).number<std::uint32_t>();
+        packet.clock_ns = std::int64_t(1000) * bag::ByteReader(bytes.substr(layout_.time_at)).number<std::uint32_t>();
         const auto mode = std::uint8_t(bytes[layout_.mode_at]);
         if (mode == kTriple) throw DataError("a packet of three returns, expected one or two");
         const std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
@@ -179,9 +179,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Decoder> make_block_decoder(const char* name, const std::string& calibration) {
+std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration) {
     const auto* layout = std::ranges::find_if(kLayouts, [&](const Layout& row) { return std::string_view(name) == row.sensor; });
-    return std::make_unique<BlockDecoder>(*layout, calibration);
+    return std::make_unique<BlockDecoder>(*layout, calibration.correction);
 }
 
 }  // namespace relidar::packets

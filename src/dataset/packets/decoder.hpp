@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Packets of spinning LiDARs, a decoder a product behind one interface. Every firing is in them, so rays that were dropped are known.
-// products.cpp has the list; block_decoder.cpp is Velodyne's and Hesai's.
+// products.cpp has the list; block_decoder.cpp is Velodyne's and Hesai's, ouster_decoder.cpp Ouster's.
 #pragma once
 
 #include <array>
@@ -34,8 +34,8 @@ struct Firing {
 };
 
 struct Packet {
-    double clock_us = 0.0;  ///< of the sensor, when the packet was; begins again after Timing::wrap_us
-    int n_slots = 0;        ///< firings of such a packet
+    std::int64_t clock_ns = 0;  ///< of the sensor, when the packet was; begins again after Timing::wrap_us
+    int n_slots = 0;            ///< firings of such a packet
     std::vector<Firing> firings;
     std::vector<std::array<Echo, 2>> echoes;  ///< [firings x rings] returns of each ray in the packet's order
 };
@@ -46,6 +46,10 @@ struct Timing {
     double wrap_us = 0.0;          ///< 0: the sensor's clock goes on
     std::vector<double> offset_us;  ///< [rings] when a beam fires in its cycle
     bool interpolates = false;      ///< the head is where the azimuths around tell it when a beam fires; else it turns evenly
+    /// [columns of a turn] of a sensor that fires at fixed azimuths, from 180 degrees on, and whose clock alone tells when: whether it
+    /// fires there. Empty: it fires wherever its head is, and each packet's stamp tells when.
+    std::vector<bool> fires = {};
+    bool is_wide = false;           ///< intensities may go beyond 1: what counts as 1 is found from all of them
 };
 
 class Decoder {
@@ -59,21 +63,29 @@ public:
     virtual std::string about() const = 0;  ///< product, and where its angles are from
 };
 
+struct OusterFormat;
+
+/// What is known of a sensor beside its packets.
+struct Calibration {
+    std::string correction = {};                      ///< Hesai's angle correction, as text; may be empty
+    std::shared_ptr<const OusterFormat> ouster = {};  ///< of its metadata; null: it is none, or its metadata is not there
+};
+
 /// A kind of packet that is known.
 struct Product {
     const char* name;
-    bool (*is)(std::string_view bytes);
-    /// @param calibration  Hesai's angle correction, for others nothing; may be empty. Makes nothing where
-    /// packets of the product are not decoded. @throws DataError for a calibration that is damaged or of another sensor
-    std::unique_ptr<Decoder> (*make)(const char* name, const std::string& calibration);
+    bool (*is)(std::string_view bytes);  ///< by size and head; null: an Ouster's, which have none
+    /// Makes nothing where packets of the product are not decoded. @throws DataError for a calibration that is damaged or of another sensor
+    std::unique_ptr<Decoder> (*make)(const char* name, const Calibration& calibration);
     const char* driver = "";         ///< that makes clouds of those that are not decoded
 };
-/// By size and head. @return nullptr for bytes that are no known packet
-const Product* find_product(std::string_view bytes);
+/// By size and head, of an Ouster by the size that its metadata says. @return nullptr for bytes that are no known packet
+const Product* find_product(std::string_view bytes, const Calibration& calibration);
 /// "packets of a VLS-128, expected those of ...": what to do about a packet that is not decoded
 std::string unknown_text(const Product* product, std::string_view bytes);
 
-/// The maker of decoders of Velodyne's and Hesai's products.
-std::unique_ptr<Decoder> make_block_decoder(const char* name, const std::string& calibration);
+/// The makers of decoders: of Velodyne's and Hesai's products, of Ouster's.
+std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration);
+std::unique_ptr<Decoder> make_ouster_decoder(const char* name, const Calibration& calibration);
 
 }  // namespace relidar::packets

@@ -22,6 +22,7 @@ enum class Form {
     padded,  ///< stamp, `n` bytes, how many of them are the packet's
     list,    ///< stamp, a list of bytes
     bare,    ///< no header; stamp in nanoseconds, a list of bytes
+    alone,   ///< no header, and no list of packets: the list of bytes of one
 };
 struct MessageType {
     const char* type;
@@ -33,8 +34,13 @@ constexpr MessageType kTypes[] = {
     {"pandar_msgs/PandarScan", Form::padded, 1500},
     {"hesai_lidar/PandarScan", Form::padded, 1500},
     {"nebula_msgs/NebulaPackets", Form::list},
+    {"ouster_sensor_msgs/PacketMsg", Form::alone},
+    {"ouster_msgs/PacketMsg", Form::alone},
+    {"ouster_ros/PacketMsg", Form::alone},
     {kDatagrams, Form::bare},
 };
+constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadata";  // of Ouster's drivers
+constexpr std::size_t kImuBytes = 48;
 
 const MessageType* find_type(std::string_view type) {
     const auto* known = std::ranges::find_if(kTypes, [&](const MessageType& row) { return type == row.type; });
@@ -51,13 +57,33 @@ std::string_view read_bytes(MessageReader& reader, const MessageType& type) {
 
 }  // namespace
 
-bool carries_packets(std::string_view type) {
-    return find_type(type) != nullptr;
+bool carries_packets(const bag::Topic& topic) {
+    return find_type(topic.type) != nullptr && !(carries_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
 }
 
-std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, bag::Header& header) {
+bool carries_ouster_packets(const bag::Topic& topic) {
+    const MessageType* type = find_type(topic.type);
+    return type && type->form == Form::alone;
+}
+
+bool may_be_ouster_metadata(const bag::Topic& topic) {
+    return topic.type == "std_msgs/String" && topic.name.ends_with(kMetadataTopic);
+}
+
+std::string read_text_message(const bag::Topic& topic, std::string_view bytes) {
+    return std::string(MessageReader(bytes, topic.encoding == "ros1").text());
+}
+
+std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns, bag::Header& header) {
     const MessageType& type = *find_type(topic.type);
     std::vector<PacketView> packets;
+    if (type.form == Form::alone) {
+        header = {log_ns, topic.name};
+        MessageReader reader(bytes, topic.encoding == "ros1");
+        const std::string_view packet = reader.take(reader.length(1));
+        if (packet.size() != kImuBytes) packets.push_back({log_ns, packet});
+        return packets;
+    }
     if (type.form == Form::bare) {
         header = {0, topic.name};
         for (bag::ByteReader reader(bytes); reader.left() > 0;) {

@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include "dataset/packets/decoder.hpp"
+#include "dataset/packets/ouster.hpp"
 
 namespace relidar::packets {
 namespace {
@@ -55,9 +56,13 @@ constexpr Product kProducts[] = {
      nullptr, "rslidar_sdk"},
 };
 
+/// Packets without a head that tells them.
+constexpr Product kOuster{"Ouster", nullptr, make_ouster_decoder};
+
 }  // namespace
 
-const Product* find_product(string_view bytes) {
+const Product* find_product(string_view bytes, const Calibration& calibration) {
+    if (calibration.ouster && calibration.ouster->packet_bytes == bytes.size()) return &kOuster;
     const auto* product = std::ranges::find_if(kProducts, [&](const Product& row) { return row.is(bytes); });
     return product == std::end(kProducts) ? nullptr : product;
 }
@@ -66,7 +71,9 @@ std::string unknown_text(const Product* product, string_view bytes) {
     std::string known;
     for (const Product& row : kProducts)
         if (row.make) known += (known.empty() ? "" : ", ") + std::string(row.name);
-    if (!product) return fmt::format("packets of {} bytes that relidar does not know, expected those of {}", bytes.size(), known);
+    if (!product)
+        return fmt::format("packets of {} bytes that relidar does not know, expected those of {}, or of an Ouster with its metadata",
+                           bytes.size(), known);
     return fmt::format("packets of a {}, expected those of {}, or point clouds: let {} make them of these packets, and record those",
                        product->name, known, product->driver);
 }

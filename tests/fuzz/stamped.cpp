@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// Small sequences of Boreas, MulRan and ONCE of which an input replaces one file.
+#include "harness.hpp"
+
+#include <cstdlib>
+
+#include <relidar/dataset.hpp>
+#include "changed_files.hpp"
+#include "dataset/stamped_folders.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Sequences {
+    test::BoreasFolder boreas;
+    test::MulranFolder mulran;
+    test::OnceFolder once;
+    ChangedFiles of_boreas, of_mulran, of_once;
+
+    explicit Sequences(const fs::path& at)
+        : boreas((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz"), 0, 40),
+          mulran("fuzz"),
+          once("fuzz", false, 60),
+          of_boreas({boreas.poses(), boreas.calibration(), boreas.scan(1)}),
+          of_mulran({mulran.poses()}),
+          of_once({once.json(), once.scan(1)}) {}
+};
+
+const Sequences& sequences_in(const fs::path& scratch) {
+    static const Sequences sequences(scratch);
+    return sequences;
+}
+
+std::vector<std::string> boreas_seeds(const fs::path& scratch) { return sequences_in(scratch).of_boreas.seeds_of_one(); }
+std::vector<std::string> mulran_seeds(const fs::path& scratch) { return sequences_in(scratch).of_mulran.seeds_of_one(); }
+std::vector<std::string> once_seeds(const fs::path& scratch) { return sequences_in(scratch).of_once.seeds_of_one(); }
+
+void read_boreas(std::string_view input, const fs::path& scratch) {
+    const Sequences& in = sequences_in(scratch);
+    in.of_boreas.read_one(input, [&] { load_sequence("boreas:" + in.boreas.folder.string(), {}); });
+}
+
+void read_mulran(std::string_view input, const fs::path& scratch) {
+    const Sequences& in = sequences_in(scratch);
+    in.of_mulran.read_one(input, [&] {
+        DatasetOptions options;
+        options.frames = {1, 2};   // a scan has 65536 points
+        load_sequence("mulran:" + in.mulran.folder.string(), options);
+    });
+}
+
+void read_once(std::string_view input, const fs::path& scratch) {
+    const Sequences& in = sequences_in(scratch);
+    in.of_once.read_one(input, [&] { load_sequence("once:" + in.once.folder.string(), {}); });
+}
+
+}  // namespace
+
+std::vector<Harness> stamped_harnesses() {
+    return {{"boreas", boreas_seeds, read_boreas}, {"mulran", mulran_seeds, read_mulran}, {"once", once_seeds, read_once}};
+}
+
+}  // namespace relidar::fuzz
