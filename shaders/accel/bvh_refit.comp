@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved; on demand those of some
-// models alone. Of n threads each looks at every n-th wide node. Those without inner children start, and the last child to reach a node goes on. Input: boxes, topology of
-// wide. Output: origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read, 28 B read and 104 B written a wide
-// node.
+// models alone. Of n threads each looks at every n-th wide node. Those without inner children start, and the last child to reach a node
+// goes on. Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read,
+// 28 B read and 104 B written a wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"

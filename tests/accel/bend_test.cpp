@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that walk: the trees of the models that bend follow their surfels, those of others are left alone (accel/proxies, accel/bvh_refit).
+// Actors that walk (accel/proxies, accel/bvh_refit): the trees of models that bend follow their surfels, others are left alone.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
