@@ -282,6 +282,10 @@ using ActorPoses = std::map<std::string, PoseTrack>;
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
                                           const ActorPoses& world_from_actor);
 
+/// All surfels of a scene at one moment, in the world: actors where they stand, bent as they walk then, their harmonics turned with them;
+/// absent ones are left out. @param placed [instances] @throws DataError for another number of poses
+Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
+
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
