@@ -22,6 +22,7 @@ namespace relidar {
 
 struct PoseTrack;
 struct Scene;
+struct Surfels;
 enum class Primitive;
 
 /// Writes a file by calling `write` on a temporary path beside it, flushing to disk and renaming.
@@ -127,6 +128,9 @@ void write_kitti_bin(const std::filesystem::path& path, const PointCloud& cloud)
 ///   rot_0..3 (w x y z), then what the layout has no place for: hit_0..15 and drop_0..15 (coefficients of the two logits), model (index).
 /// Positions are in the frame of each surfel's model: actors stand at the origin. @throws DataError as for write_atomically
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
+/// The same of surfels that are in one frame, as freeze() makes them: without `model`, so that nobody takes them for a scene that can be
+/// read back. @param notes  comments
+void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes);
 /// Reads it back: bit-equal surfels, grouped by model, with the models, instances and sensor-level ray-drop of `layout`.
 /// Properties may come in any order and others may be there; nx ny nz, scale_2 of surfels and the second and third colour are not read.
 /// @param primitive  of the surfels in the file; not given: surfels

@@ -151,15 +151,12 @@ struct DrivingScene {
 
 /// A scene of one model, the background, with one instance.
 Scene make_background_scene(Surfels surfels);
-
 /// The scene with another background, which is put into kd order, and without blocks.
 Scene with_background(const Scene& scene, const Surfels& background);
-
 /// Appends a model of another scene, with its surfels. @return its number
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
 /// The same scene with a model of its own for every instance: the surfels of a model placed n times are there n times.
 Scene own_models(Scene scene);
-
 /// Which instances some names mean: "background", "actors" (all others), or a track. @return [instances]
 /// @throws UsageError for a name that is none of them, naming the nearest
 std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names);
@@ -281,6 +278,9 @@ using ActorPoses = std::map<std::string, PoseTrack>;
 /// @throws UsageError for a name that no instance has, naming the nearest
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
                                           const ActorPoses& world_from_actor);
+/// All surfels of a scene at one moment, in the world: actors where they stand, bent as they walk then, their harmonics turned with them;
+/// absent ones are left out. @param placed [instances] @throws DataError for another number of poses
+Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
 
 /// Recursive object-median order of points along the longest axis, split at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]

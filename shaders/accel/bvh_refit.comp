@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved. Of n threads each
-// looks at every n-th wide node. Those without inner children start, and the last child to reach a node goes on. Input: boxes, topology of
-// wide. Output: origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read, 28 B read and 104 B written a wide
-// node.
+// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved; on demand those of some
+// models alone. Of n threads each looks at every n-th wide node. Those without inner children start, and the last child to reach a node
+// goes on. Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read,
+// 28 B read and 104 B written a wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -35,6 +35,7 @@ void refit_upwards(uint node) {
     uint inner_mask = params.wide.nodes.at[node].exponents >> 24;
     if (inner_mask != 0u) return;
     uvec2 link = params.wide.links.at[node];
+    if (link.y < params.first_surfel || link.y > params.last_surfel) return;   // a model that stays as it is
     for (;;) {
         refit_node(node, link.y, inner_mask);
         node = link.x;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Proxy geometry of every surfel (M3, Fig. 3): corners of the rectangle, or of the icosahedron for 3D Gaussians, that holds
-// sigma G >= alpha_min, or its box. One thread a surfel. Input: records. Maximum: reach.
+// sigma G >= alpha_min, or its box. One thread a surfel of a range. Input: records. Maximum: reach.
 // Output: vertices (two co-planar triangles share four corners; twenty share twelve) or boxes, model frame.
 // Surfels that cannot be hit get a proxy of no area at their mean; never a NaN, which would poison its neighbours in the tree. The boxes
 // of the software structure are empty there (low above high), and grow by the last digits of a mean far from the origin.
@@ -37,8 +37,8 @@ void write_icosahedron(uint i, vec3 mean, vec3 u, vec3 v, vec3 w) {
 }
 
 void main() {
-    uint i = thread_index();
-    if (i >= params.n_surfels) return;
+    uint i = params.first_surfel + thread_index();
+    if (thread_index() >= params.n_surfels) return;
     SurfelRecord s = params.records.at[i];
     vec3 u = vec3(0.0), v = vec3(0.0), w = vec3(0.0);
     bool visible = s.opacity > params.alpha_min;

@@ -8,7 +8,7 @@
 RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
-    Records records;                         // input [n_surfels of the scene]
+    Records records;                         // input [n], of all surfels
     // output m: four corners [n,4,3] of a surfel, twelve [n,12,3] of a 3D Gaussian (proxy = triangles), or
     RELIDAR_OF(Floats, ProxyVertices) vertices;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;   // output [n,6] m: min, max (proxy = boxes)
@@ -17,6 +17,7 @@ struct ProxyParams {
     float alpha_min;                         // the proxy ends where sigma G = alpha_min
     float margin_m;                          // grown by this, so that rounding in a traversal loses no hit
     float margin_scale;                      // and by this factor
+    uint first_surfel;                       // of those whose proxies are made
     uint n_surfels;
 };
 

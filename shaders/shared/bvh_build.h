@@ -98,6 +98,8 @@ struct BvhRefitParams {
     BvhWide wide;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;   // input [n,6] of surfels
     uint bound;                              // wide nodes there is room for
+    uint first_surfel;                       // models that begin from here
+    uint last_surfel;                        // to here are refitted
 };
 
 /// The tree over the instances (accel/bvh_top.comp).

@@ -34,12 +34,29 @@ struct Accel::Impl {
     }
 
     bool due() const { return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every); }
-    void record(Stream& stream, const DeviceScene& scene, bool refit) {
-        if (hardware) hardware->record(stream, scene, options, refit);
-        else if (refit) software->refit(stream, scene, options);
+    void build(Stream& stream, const DeviceScene& scene) {
+        if (hardware) hardware->record(stream, scene, options, {{0, scene.size()}}, false);
         else software->build(stream, scene, options);
     }
+    void refit(Stream& stream, const DeviceScene& scene, const std::vector<SurfelRange>& ranges) {
+        if (hardware) hardware->record(stream, scene, options, ranges, true);
+        else software->refit(stream, scene, options, ranges);
+    }
 };
+
+namespace {
+
+std::vector<SurfelRange> those_that_bend(const std::vector<Model>& models) {
+    std::vector<SurfelRange> ranges;
+    for (const Model& model : models) {
+        if (model.count == 0 || model.stride_m <= 0.0f) continue;
+        if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first) ranges.back().count += model.count;
+        else ranges.push_back({model.first, model.count});
+    }
+    return ranges;
+}
+
+}  // namespace
 
 Accel::Accel(Device& device, const DeviceScene& scene, const AccelOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, options)) {}
@@ -48,17 +65,25 @@ Accel::~Accel() = default;
 void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
     Impl& a = *impl_;
     const bool refit = !rebuild && !a.due();
-    a.record(stream, scene, refit);
     ++a.n_updates;
     if (refit) {
+        a.refit(stream, scene, {{0, scene.size()}});
         ++a.refits;
         return;
     }
+    a.build(stream, scene);
     a.built = true;
     a.outgrown = false;
     a.refits = 0;
     a.measured = false;
     a.cost_when_built = 0.0;
+}
+
+void Accel::bend(Stream& stream, const DeviceScene& scene) {
+    Impl& a = *impl_;
+    if (!a.built) return update(stream, scene);
+    a.refit(stream, scene, those_that_bend(scene.layout().models));   // gaits come back to where they were: a tree does not degrade
+    ++a.n_updates;
 }
 
 void Accel::move(Stream& stream, const DeviceScene& scene) {

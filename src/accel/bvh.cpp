@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -60,6 +61,9 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
+/// Those without surfels too, which begin nowhere.
+constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
+
 /// The scratch, in words times the number of surfels, padded. Keys, boxes and costs are needed no more when the collapse begins; it puts
 /// its own there.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5, kBoxesAt = 7, kCostsAt = 13,
@@ -113,9 +117,10 @@ struct Bvh::Impl {
     std::uint32_t key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
     }
-    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
+    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
-    void fit_nodes(Stream& stream);
+    /// @param first,last  surfels that the models which are fitted begin with
+    void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
 };
 
 Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
@@ -189,8 +194,8 @@ SortSet Bvh::Impl::sort_set(int set) const {
             .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
-void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
-    run(stream, proxies, n,
+void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+    run(stream, proxies, range.count,
         {.records = scene.records().address(),
          .vertices = {},
          .boxes = boxes.address(),
@@ -198,7 +203,8 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
          .alpha_min = scene.alpha_min(),
          .margin_m = options.margin_m,
          .margin_scale = options.margin_scale,
-         .n_surfels = n});
+         .first_surfel = range.first,
+         .n_surfels = range.count});
 }
 
 SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
@@ -246,8 +252,9 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
     run(stream, wide_emit, bound, params);
 }
 
-void Bvh::Impl::fit_nodes(Stream& stream) {
-    run(stream, refit_kernel, n_refitting, {.wide = wide(), .boxes = boxes.address(), .bound = bound});
+void Bvh::Impl::fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last) {
+    run(stream, refit_kernel, n_refitting,
+        {.wide = wide(), .boxes = boxes.address(), .bound = bound, .first_surfel = first, .last_surfel = last});
 }
 
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
@@ -263,7 +270,7 @@ Bvh::~Bvh() = default;
 
 void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& b = *impl_;
-    b.make_boxes(stream, scene, options);
+    b.make_boxes(stream, scene, options, {0, b.n});
     const SortSet sorted = b.sorted_surfels(stream, scene);
     run(stream, b.cluster, b.n,
         {.tree = b.binary(),
@@ -277,13 +284,16 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
          .n_surfels = b.n,
          .n_models = b.n_models});
     b.collapse(stream, scene);
-    b.fit_nodes(stream);
+    b.fit_nodes(stream, 0, kAllModels);
     move(stream, scene);
 }
 
-void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
-    impl_->make_boxes(stream, scene, options);
-    impl_->fit_nodes(stream);
+void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges) {
+    for (const auto& [first, count] : ranges) {
+        if (count == 0) continue;
+        impl_->make_boxes(stream, scene, options, {first, count});
+        impl_->fit_nodes(stream, first, first + count - 1);
+    }
     move(stream, scene);
 }
 

@@ -13,6 +13,8 @@
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/scene.hpp>
 
+#include "accel/surfel_range.hpp"
+
 namespace relidar {
 
 /// All of a structure on the host, for tests and measurements.
@@ -35,7 +37,8 @@ public:
     /// Records boxes from the scene's records and a full build of all model trees and the top tree.
     void build(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     /// Records boxes and new node bounds bottom up, same topology, then the top tree. Needs a build before.
-    void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
+    /// @param ranges  whose trees: the surfels of others have not changed
+    void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges);
     /// Records the top tree alone: instances have moved.
     void move(Stream& stream, const DeviceScene& scene);
 

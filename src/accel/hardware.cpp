@@ -122,6 +122,7 @@ struct HardwareAccel::Impl {
     }
 
     void describe_model(const Model& model);
+    void make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
@@ -214,22 +215,31 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
 
 HardwareAccel::~HardwareAccel() = default;
 
-void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, bool refit) {
-    Impl& a = *impl_;
-    Stream::Impl& s = impl_of(stream);
-    if (a.reach.size()) stream.fill(a.reach);
-    run(stream, a.proxies, scene.size(),
+void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+    run(stream, proxies, range.count,
         {.records = scene.records().address(),
-         .vertices = a.geometry.address_as<float, shared::ProxyVertices>(),
-         .boxes = a.geometry.address_as<float, shared::SurfelBoxes>(),
-         .reach = a.reach.address(),
+         .vertices = geometry.address_as<float, shared::ProxyVertices>(),
+         .boxes = geometry.address_as<float, shared::SurfelBoxes>(),
+         .reach = reach.address(),
          .alpha_min = scene.alpha_min(),
          .margin_m = options.margin_m,
          .margin_scale = options.margin_scale,
-         .n_surfels = scene.size()});
+         .first_surfel = range.first,
+         .n_surfels = range.count});
+}
+
+void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges,
+                           bool refit) {
+    Impl& a = *impl_;
+    Stream::Impl& s = impl_of(stream);
+    std::uint32_t n = 0;
+    for (const SurfelRange& range : ranges) n += range.count;
+    if (a.reach.size() && n == scene.size()) stream.fill(a.reach);   // else that of the others is in it
+    for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
     std::vector<const BuildInput*> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
-        if (!a.blas[i]) continue;
+        const auto is_in = [&](const SurfelRange& range) { return range.holds(scene.layout().models[i].first); };
+        if (!a.blas[i] || std::ranges::none_of(ranges, is_in)) continue;
         a.blas_input[i].prepare(*a.blas[i], refit, a.scratch_address + a.blas_scratch[i]);
         inputs.push_back(&a.blas_input[i]);
     }

@@ -9,6 +9,8 @@
 #include <relidar/stages/accel.hpp>
 #include <relidar/stages/scene.hpp>
 
+#include "accel/surfel_range.hpp"
+
 namespace relidar {
 
 class HardwareAccel {
@@ -17,8 +19,9 @@ public:
     HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
     ~HardwareAccel();
 
-    /// Records proxies, a build or refit of all bottom levels, and the top level. A refit needs a build before.
-    void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, bool refit);
+    /// Records proxies, a build or refit of bottom levels, and the top level. A refit needs a build before.
+    /// @param ranges  the models of which: the surfels of others have not changed
+    void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges, bool refit);
     /// Records the top level alone.
     void move(Stream& stream, const DeviceScene& scene);
 

@@ -2,6 +2,8 @@
 // Bytes to and from files; see file_io.hpp. C streams rather than C++ ones, because they report errno.
 #include "file_io.hpp"
 
+#include <algorithm>
+#include <cctype>
 #include <cerrno>
 #include <memory>
 #include <system_error>
@@ -13,6 +15,12 @@
 #include <relidar/export.hpp>
 
 namespace relidar::export_detail {
+
+std::string note_line(const std::pair<std::string, std::string>& note) {
+    std::string line = note.first + " " + note.second;
+    std::replace_if(line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+    return line;
+}
 
 std::string system_message(int error) { return std::generic_category().message(error); }
 

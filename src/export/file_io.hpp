@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace relidar::export_detail {
@@ -37,6 +38,9 @@ void write_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// A whole file. @throws DataError naming the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
+
+/// A note of a file as one line of its header.
+std::string note_line(const std::pair<std::string, std::string>& note);
 
 /// Message of a system error number, as strerror.
 std::string system_message(int error);

@@ -75,13 +75,6 @@ std::string packed_records(const PointCloud& cloud) {
     return bytes;
 }
 
-/// A note as one header line.
-std::string note_line(const std::pair<std::string, std::string>& note) {
-    std::string line = note.first + " " + note.second;
-    std::replace_if(line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
-    return line;
-}
-
 /// "tx ty tz qw qx qy qz"
 std::string viewpoint(const Pose& pose) {
     const glm::dvec3& t = pose.translation;
@@ -96,7 +89,7 @@ std::string viewpoint(const Pose& pose) {
 void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
     check_cloud(cloud);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
-    for (const auto& note : cloud.notes) text += fmt::format("comment {}\n", note_line(note));
+    for (const auto& note : cloud.notes) text += fmt::format("comment {}\n", export_detail::note_line(note));
     text += fmt::format("element vertex {}\n", cloud.position_m.size());
     for (const Field& field : fields_of(cloud)) text += fmt::format("property {} {}\n", field.ply_type, ply_name(field.name));
     export_detail::write_file(path, text + "end_header\n" + packed_records(cloud));
@@ -105,7 +98,7 @@ void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
 void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
     check_cloud(cloud);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
-    for (const auto& note : cloud.notes) header += fmt::format("# {}\n", note_line(note));
+    for (const auto& note : cloud.notes) header += fmt::format("# {}\n", export_detail::note_line(note));
     for (const Field& field : fields_of(cloud)) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);

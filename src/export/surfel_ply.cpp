@@ -230,13 +230,24 @@ Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, Param
     return grouped(surfels, model, scene_layout);
 }
 
-std::string header_of(const Scene& scene, const std::vector<Property>& list) {
+/// @param frame  of the positions
+std::string header_of(const Surfels& surfels, const std::vector<Property>& list, const char* frame, const FileNotes& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    const PrimitiveKind& kind = kind_of(scene.surfels.primitive);
-    text += fmt::format("{}: metres, frame of each model{}\n", kind.label, kind.third_scale ? "" : "; scale_2 only makes them flat");
-    text += fmt::format("element vertex {}\n", scene.surfels.size());
+    const PrimitiveKind& kind = kind_of(surfels.primitive);
+    text += fmt::format("{}: metres, {}{}\n", kind.label, frame, kind.third_scale ? "" : "; scale_2 only makes them flat");
+    for (const auto& note : notes) text += fmt::format("comment {}\n", export_detail::note_line(note));
+    text += fmt::format("element vertex {}\n", surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
+}
+
+void write_records(export_detail::OutputFile& file, const Surfels& surfels, const std::vector<Property>& list, const Model& model,
+                   std::size_t number) {
+    std::vector<float> record(list.size());
+    for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
+        for (std::size_t k = 0; k < list.size(); ++k) record[k] = value_of(list[k], surfels, i, number);
+        file.write(record.data(), record.size() * sizeof(float));
+    }
 }
 
 void check_models(const Scene& scene) {
@@ -258,13 +269,21 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
         check_models(scene);
         const std::vector<Property> list = properties(scene.surfels.parameters());
         export_detail::OutputFile file(temporary);
-        file.write(header_of(scene, list));
-        std::vector<float> record(list.size());
+        file.write(header_of(scene.surfels, list, "frame of each model"));
         for (std::size_t model = 0; model < scene.models.size(); ++model)
-            for (std::size_t i = scene.models[model].first; i < std::size_t(scene.models[model].first) + scene.models[model].count; ++i) {
-                for (std::size_t k = 0; k < list.size(); ++k) record[k] = value_of(list[k], scene.surfels, i, model);
-                file.write(record.data(), record.size() * sizeof(float));
-            }
+            write_records(file, scene.surfels, list, scene.models[model], model);
+        file.close();
+    });
+}
+
+void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes) {
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        surfels.check_shapes();
+        std::vector<Property> list = properties(surfels.parameters());
+        std::erase_if(list, [](const Property& p) { return p.kind == Property::model; });
+        export_detail::OutputFile file(temporary);
+        file.write(header_of(surfels, list, "world", notes));
+        write_records(file, surfels, list, {"", 0, static_cast<std::uint32_t>(surfels.size())}, 0);
         file.close();
     });
 }

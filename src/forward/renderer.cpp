@@ -69,7 +69,7 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
     const bool bends = r.scene.bends_otherwise(placed);
     r.scene.place(r.stream, placed);
     if (bends || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
-    if (bends) r.accel->update(r.stream, r.scene);
+    if (bends) r.accel->bend(r.stream, r.scene);
     else r.accel->move(r.stream, r.scene);
 }
 

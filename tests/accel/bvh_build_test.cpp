@@ -67,7 +67,7 @@ protected:
         }
         BvhOnHost refit() {
             scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.refit(stream, scene, {});
+            bvh.refit(stream, scene, {}, {{0, scene.size()}});
             stream.finish();
             return bvh.download();
         }

@@ -210,6 +210,16 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
     EXPECT_NE(missing.find("nothing.ply"), std::string::npos) << missing;
 }
 
+TEST_F(SurfelPly, SurfelsInTheWorldAreNotReadBackAsAScene) {
+    const Scene scene = some_scene();
+    write_surfel_ply(folder / "a.ply", scene.surfels, {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
+    const std::string bytes = contents(folder / "a.ply");
+    EXPECT_NE(bytes.find(": metres, world"), std::string::npos);
+    EXPECT_NE(bytes.find("\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element vertex 9\nelement vertex 7\n"), std::string::npos);
+    const std::string refused = data_error([&] { (void)read_surfel_ply(folder / "a.ply", scene); });
+    EXPECT_NE(refused.find("model"), std::string::npos) << refused;
+}
+
 TEST_F(SurfelPly, RefusesEveryTruncation) {
     const Scene scene = some_scene();
     write_surfel_ply(folder / "a.ply", scene);

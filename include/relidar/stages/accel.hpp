@@ -48,6 +48,8 @@ public:
 
     /// Records proxies from the scene's records and a build (first time, when told, or when due) or refit of all trees, then the top level.
     void update(Stream& stream, const DeviceScene& scene, bool rebuild = false);
+    /// Records proxies and a refit of the models that bend alone, then the top level: actors walk, no other surfel has changed.
+    void bend(Stream& stream, const DeviceScene& scene);
     /// Records the top level alone: instances have moved, no surfel has changed.
     void move(Stream& stream, const DeviceScene& scene);
 

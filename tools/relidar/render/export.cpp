@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar export and relidar import: the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, and back; the path of
-// its sensor as a trajectory.
+// relidar export and relidar import: the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, and back; the same at
+// the moments of frames, a file each; the path of its sensor as a trajectory.
 #include <memory>
+#include <optional>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include "command.hpp"
 #include "console.hpp"
+#include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
+#include "render/choose_frames.hpp"
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
@@ -19,6 +22,7 @@ namespace {
 struct ExportOptions {
     std::string run;
     std::string out;
+    std::optional<std::string> frames;
     bool quiet = false;
 };
 
@@ -39,8 +43,37 @@ PoseTrack sensor_path(const Sequence& sequence) {
     return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
+/// The scene as it is when the head faces forward in each frame, in relidar's world: FOLDER/000010.ply.
+void export_frames(const ExportOptions& options) {
+    const Run run = load_run(options.run, note);
+    const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
+    const OutputFolder folder(options.out);
+    const Scene scene = whole_scene(run.scene);
+    const glm::dvec3& offset = run.sequence.world_offset_m;
+    catch_interrupts();
+    Progress progress(options.quiet);
+    for (std::size_t done = 0; done < positions.size(); ++done) {
+        stop_if_interrupted();
+        progress.count("writing scenes", done, positions.size());
+        const Frame& frame = run.sequence.frames[std::size_t(positions[done])];
+        const Surfels surfels = freeze(scene, place_instances(scene, run.sequence, moment_of(frame)));
+        write_surfel_ply(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
+                         {{"time_s", fmt::format("{}", frame.time_s)},
+                          {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
+    }
+    end_progress_line();
+    if (!options.quiet)
+        print(fmt::format("{}: {} file{}\n", absolute_path(options.out), positions.size(), positions.size() == 1 ? "" : "s"));
+}
+
 void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
+    if (options.frames) {
+        if (out.has_extension())
+            throw UsageError(fmt::format("--out {}: found the ending {}, expected the name of a folder, for --frames writes a file a frame",
+                                         options.out, out.extension().string()));
+        return export_frames(options);
+    }
     const std::optional<std::string> format = known_name(out.extension().string(), {".ply", ".csv"});
     if (!format) {
         const std::string found = out.has_extension() ? "the ending " + out.extension().string() : "no ending";
@@ -70,19 +103,30 @@ void run_import(const ImportOptions& options) {
 
 void add_export(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand(
-        "export", "write the surfels of a run as PLY, in the layout of 3D Gaussian splatting; or the path of its sensor as CSV");
+        "export", "write the surfels of a run as PLY, in the layout of 3D Gaussian splatting, of all or a file a frame; or the path of its "
+                  "sensor as CSV");
     const auto options = std::make_shared<ExportOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command->add_option("--out", options->out, "file to write: surfels, or the sensor's path")->required()->type_name("FILE.ply|FILE.csv");
+    command->add_option("--out", options->out, "file to write: surfels, or the sensor's path; with --frames a folder")
+        ->required()
+        ->type_name("FILE.ply|FILE.csv|FOLDER");
+    command
+        ->add_option("--frames", options->frames,
+                     "write the scene as it is in each of these frames, first:end, test, train or all: actors where they are, those that "
+                     "walk bent")
+        ->type_name("A:B");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
         "Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold hit_0..15, drop_0..15 and model, so "
         "that\n"
-        "`relidar import` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin.\n"
+        "`relidar import` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin, in the shape in "
+        "which\n"
+        "they rest. With --frames everything is where it is in the world; such files are not read back.\n"
         "The path is time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world, as render --trajectory and edit --trajectory read "
         "it.\n"
         "Examples:\n"
         "  relidar export run --out scene.ply\n"
+        "  relidar export run --out frames --frames 10:20\n"
         "  relidar export run --out trajectory.csv");
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
 }

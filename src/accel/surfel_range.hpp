@@ -1,0 +1,16 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which surfels a refit follows.
+#pragma once
+
+#include <cstdint>
+
+namespace relidar {
+
+/// All surfels of consecutive models.
+struct SurfelRange {
+    std::uint32_t first = 0, count = 0;
+
+    bool holds(std::uint32_t surfel) const { return surfel - first < count; }
+};
+
+}  // namespace relidar

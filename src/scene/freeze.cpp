@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+// A scene at one moment as one set of surfels in the world.
+#include <relidar/scene.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "core/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+using Basis = std::array<double, kShCoefficients>;
+
+/// shaders/gaussian/sh.glsl in double: real harmonics up to degree 3, orthonormal on the sphere. @param d [3] unit
+Basis harmonics(const glm::dvec3& d) {
+    const double x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+    const auto root = [](double part) { return std::sqrt(part / kPi); };
+    return {root(0.25),
+            -root(0.75) * y,
+            root(0.75) * z,
+            -root(0.75) * x,
+            root(3.75) * x * y,
+            -root(3.75) * y * z,
+            root(0.3125) * (2.0 * zz - xx - yy),
+            -root(3.75) * x * z,
+            root(0.9375) * (xx - yy),
+            -root(1.09375) * y * (3.0 * xx - yy),
+            root(26.25) * x * y * z,
+            -root(0.65625) * y * (4.0 * zz - xx - yy),
+            root(0.4375) * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+            -root(0.65625) * x * (4.0 * zz - xx - yy),
+            root(6.5625) * z * (xx - yy),
+            -root(1.09375) * x * (xx - 3.0 * yy)};
+}
+
+using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
+
+/// What takes coefficients of directions in a model to those of the same directions in the world: the integral of Y_i(R d) Y_j(d) over the
+/// sphere. Products are of degree 6: four Gauss-Legendre heights by eight azimuths are exact.
+Turn turn_of(const glm::dquat& world_from_model) {
+    constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
+                                                             {-0.3399810435848563, 0.6521451548625461},
+                                                             {0.3399810435848563, 0.6521451548625461},
+                                                             {0.8611363115940526, 0.3478548451374538}}};   // and their weights
+    constexpr int kAzimuths = 8;
+    Turn turn{};
+    for (const auto& [z, weight] : kHeights)
+        for (int a = 0; a < kAzimuths; ++a) {
+            const double angle = 2.0 * kPi * a / kAzimuths, r = std::sqrt(1.0 - z * z);
+            const glm::dvec3 d(r * std::cos(angle), r * std::sin(angle), z);
+            const Basis in_model = harmonics(d), in_world = harmonics(world_from_model * d);
+            for (std::size_t i = 0; i < kShCoefficients; ++i)
+                for (std::size_t j = 0; j < kShCoefficients; ++j)
+                    turn[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
+        }
+    return turn;
+}
+
+void turn_harmonics(const Turn& turn, float* channel) {
+    std::array<float, kShCoefficients> turned;
+    for (std::size_t i = 0; i < kShCoefficients; ++i) {
+        double sum = 0.0;
+        for (std::size_t j = 0; j < kShCoefficients; ++j) sum += turn[i][j] * double(channel[j]);
+        turned[i] = float(sum);
+    }
+    std::ranges::copy(turned, channel);
+}
+
+/// Moves a surfel to where it is at a phase of its gait, and lets it fade (shaders/gaussian/gait.glsl).
+void bend(Surfels& s, std::size_t i, double phase) {
+    const Gait& gait = s.gait[i];
+    const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
+    s.mean[i] = glm::vec3(glm::dvec3(s.mean[i]) + std::sin(angle) * glm::dvec3(gait.swing));
+    const double presence = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
+    if (presence == 1.0) return;
+    const double opacity = presence / (1.0 + std::exp(-double(s.opacity_logit[i])));
+    constexpr double kFaintest = 1e-30;
+    s.opacity_logit[i] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
+}
+
+void place(Surfels& s, const Pose& world_from_model) {
+    const Turn turn = turn_of(world_from_model.rotation);
+    for_each_block(s.size(), [&](std::size_t i) {
+        s.mean[i] = glm::vec3(world_from_model * glm::dvec3(s.mean[i]));
+        const glm::dquat q(double(s.rotation[i].x), double(s.rotation[i].y), double(s.rotation[i].z), double(s.rotation[i].w));
+        const glm::dquat turned = world_from_model.rotation * q;
+        s.rotation[i] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
+        for (std::size_t c = 0; c < kShChannels; ++c) turn_harmonics(turn, &s.sh[i * kShFloats + c * kShCoefficients]);
+    });
+}
+
+}  // namespace
+
+Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed) {
+    if (placed.size() != scene.instances.size())
+        throw DataError(fmt::format("freezing a scene: found {} poses, expected {}", placed.size(), scene.instances.size()));
+    Surfels all;
+    all.primitive = scene.surfels.primitive;
+    for (std::size_t k = 0; k < placed.size(); ++k) {
+        if (!placed[k].present) continue;
+        const Model& model = scene.models[scene.instances[k].model];
+        Surfels own = scene.surfels.slice(model.first, model.count);
+        if (model.stride_m > 0.0f && own.bends)
+            for (std::size_t i = 0; i < own.size(); ++i) bend(own, i, placed[k].phase);
+        own.gait.clear();
+        own.bends = false;
+        if (!scene.instances[k].track.empty()) place(own, placed[k].world_from_model);
+        all.append(own);
+    }
+    return all;
+}
+
+}  // namespace relidar

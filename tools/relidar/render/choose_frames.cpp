@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/choose_frames.hpp"
+
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "console.hpp"
+#include "options.hpp"
+
+namespace relidar::cli {
+namespace {
+
+std::vector<int> all_positions(const Run& run) {
+    std::vector<int> positions(run.sequence.frames.size());
+    std::iota(positions.begin(), positions.end(), 0);
+    return positions;
+}
+
+std::vector<int> positions_in(const Run& run, const FrameRange& range) {
+    std::vector<int> positions = all_positions(run);
+    std::erase_if(positions, [&](int i) {
+        const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
+        return index < range.begin || (range.end >= 0 && index >= range.end);
+    });
+    return positions;
+}
+
+}  // namespace
+
+std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet) {
+    if (!wanted && run.split.test.empty()) {
+        if (!quiet) note(fmt::format("{} held no frame out: rendering all {}", run.folder.string(), run.sequence.frames.size()));
+        return all_positions(run);
+    }
+    const std::string which = wanted.value_or("test");
+    const std::string name = known_name(which, {"test", "train", "all"}).value_or("");
+    std::vector<int> positions = name == "all" ? all_positions(run) : name == "train" ? run.split.train : run.split.test;
+    const int last = run.sequence.frames.back().index;
+    if (name.empty()) {
+        const FrameRange range = parse_frames(which);
+        positions = positions_in(run, range);
+        if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
+    }
+    if (positions.empty()) {
+        throw UsageError(fmt::format("--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all", which,
+                                     run.folder.string(), run.sequence.frames.front().index, last));
+    }
+    return positions;
+}
+
+}  // namespace relidar::cli
