@@ -37,6 +37,9 @@ struct DatasetOptions {
     double min_range_m = 0.0;           ///< and so are those nearer than this
     bool clamp_intensity = false;       ///< of Waymo Open: cut at 1; false: its tanh
     std::vector<std::string> lidars = {};   ///< names of those that are read; none: all
+    /// For a look at a long log: of each LiDAR so many scans, spread over its frames, are read, and other frames stay without rays; 0: all.
+    /// Logs of KITTI, Argoverse 2 and Waymo, and nuScenes' own HDL-32E, are read whole all the same.
+    int most_scans = 0;
     Progress progress = {};             ///< of reading
 };
 

@@ -97,7 +97,8 @@ struct PrepareSession {
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
 
 /// The log that config.dataset describes, with rolling shutter where config.sensor wants it. @throws as load_sequence()
-Sequence load_log(const Config& config, const Progress& progress = {});
+/// @param most_scans  DatasetOptions::most_scans
+Sequence load_log(const Config& config, const Progress& progress = {}, int most_scans = 0);
 
 /// Trains a scene on the training frames of a log, prepared by prepare_log().
 /// @throws UsageError where the session's start does not fit (check_resumable); DataError where there is nothing to train on, where a loss

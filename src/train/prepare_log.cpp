@@ -18,7 +18,7 @@
 
 namespace relidar {
 
-Sequence load_log(const Config& config, const Progress& progress) {
+Sequence load_log(const Config& config, const Progress& progress, int most_scans) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
     options.lidars = words_of(config.dataset.lidars);
@@ -31,6 +31,7 @@ Sequence load_log(const Config& config, const Progress& progress) {
     options.min_range_m = config.dataset.min_range_m;
     options.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
+    options.most_scans = most_scans;
     std::error_code failed;
     const std::filesystem::path folder = std::filesystem::temp_directory_path(failed);
     limit_scan_memory(std::uint64_t(config.dataset.memory_mib) << 20, failed ? "/tmp" : folder);

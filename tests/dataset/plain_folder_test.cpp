@@ -184,6 +184,23 @@ std::vector<std::string> names_in(const fs::path& folder) {
     return names;
 }
 
+TEST(SaveFolder, ReadsAFewScansForALook) {
+    const Sequence street = rich_street();   // five frames of each LiDAR
+    const fs::path folder = fresh("looked_at");
+    save_folder(street, folder);
+    DatasetOptions options;
+    options.most_scans = 2;
+    const Sequence found = load_sequence(folder.string(), options);
+    expect_same_log(found, street);
+    ASSERT_EQ(found.frames.size(), street.frames.size());
+    for (std::size_t i = 0; i < street.frames.size(); ++i) {
+        const int of_its_lidar = int(i) / 2;
+        EXPECT_EQ(found.frames[i].time_s, street.frames[i].time_s);
+        if (of_its_lidar == 0 || of_its_lidar == 2) EXPECT_TRUE(found.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
+        else EXPECT_TRUE(found.frames[i].scan.range_m.empty()) << i;
+    }
+}
+
 TEST(SaveFolder, LeavesNothingUnfinished) {
     const Sequence street = rich_street();
     const fs::path folder = fresh("place") / "saved";

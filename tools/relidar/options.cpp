@@ -175,9 +175,9 @@ std::string absolute_path(const std::string& path) {
     return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
 }
 
-Sequence load_dataset(const Config& config, bool quiet) {
+Sequence load_dataset(const Config& config, bool quiet, int most_scans) {
     Progress progress(quiet);
-    Sequence sequence = load_log(config, shown_by(progress));
+    Sequence sequence = load_log(config, shown_by(progress), most_scans);
     if (!sequence.frames.empty())
         note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)

@@ -63,6 +63,7 @@ std::string without_blanks(const std::string& text);   ///< at both ends
 
 std::string absolute_path(const std::string& path);   ///< empty stays empty
 /// The log that config.dataset describes.
-Sequence load_dataset(const Config& config, bool quiet = false);
+/// @param most_scans  DatasetOptions::most_scans
+Sequence load_dataset(const Config& config, bool quiet = false, int most_scans = 0);
 
 }  // namespace relidar::cli

@@ -289,14 +289,28 @@ private:
     }
 };
 
+/// Frames whose scans are read: all, or so many of each LiDAR.
+std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
+    std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i) own[std::size_t(sequence.frames[i].lidar)].push_back(i);
+    std::vector<std::size_t> all;
+    for (const std::vector<std::size_t>& frames : own) {
+        const std::size_t n = most_scans > 0 ? std::min(std::size_t(most_scans), frames.size()) : frames.size();
+        for (std::size_t k = 0; k < n; ++k) all.push_back(frames[k * frames.size() / n]);
+    }
+    std::ranges::sort(all);
+    return all;
+}
+
 }  // namespace
 
 void read_scans(Sequence& sequence, const Head& head, const ScanSource& source, const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
     Reader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
     reader.find_sensors();
-    for_each_told(sequence.frames.size(), options.progress, "reading scans",
-                  [&](std::size_t i) { broken.attempt(i, [&] { reader.read(i); }); });
+    const std::vector<std::size_t> frames = frames_to_read(sequence, options.most_scans);
+    for_each_told(frames.size(), options.progress, "reading scans",
+                  [&](std::size_t k) { broken.attempt(frames[k], [&] { reader.read(frames[k]); }); });
     reader.tell_left_out();
     broken.leave_out(sequence);
 }

@@ -21,6 +21,7 @@ struct InfoOptions {
     LogPart part;
     Settings settings;
     bool json = false;
+    bool all = false;
 };
 
 void show_run(const InfoOptions& options) {
@@ -39,10 +40,11 @@ void show_unfinished(const std::filesystem::path& folder) {
 }
 
 void show_log(const InfoOptions& options) {
+    constexpr int kMostScans = 64;   // of a LiDAR: a bag of an hour has 36,000
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
-    const LogSummary summary = summarise(load_dataset(config), config.init);
+    const LogSummary summary = summarise(load_dataset(config, false, options.all ? 0 : kMostScans), config.init);
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
@@ -55,6 +57,7 @@ void add_info(CLI::App& app, Call& call) {
     add_log_part_options(*command, options->part);
     add_set_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
+    command->add_flag("--all", options->all, "read every scan of a log, to see whether all can be read; else 64 spread over it");
     command->footer("Examples:\n"
                     "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
                     "  relidar info run --json");

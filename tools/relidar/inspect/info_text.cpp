@@ -113,7 +113,7 @@ Json json_of(const LogSummary& log) {
                  {"returns_share", nullptr},
                  {"boxes", boxes},
                  {"masked", log.masked}};
-    if (log.returns_share) json["returns_share"] = *log.returns_share;
+    if (log.returns_share) json["returns_share"] = *log.returns_share, json["scans_read"] = log.n_scans_read;
     return json;
 }
 
@@ -179,7 +179,11 @@ std::string text_of(const LogSummary& log, bool of_run) {
     for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + (log.rolling_shutter ? ", rolling shutter" : ""));
     text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame,
                                        log.seconds, log.path_m));
-    if (log.returns_share) text += line("returns", fmt::format("{:.1f} % of all rays", 100.0 * *log.returns_share));
+    if (log.returns_share)
+        text += line("returns", fmt::format("{:.1f} % of all rays{}", 100.0 * *log.returns_share,
+                                            log.n_scans_read < log.n_frames
+                                                ? fmt::format(" of {} scans spread over the log; --all reads every scan", log.n_scans_read)
+                                                : ""));
     const auto n_moving = std::ranges::count_if(log.boxes, &BoxSummary::moves);
     text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving, std::ssize(log.boxes) - n_moving));
     text += line("masked", log.masked);
@@ -204,6 +208,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
     }
     log.path_m = path_length_m(sequence.world_from_vehicle);
     log.returns_share = returns_share(sequence);
+    log.n_scans_read = std::size_t(std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
     log.masked = names_of(unwanted_boxes(sequence, options));
     return log;

@@ -34,7 +34,7 @@ struct LidarSummary {
     double top_deg = 0.0, bottom_deg = 0.0;
     double period_s = 0.0, max_range_m = 0.0;
     std::size_t n_frames = 0;
-    std::size_t n_second_returns = 0;             ///< second, third ... returns of its rays
+    std::size_t n_second_returns = 0;             ///< second, third ... returns of rays that were read
 };
 
 struct LogSummary {
@@ -46,6 +46,7 @@ struct LogSummary {
     int first_frame = 0, last_frame = 0;
     double seconds = 0.0, path_m = 0.0;
     std::optional<double> returns_share;   ///< none where the scans are not there
+    std::size_t n_scans_read = 0;          ///< that it is of
     std::vector<BoxSummary> boxes;
     std::string masked;                    ///< moving boxes that become no actor, or have become none
 };
