@@ -232,7 +232,8 @@ private:
     void tell_strange_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
-            for (const auto& [bytes, n] : stream.n_of_bytes) {
+            for (const auto& [size, n] : stream.n_of_bytes) {
+                const std::size_t bytes = size;   // clang 14 lets no lambda have a structured binding
                 const bool is_told = std::ranges::any_of(ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
                 if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
                     pass.note(fmt::format("{}: {}", path_.string(), packets::ouster_text(ousters_, path_, key.first, bytes)));
