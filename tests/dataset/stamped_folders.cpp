@@ -6,7 +6,10 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include <relidar/error.hpp>
 
 #include "core/random.hpp"
 #include "dataset/kitti_drive.hpp"
@@ -85,6 +88,15 @@ StampedFolder::StampedFolder(const std::string& dataset, const std::string& name
     fs::remove_all(folder, failed);
 }
 
+void StampedFolder::expect_error(const std::string& part, const DatasetOptions& options) const {
+    try {
+        load_sequence(kind + folder.string(), options);
+        ADD_FAILURE() << "no failure, expected " << part;
+    } catch (const Error& error) {
+        EXPECT_THAT(error.what(), testing::HasSubstr(part));
+    }
+}
+
 StampedFolder::~StampedFolder() {
     std::error_code failed;
     fs::remove_all(folder, failed);
@@ -123,6 +135,7 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns) : S
 }
 
 MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFolder("mulran", name) {
+    kind = "mulran:";
     drive.start_m = {-3.0, -4.0, -0.35};
     drive.world_m = {353012.5, 4026107.25, 21.0};
     drive.vehicle_from_lidar = {rotation_of(179.6654 * kDegree, 0.0003 * kDegree, 0.0001 * kDegree), {1.7042, -0.021, 1.8047}};

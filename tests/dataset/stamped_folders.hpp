@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/dataset.hpp>
 #include <relidar/math.hpp>
 #include <relidar/sensor.hpp>
 
@@ -43,9 +44,12 @@ struct StampedDrive {
 /// A folder of its own under the tests' temporary one, which ends with it.
 struct StampedFolder {
     std::filesystem::path folder;
+    std::string kind = "";   ///< "mulran:" where it shall be read as such whatever is missing; empty: as it is recognised
     StampedDrive drive;
 
     StampedFolder(const std::string& dataset, const std::string& name);
+    /// Expects that reading it fails with a message that has `part` in it.
+    void expect_error(const std::string& part, const DatasetOptions& options = {}) const;
     ~StampedFolder();
     StampedFolder(const StampedFolder&) = delete;
     StampedFolder& operator=(const StampedFolder&) = delete;

@@ -102,7 +102,8 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True,
     import zlib
     encoding = "ros1" if form == "ros1" else "cdr"
     record = lambda code, body: struct.pack("<BQ", code, len(body)) + body
-    out = bytearray(b"\x89MCAP0\r\n" + record(1, text("ros2") + text("test")))
+    out = open(path, "wb")   # as messages come: a bag may be larger than memory
+    out.write(b"\x89MCAP0\r\n" + record(1, text("ros2") + text("test")))
     channels, pending = {}, bytearray()
     held = 0
 
@@ -110,9 +111,9 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True,
         nonlocal pending, held
         data = bytes(pending)
         body = packed(compression, data)
-        out.extend(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data) if crc else 0) + text(compression) +
+        out.write(record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data) if crc else 0) + text(compression) +
                           struct.pack("<Q", len(body)) + body))
-        out.extend(record(7, struct.pack("<HI", 1, 0)))   # an index of nothing: to be passed over
+        out.write(record(7, struct.pack("<HI", 1, 0)))   # an index of nothing: to be passed over
         pending, held = bytearray(), 0
 
     for topic, type_name, time_ns, value in messages:
@@ -123,7 +124,7 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True,
             records += record(4, struct.pack("<HH", number, number) + text(topic) + text(encoding) + struct.pack("<I", 0))
         records += record(5, struct.pack("<HIQQ", channels[topic], 0, time_ns, time_ns) + message_bytes(type_name, value, form))
         if chunk is None:
-            out.extend(records)
+            out.write(records)
             continue
         pending += records
         held += 1
@@ -132,8 +133,8 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, crc=True,
     if held:
         flush()
     if end:
-        out.extend(record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0)) + b"\x89MCAP0\r\n")
-    path.write_bytes(out)
+        out.write(record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0)) + b"\x89MCAP0\r\n")
+    out.close()
 
 
 def write_db3(path, messages, form="cdr", compressed=False):

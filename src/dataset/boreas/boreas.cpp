@@ -26,7 +26,6 @@ constexpr double kMostGap_s = 0.5;           // between poses, which come with e
 constexpr double kClearlyForward = 0.05;     // of Driving::mean: more than bends make of it
 constexpr double kClearlyLevel = 0.7;        // of Driving::rise_spread, against another rotation
 constexpr std::size_t kFewestSteps = 50;     // from which that is judged
-constexpr double kMostlyForward = 0.9;
 constexpr double kBrightest = 255.0;
 
 /// Where the vehicle looks, in the LiDAR's frame.
@@ -101,10 +100,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
         notes.push_back(fmt::format("angles of poses are taken as {}, not as Boreas describes them: so the vehicle drives forward and "
                                     "along the road",
                                     taken->name));
-    if (of_best.n_steps > 0 && forwardness(of_best, forward) < kMostlyForward)
-        notes.push_back(fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; dataset.poses=none finds "
-                                    "poses from the scans",
-                                    forwardness(of_best, forward)));
+    if (of_best.n_steps > 0) stamped::tell_unless_forward(notes, forwardness(of_best, forward));
     return best;
 }
 

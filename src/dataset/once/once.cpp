@@ -26,7 +26,6 @@ constexpr double kTurn_s = 0.1;                // the LiDAR turns ten times a se
 constexpr double kTurned_rad = kPi / 2.0;      // from x left, y back to x forward, y left
 constexpr double kUnitLength = 1e-3;           // of a quaternion, by which it may differ from 1
 constexpr double kLargestCoordinate_m = 1e8;
-constexpr double kMostlyAhead = 0.9;           // of Driving::mean along the way it looks
 
 /// Quaternion and place, as the file has them.
 struct OncePose {
@@ -100,10 +99,7 @@ PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& lo
     const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
-    if (best != 0.0 && best < kMostlyAhead)
-        notes.push_back(fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; dataset.poses=none finds "
-                                    "poses from the scans",
-                                    best));
+    if (best != 0.0) stamped::tell_unless_forward(notes, best);
     if (is_w_first) notes.push_back("quaternions of poses have w first, unlike those of ONCE's own code: so the vehicle drives forward");
     return moved_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
 }

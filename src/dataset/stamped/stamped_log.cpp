@@ -211,6 +211,14 @@ Driving find_driving(const PoseTrack& world_from_rider) {
     return driving;
 }
 
+void tell_unless_forward(std::vector<std::string>& notes, double forward) {
+    constexpr double kMostlyForward = 0.9;
+    if (forward < kMostlyForward)
+        notes.push_back(fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; dataset.poses=none finds "
+                                    "poses from the scans",
+                                    forward));
+}
+
 std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     std::vector<fs::path> files;

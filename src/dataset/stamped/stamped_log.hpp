@@ -45,6 +45,8 @@ struct Driving {
     std::size_t n_steps = 0;     ///< of a metre and more
 };
 Driving find_driving(const PoseTrack& world_from_rider);
+/// A note where poses do not drive the way the vehicle looks. @param forward  share of Driving::mean along that way
+void tell_unless_forward(std::vector<std::string>& notes, double forward);
 
 /// What a reader knows before it reads scans.
 struct StampedLog {

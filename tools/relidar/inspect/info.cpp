@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar info: what a log or a run holds.
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -40,11 +41,13 @@ void show_unfinished(const std::filesystem::path& folder) {
 }
 
 void show_log(const InfoOptions& options) {
-    constexpr int kMostScans = 64;   // of a LiDAR: a bag of an hour has 36,000
+    constexpr std::size_t kMostScans = 64;   // of a LiDAR: a bag of an hour has 36,000
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
-    const LogSummary summary = summarise(load_dataset(config, false, options.all ? 0 : kMostScans), config.init);
+    LogSummary summary = summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
+    const bool is_long = std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
+    summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;   // some readers read all the same
     print(options.json ? to_json(summary) : to_text(summary));
 }
 

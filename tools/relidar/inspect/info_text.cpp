@@ -181,7 +181,7 @@ std::string text_of(const LogSummary& log, bool of_run) {
                                        log.seconds, log.path_m));
     if (log.returns_share)
         text += line("returns", fmt::format("{:.1f} % of all rays{}", 100.0 * *log.returns_share,
-                                            log.n_scans_read < log.n_frames
+                                            log.is_look
                                                 ? fmt::format(" of {} scans spread over the log; --all reads every scan", log.n_scans_read)
                                                 : ""));
     const auto n_moving = std::ranges::count_if(log.boxes, &BoxSummary::moves);

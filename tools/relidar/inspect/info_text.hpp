@@ -47,6 +47,7 @@ struct LogSummary {
     double seconds = 0.0, path_m = 0.0;
     std::optional<double> returns_share;   ///< none where the scans are not there
     std::size_t n_scans_read = 0;          ///< that it is of
+    bool is_look = false;                  ///< others were left out, not without rays
     std::vector<BoxSummary> boxes;
     std::string masked;                    ///< moving boxes that become no actor, or have become none
 };
