@@ -3,13 +3,14 @@
 #   TRACES       built once per traversal backend: @ray_query, @software_bvh, @brute_force
 #   ACCUMULATES  built once with the device's float atomics and once with compare-and-swap: suffix _atomics, _swap
 #   IMAGES       built once for images of floats and once for images of halves: @halves
+#   MATRICES     needs VK_KHR_cooperative_matrix; where this glslang does not know it, made of the .spirv files beside the source
 # embed_kernels(<target>): generates the table that relidar::embedded_kernels() returns, so that there is nothing to find at run time, and
 #   kernel_params.hpp, by which the compiler knows each kernel's parameter struct.
 find_program(RELIDAR_GLSLANG glslangValidator REQUIRED)
 find_program(RELIDAR_SPIRV_VAL spirv-val)
 set_property(GLOBAL PROPERTY RELIDAR_KERNELS "")
 
-# RELIDAR_GLSLANG_HAS_MATRICES: whether kernels for matrix units (VK_KHR_cooperative_matrix) can be made; glslang 14 was the first.
+# RELIDAR_GLSLANG_HAS_MATRICES: whether glslang knows VK_KHR_cooperative_matrix; glslang 14 was the first.
 set(probe ${CMAKE_BINARY_DIR}/kernels/matrix_probe)
 file(WRITE ${probe}.comp [[
 #version 460
@@ -54,9 +55,32 @@ function(_relidar_compile name source defines)
     set_property(GLOBAL APPEND PROPERTY RELIDAR_KERNELS "${name}|${symbol}|${header}")
 endfunction()
 
+# The same of the .spirv file of a kernel that this glslang cannot compile.
+function(_relidar_take_prebuilt name source defines)
+    string(REGEX REPLACE "[^a-zA-Z0-9]" "_" symbol ${name})
+    set(header ${CMAKE_BINARY_DIR}/kernels/${symbol}.h)
+    set(text ${PROJECT_SOURCE_DIR}/shaders/${name}.spirv)
+    set(folder ${PROJECT_SOURCE_DIR}/shaders)
+    file(GLOB includes CONFIGURE_DEPENDS ${folder}/common/* ${folder}/shared/* ${folder}/refine/*.glsl
+         ${PROJECT_SOURCE_DIR}/include/relidar/shared/*)
+    add_custom_command(
+        OUTPUT ${header}
+        COMMAND ${CMAKE_COMMAND} -DGLSLANG=${RELIDAR_GLSLANG} -DINCLUDE=${PROJECT_SOURCE_DIR}/include -DSOURCE=${source}
+            -DDEFINES=${defines} -DTEXT=${text} -DHEADER=${header} -DSYMBOL=${symbol} -P ${PROJECT_SOURCE_DIR}/cmake/PrebuiltKernel.cmake
+        DEPENDS ${source} ${includes} ${text} ${PROJECT_SOURCE_DIR}/cmake/PrebuiltKernel.cmake
+        COMMENT "Kernel ${name}"
+        VERBATIM)
+    set_property(GLOBAL APPEND PROPERTY RELIDAR_KERNELS "${name}|${symbol}|${header}")
+endfunction()
+
 function(add_kernel path)
-    cmake_parse_arguments(KERNEL "TRACES;ACCUMULATES;IMAGES" "" "" ${ARGN})
+    cmake_parse_arguments(KERNEL "TRACES;ACCUMULATES;IMAGES;MATRICES" "" "" ${ARGN})
     set(source ${PROJECT_SOURCE_DIR}/shaders/${path}.comp)
+    if(KERNEL_MATRICES AND NOT RELIDAR_GLSLANG_HAS_MATRICES)
+        _relidar_take_prebuilt(${path} ${source} "")
+        _relidar_take_prebuilt(${path}@halves ${source} -DRELIDAR_HALVES)
+        return()
+    endif()
     set(variants "@|")  # no backend: "stem", or "stem@_atomics" and "stem@_swap"
     if(KERNEL_TRACES)
         set(variants "@ray_query|-DRELIDAR_TRAVERSAL_RAY_QUERY" "@software_bvh|-DRELIDAR_TRAVERSAL_SOFTWARE_BVH" "@brute_force|")

@@ -157,7 +157,8 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
 /// The reader of a log, of which a part may be named.
 const Kind& reader_of(const std::string& dataset, const std::string& sequence) {
     const auto [kind, path] = parted(dataset);
-    const Kind& reader = find_kind(kind.empty() ? recognise_dataset(path) : kind);
+    const std::string name = kind.empty() ? recognise_dataset(path) : kind;
+    const Kind& reader = find_kind(name);
     if (!sequence.empty() && !reader.holds_drives)
         throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(sequence),
                                      reader.describe));

@@ -2,6 +2,7 @@
 // Opening a device: the instance, the features relidar needs (all missing ones are reported at once), one compute queue and the
 // pipeline layout that every kernel shares.
 #include "gpu/context.hpp"
+#include "gpu/cooperative_matrix.hpp"
 
 #include <cstdio>
 #include <cstring>
@@ -219,9 +220,7 @@ struct ExtensionFeatures {
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
 #endif
-#ifdef VK_KHR_cooperative_matrix
-    VkPhysicalDeviceCooperativeMatrixFeaturesKHR matrices{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_COOPERATIVE_MATRIX_FEATURES_KHR};
-#endif
+    gpu::cooperative_matrix::Features matrices;
 
     ExtensionFeatures() {
         accel.accelerationStructure = VK_TRUE;
@@ -232,9 +231,7 @@ struct ExtensionFeatures {
 #ifdef VK_KHR_shader_maximal_reconvergence
         maximal.shaderMaximalReconvergence = VK_TRUE;
 #endif
-#ifdef VK_KHR_cooperative_matrix
         matrices.cooperativeMatrix = VK_TRUE;
-#endif
     }
 };
 
@@ -291,9 +288,7 @@ void Device::Impl::make_device() {
 #ifdef VK_KHR_shader_maximal_reconvergence
     if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, wanted.maximal);
 #endif
-#ifdef VK_KHR_cooperative_matrix
-    if (matrices) enable(VK_KHR_COOPERATIVE_MATRIX_EXTENSION_NAME, wanted.matrices);
-#endif
+    if (matrices) enable(gpu::cooperative_matrix::kExtension, wanted.matrices);
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
     device_info.pQueueCreateInfos = &queue_info;

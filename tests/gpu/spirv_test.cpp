@@ -126,11 +126,19 @@ TEST(SpirvParameters, AreReadWhereAModuleBegins) {
 void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& change) {
     if (std::system("command -v spirv-val > /dev/null") != 0) GTEST_SKIP() << "no spirv-val";
     const fs::path file = fs::temp_directory_path() / ("relidar-modules-" + std::to_string(::getpid()) + ".spv");
-    const std::string command = "spirv-val --target-env vulkan1.3 --scalar-block-layout " + file.string();
-    for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const Words words = change(kernel.words);
+    const std::string command = "spirv-val --target-env vulkan1.3 --scalar-block-layout " + file.string() + " 2>&1";
+    const auto complaint = [&](std::span<const std::uint32_t> words) {
         std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
-        EXPECT_EQ(std::system(command.c_str()), 0) << kernel.name;
+        std::string text;
+        FILE* const output = ::popen(command.c_str(), "r");
+        for (int c; (c = std::fgetc(output)) != EOF;) text += char(c);
+        const int status = ::pclose(output);
+        return status == 0 ? std::string() : text + "(exit status " + std::to_string(status) + ")";
+    };
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        const std::string found = complaint(change(kernel.words));
+        const bool is_newer = kernel.name.find("_matrix") != std::string_view::npos && !complaint(kernel.words).empty();
+        EXPECT_TRUE(found.empty() || is_newer) << kernel.name << ": " << found;   // Debian 12's spirv-val knows no cooperative matrices
     }
     fs::remove(file);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // refine/conv_matrix and refine/conv_weights_matrix against the double reference. Operands are numbers that a half holds, so that sums of
-// floats are all that differs; others, scaled gradients and what no half holds have tests of their own. Skipped where device or build have
-// no matrix units, where instead the line that says so is tested.
+// floats are all that differs; others, scaled gradients and what no half holds have tests of their own. Skipped where a device has no
+// matrix units, where instead the line that says so is tested.
 #include <cmath>
 
 #include <gmock/gmock.h>
@@ -158,7 +158,7 @@ class MatrixErrorTest : public test::DeviceTest {};
 
 TEST_F(MatrixErrorTest, WithoutMatrixUnitsOneLineSaysWhatIsMissing) {
     const std::string& missing = device().info().why_not_matrices;
-    if (missing.empty()) GTEST_SKIP() << "the device has matrix units, and the build kernels for them";
+    if (missing.empty()) GTEST_SKIP() << "the device has matrix units";
     using testing::AllOf, testing::HasSubstr;
     EXPECT_THAT([&] { Conv(device(), 9, Precision::fp16); },
                 testing::ThrowsMessage<DeviceError>(AllOf(HasSubstr("refine.precision=fp16"), HasSubstr("missing " + missing),

@@ -163,7 +163,7 @@ bench() {
 }
 if wants bench; then bench; fi
 
-if wants suites; then suites gpu:60 scene:90 loss:60 optimizer:60 densify:90 render:60 train:400; fi
+if wants suites; then suites gpu:60 scene:90 loss:60 optimizer:60 densify:90 refine:90 render:60 train:400; fi
 if wants demo; then
     step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
     rm -rf "$out/demo"   # the scans and pictures; its table is in the log

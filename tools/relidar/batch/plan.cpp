@@ -27,7 +27,8 @@ constexpr StepCommand kSteps[] = {{"refine", "--resume", true}, {"render", "--ov
                                   {"edit", "--force", false},    {"export", "", false},           {"import", "--force", false},
                                   {"info", "", false}};
 
-const StepCommand& find_step(const std::string& name) {
+const StepCommand& find_step(const Words& words) {
+    const std::string name = words.empty() ? "" : words.front();
     std::vector<std::string> names;
     for (const StepCommand& step : kSteps) {
         if (name == step.name) return step;
@@ -102,7 +103,7 @@ JobCommand training(const BatchJob& job, const fs::path& run, const DeviceChoice
 
 JobCommand step(const std::string& text, const Places& places, const DeviceChoice& device) {
     Words words = words_of(text);
-    const StepCommand& command = find_step(words.empty() ? "" : words.front());
+    const StepCommand& command = find_step(words);
     for (std::string& word : words) word = filled(word, places);
     if (*command.again) words.emplace_back(command.again);
     if (command.takes_device) append(words, device_words(device));
