@@ -95,6 +95,27 @@ struct RaysInWeather {
 /// @param response  how bright the sensor reports the same surface at a range
 void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, const RaysInWeather& special, std::uint64_t seed);
 
+/// What came back along a ray.
+struct ScanPoint {
+    glm::vec3 position_m{0.0f};
+    float intensity = 0.0f;
+    float time_offset_s = 0.0f;    ///< of its ray, from the scan's reference time
+    std::uint32_t ring = 0;        ///< number of the beam, 0 = highest
+    std::int32_t instance = -1;    ///< index into Scene::instances, -1 where none was met
+};
+
+/// The points of a scan that returned, in one frame.
+struct PointScan {
+    std::vector<ScanPoint> points;            ///< in the order of their rays
+    Pose dataset_from_points;
+    double time_s = 0.0;                      ///< the scan's reference time
+    std::size_t n_rays = 0;                   ///< of the scan
+    std::optional<double> unseen_share = {};  ///< see RenderedScan
+};
+
+/// The points of a rendered scan, first returns alone, where config.render.points says.
+PointScan returned_points(const RenderedScan& scan, const Config& config, const Pose& dataset_from_points);
+
 /// The sensor whose scan is wanted.
 struct SensorChoice {
     RayTable rays;                   ///< none of a Rosette, which has others in every scan
@@ -175,12 +196,23 @@ public:
     /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m or s, or times that do not rise; UsageError for an
     /// actor that is not in the scene
     RenderedScan render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample = {});
+    /// Asks for the points of a scan, first returns in the sensor's frame at a time of its path, and does not wait for them: while the
+    /// device renders one scan, another can be asked for, and the points of an earlier one taken. Where a scan needs nothing but its
+    /// sensor's own rays (no sub-rays, grid, weather or sample) the device makes the points too.
+    /// @throws UsageError where kScansInFlight scans have been asked for that were not taken, and as render()
+    void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s, std::optional<std::uint64_t> sample = {});
+    /// How many scans may have been asked for and not been taken.
+    static constexpr std::size_t kScansInFlight = 2;
+    /// The points that were asked for first. @param memory  of earlier ones, to be used again @throws UsageError where none are
+    PointScan take_points(std::vector<ScanPoint> memory = {});
     const KernelTimes& times() const;
 
 private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 
+    /// Drives the sensor as a request says. @return instances at their moments
+    std::vector<InstancePose> drive(const SensorChoice& sensor, const ScanRequest& request);
     /// What a sensor sees whose path has been set.
     RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed, std::optional<std::uint64_t> sample);
 };

@@ -98,5 +98,40 @@ struct DropChannelsParams {
     uint columns;
 };
 
+/// What came back of a ray.
+struct ReturnedPoint {
+    vec3 position;         // m
+    float intensity;       // 0..1
+    float time_offset_s;   // of its ray, from the sweep's reference time
+    uint ring;             // number of the beam
+    uint instance;         // whose surface it is on, or RELIDAR_NO_INSTANCE
+};
+RELIDAR_POINTER(ReturnedPoints, ReturnedPoint);
+
+struct MarkReturnsParams {
+    MeasuredRays measured;                              // input [n_rays]
+    RELIDAR_OF(Floats, DropProbabilities) drop_prob;    // input [n_rays] of a network, read where `refined` is 1
+    RELIDAR_OF(Uints, ReturnMarks) marks;               // output [n_rays] 1 for rays that return, else 0
+    uint n_rays;
+    uint refined;
+    uint of_image;                                      // 1: points lie where the image's range says, 0: on the dominant surface
+    float drop_threshold;                               // a ray that is dropped more likely than this does not return
+};
+
+struct GatherPointsParams {
+    SensorRays rays;                                    // input [n_rays]
+    MeasuredRays measured;                              // input [n_rays]
+    SensorPoses poses;                                  // input [n_poses] of the sensor, in the frame of the points
+    RELIDAR_OF(Uints, ReturnMarks) marks;               // input [n_rays]
+    RELIDAR_OF(Uints, ReturnPlaces) places;             // input [n_rays] rays before it that return
+    ReturnedPoints points;                              // output [rays that return]
+    RELIDAR_OF(Floats, AskedRanges) asked;              // output [n_asked] ranges of dominant surfaces, of rays k n_rays / n_asked
+    uint n_rays;
+    uint n_poses;
+    uint n_asked;                                       // at most n_rays and 4096
+    uint of_image;
+    float step;                                         // of intensities; 0: they come in no steps
+};
+
 RELIDAR_SHARED_END
 #endif

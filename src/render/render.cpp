@@ -12,15 +12,11 @@
 #include <relidar/stages/accel.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
-#include <relidar/stages/forward.hpp>
-#include <relidar/stages/config.hpp>
 #include "render/channel_makers.hpp"
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
 #include "render/level_ground.hpp"
-#include "render/resident_scene.hpp"
-#include "render/sensor_rays.hpp"
-#include "render/spray_plumes.hpp"
+#include "render/scan_renderer.hpp"
 #include "render/stray_light.hpp"
 #include "render/sunlight.hpp"
 
@@ -29,9 +25,6 @@ namespace relidar {
 namespace {
 
 constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
-constexpr double kSameTime_s = 1e-3;  // as a sweep of the log
-constexpr double kMoment_s = 0.1;     // in which a speed is measured
-constexpr const char* kNative = "native";   ///< image of a network: the rays of a sensor
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
@@ -133,82 +126,6 @@ std::vector<float> range_spread(const RenderedScan& scan) {
     return spread_m;
 }
 
-struct ScanRenderer::Impl {
-    const Config config;
-    Scene layout;         ///< models, instances and sensor drop; no surfels
-    Sequence sweep;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
-    const PoseTrack log_world_from_vehicle;   ///< where it was in the log
-    const glm::dvec3 first_origin_m;          ///< see first_origin()
-    const std::vector<Frame> sweeps;          ///< of the log that have an azimuth shift; no scans
-    std::vector<ChannelInfo> wanted;          ///< channels
-    ResidentScene scene;
-    std::vector<bool> shown;   ///< [instances]
-    Device& device;
-    SensorRays sensor_rays{device};
-    std::optional<DropRefiner> refiner = {};
-    Coverage coverage = {};
-    std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
-    Weather weather = {};
-    std::vector<Plume> plumes = {};   ///< of actors, in the scan that is taken
-
-    /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
-    SweepMoment moment(const SensorChoice& sensor, double time_s) {
-        Lidar& lidar = sweep.lidars[std::size_t(sensor.lidar)];
-        lidar.pattern = sensor.pattern;
-        return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
-    }
-    /// A sensor that follows the log's sweeps, as its head pointed in the one at this time. Nothing where there is none.
-    std::optional<SensorChoice> followed(const SensorChoice& sensor, double time_s) const {
-        const auto is_now = [&](const Frame& f) { return f.lidar == sensor.lidar && std::abs(f.time_s - time_s) < kSameTime_s; };
-        const auto found = sensor.follows_sweeps ? std::ranges::find_if(sweeps, is_now) : sweeps.end();
-        if (found == sweeps.end()) return {};
-        const SpinningSensor& head = sweep.lidars[std::size_t(sensor.lidar)].sensor;
-        if (sensor.rays.size() != head.beams.size() * found->azimuth_shift_rad.size()) return {};
-        SensorChoice result = sensor;
-        result.rays = shifted_azimuths(std::move(result.rays), head, found->azimuth_shift_rad);
-        result.follows_sweeps = false;
-        return result;
-    }
-    /// Sub-rays and returns of a sensor.
-    SensorConfig config_of(const SensorChoice& sensor) const {
-        SensorConfig result = config.sensor;
-        if (sensor.returns > 0) result.returns = sensor.returns;
-        if (sensor.returns > 1 && result.sub_rays == 1) result.sub_rays = 9;
-        return result;
-    }
-    RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined = false);
-    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams);
-    /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
-    struct ImageOf {
-        int rows, columns;
-        std::string name;
-    };
-    bool refines(const ImageOf& image) const;
-    void refine(RenderedScan& scan);
-    float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
-    RangeLimits limits_of(const SensorChoice& sensor) const;
-    Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
-    std::vector<WetRay> wet_rays(const RenderedScan& scan);
-    std::vector<std::vector<SprayStretch>> spray_of(const RenderedScan& scan) const;
-    void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample);
-    /// Where instances are in a sweep, and the spray behind them. @param actors  where they are; null: where the run's tracks have them
-    std::vector<InstancePose> place(const SweepMoment& now, const ActorPoses* actors = nullptr) {
-        const auto at = [&](double time_s) {
-            const SweepMoment moment{time_s, now.lidar, now.start};
-            return actors ? place_instances(layout, sweep, moment, *actors) : place_instances(layout, sweep, moment);
-        };
-        std::vector<InstancePose> placed = at(now.time_s);
-        plumes.clear();
-        if (weather.spray_mm > 0.0)
-            plumes = plumes_of(layout, placed, at(now.time_s - kMoment_s), shown, sweep.world_offset_m, weather.spray_mm);
-        return placed;
-    }
-    /// The vehicle is where it has to be for the sensor to be here.
-    void drive(PoseTrack world_from_sensor, int lidar) {
-        sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
-    }
-};
-
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
                      shifted_sweeps(sequence), wanted_channels(config.render.channels),
@@ -229,6 +146,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
+    impl_->settle();
     impl_->refiner.reset();
     if (!network.empty()) impl_->refiner.emplace(impl_->device, network);
 }
@@ -274,7 +192,7 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     return take(sensor, time_s, s.place(s.moment(sensor, time_s)), sample);
 }
 
-RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
+std::vector<InstancePose> ScanRenderer::drive(const SensorChoice& sensor, const ScanRequest& request) {
     Impl& s = *impl_;
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
         check_track(dataset_from_thing, thing);
@@ -286,36 +204,64 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
     const SweepMoment sweep = s.moment(sensor, request.time_s);
-    if (!request.dataset_from_actor) return take(sensor, request.time_s, s.place(sweep), sample);
+    if (!request.dataset_from_actor) return s.place(sweep);
     ActorPoses world_from_actor;
     for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
-    return take(sensor, request.time_s, s.place(sweep, &world_from_actor), sample);
+    return s.place(sweep, &world_from_actor);
 }
 
-/// What comes back along rays of a sensor, each by itself; instances have been moved to where they are.
-/// @param refined  also asks the network: sensor_rays.refined()
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
+    return take(sensor, request.time_s, drive(sensor, request), sample);
+}
+
+/// The rays of a sensor on the device, which keeps those of the sensors used last.
+std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(const SensorChoice& sensor, const RayTable& table) {
+    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;   // 0.2 GB
+    const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
+    auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
+    if (found == known_rays.end())   // one that has other rays in every scan; what is in flight keeps its own
+        found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->sensor() == name && rays.use_count() == 1; });
+    const std::shared_ptr<SensorRays> rays = found != known_rays.end() ? *found : std::make_shared<SensorRays>(device);
+    if (found != known_rays.end()) known_rays.erase(found);
+    known_rays.insert(known_rays.begin(), rays);
+    rays->take(table, name, [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
+    std::size_t n_rays = 0, n_kept = 0;
+    for (const auto& kept : known_rays)
+        if ((n_rays += kept->table().size()) <= kMostRays && n_kept < kMostSensors) ++n_kept;
+    known_rays.resize(std::max<std::size_t>(n_kept, 1));
+    return rays;
+}
+
+/// Has the device cast rays of a sensor, each by itself, and measure what comes back; instances have been moved to where they are.
+/// @param refined  also asks the network
+ScanRenderer::Impl::Cast ScanRenderer::Impl::record(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
+    Cast cast{rays_of(sensor, table), sweep.world_from_sensor(sensor.lidar), {}};
+    cast.pose = cast.track.at(time_s);
+    if (!sweep.rolling_shutter) cast.track = {{time_s}, {cast.pose}};
+    Renderer& renderer = scene.renderer();
+    cast.rays->fire(renderer.stream(), cast.track, time_s);
+    renderer.record_forward(cast.rays->batch());
+    cast.rays->measure(renderer.stream(), renderer.rendered(),
+                       {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
+    if (refined)
+        cast.rays->refine(renderer.stream(), refiner->pass(),
+                          glm::vec3(cast.pose.translation + sweep.world_offset_m - first_origin_m));
+    return cast;
+}
+
+/// What comes back along rays of a sensor, as record() has it; what the network says of it is not in the scan yet.
 RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
-    PoseTrack track = sweep.world_from_sensor(sensor.lidar);
-    const Pose pose = track.at(time_s);
-    if (!sweep.rolling_shutter) track = {{time_s}, {pose}};
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
-    sensor_rays.take(table, fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own),
-                     [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
-    sensor_rays.fire(renderer.stream(), track, time_s);
-    renderer.record_forward(sensor_rays.batch());
-    sensor_rays.measure(renderer.stream(), renderer.rendered(),
-                        {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
-    if (refined)
-        sensor_rays.refine(renderer.stream(), refiner->pass(), glm::vec3(pose.translation + sweep.world_offset_m - first_origin_m));
-    const std::span<const shared::MeasuredRay> measured = sensor_rays.wait(renderer.stream());
+    Cast cast = record(sensor, table, time_s, refined);
+    const std::span<const shared::MeasuredRay> measured = cast.rays->wait(renderer.stream());
     renderer.check_passes();
 
     RenderedScan scan = empty_scan(table);
     scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     fill_scan(scan, measured);
-    scan.track = shifted_track(std::move(track), sweep.world_offset_m);
-    scan.world_from_sensor = {pose.rotation, pose.translation + sweep.world_offset_m};
+    scan.track = shifted_track(std::move(cast.track), sweep.world_offset_m);
+    scan.world_from_sensor = {cast.pose.rotation, cast.pose.translation + sweep.world_offset_m};
     scan.time_s = time_s;
     if (wants_ray_channels(wanted)) add_ray_channels(scan, renderer.download_rendering(), wanted);
     return scan;
@@ -337,6 +283,10 @@ bool ScanRenderer::Impl::refines(const ImageOf& image) const {
     if (!refiner || refiner->network().image != image.name) return false;
     const int side = std::max(2, refiner->network().smallest_side());
     return image.rows >= side && image.columns >= side;
+}
+
+bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable& whole) const {
+    return refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
 }
 
 /// Drop probabilities as the network of the run has them.
@@ -438,7 +388,16 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
 }
 
-/// @param placed  instances at their moments; those that are not shown are left out
+/// Puts the scene onto the device, around the sensor, and instances where they are; those that are not shown are left out.
+void ScanRenderer::Impl::bring(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed) {
+    if (!layout.blocks.empty()) settle();   // another renderer may take this one's place
+    for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && shown[i];
+    const glm::vec3 sensor_m(sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
+    scene.bring(sensor_m, limits_of(sensor).max_m);
+    scene.renderer().move(placed, sensor_m);
+}
+
+/// @param placed  instances at their moments
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
@@ -452,19 +411,15 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
-    for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && s.shown[i];
-    const glm::vec3 sensor_m(s.sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
-    s.scene.bring(sensor_m, s.limits_of(sensor).max_m);
-    s.scene.renderer().move(placed, sensor_m);
-    const bool of_rays = s.refines({whole.rows, whole.columns, kNative}) ||
-                         (!sensor.grid && s.refines({whole.rows, whole.columns, sensor.name}));
+    s.bring(sensor, time_s, std::move(placed));
+    const bool of_rays = s.refines_rays(sensor, whole);
     RenderedScan scan = s.cast(sensor, table, time_s, of_rays && !parts);
     if (parts) scan = s.join(sensor, scan, whole, config);
     const SeenByLog log{s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m))};
     add_scan_channels(scan, log, s.wanted);
     tell_unseen(scan, log);
     if (of_rays && parts) s.refine(scan);
-    else if (of_rays) std::ranges::copy(s.sensor_rays.refined(s.scene.renderer().stream()), scan.image.drop_prob.begin());
+    else if (of_rays) std::ranges::copy(s.known_rays.front()->refined(s.scene.renderer().stream()), scan.image.drop_prob.begin());
     const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
     if (of_cells) {
         scan = project_scan(scan, *sensor.grid);

@@ -2,6 +2,7 @@
 // How much of what rays look at the log has seen. Private to render.
 #pragma once
 
+#include <functional>
 #include <vector>
 
 #include <relidar/coverage.hpp>
@@ -15,6 +16,18 @@ struct SeenByLog {
     glm::dvec3 world_offset_m;  ///< Sequence::world_offset_m
     double max_range_m;         ///< of the simulated sensor
 };
+
+/// A ray, and what it meets.
+struct LookingRay {
+    Pose dataset_from_firing;
+    glm::dvec3 origin_m, direction;   ///< sensor frame
+    float met_m;                      ///< of the dominant surface; 0: nothing
+};
+/// Share of its way, to what it meets or to the end of its range, along which rays of the log have looked.
+float seen_share(const LookingRay& ray, const SeenByLog& log);
+
+/// Of n rays, or some thousand of them, the share that looks where the log did not. @param ray_at  of each number below n
+double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at, const SeenByLog& log);
 
 /// [rays] Share of the way of some rays of a scan, to what they meet or to the end of their range, along which rays of the log have looked.
 std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays, const SeenByLog& log);

@@ -106,8 +106,7 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor, const std
             rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
             fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
             measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
-            readback_.emplace(device_, all.size() * sizeof(shared::MeasuredRay), "measured rays");
-            refined_readback_.emplace(device_, all.size() * sizeof(float), "drop probabilities");
+            readback_.reset(), refined_readback_.reset();
         }
         rays_.upload(all);
         table_ = rays;
@@ -118,8 +117,12 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor, const std
     table_.rows = rays.rows, table_.columns = rays.columns;
 }
 
+std::vector<shared::SensorPose> SensorRays::poses(const PoseTrack& track, double time_s) const {
+    return poses_through_sweep(track, time_s, double(first_s_), double(last_s_));
+}
+
 void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {
-    const auto poses = poses_through_sweep(world_from_sensor, time_s, double(first_s_), double(last_s_));
+    const auto poses = this->poses(world_from_sensor, time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
          .poses = impl_of(stream).values(poses),
@@ -151,7 +154,7 @@ void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const Ra
          .min_weight = how.min_weight,
          .min_range_m = float(how.limits.min_m),
          .max_range_m = float(how.limits.max_m)});
-    readback_->record(stream, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay));
+    refined_ = nullptr;
 }
 
 void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& origin_m) {
@@ -169,8 +172,7 @@ void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& orig
          .n_channels = std::uint32_t(channels.size()),
          .rows = std::uint32_t(table_.rows),
          .columns = std::uint32_t(table_.columns)});
-    const auto& probability = network.run(stream, table_.rows, table_.columns, samples_);
-    refined_readback_->record(stream, probability.buffer(), table_.size() * sizeof(float));
+    refined_ = &network.run(stream, table_.rows, table_.columns, samples_);
 }
 
 std::span<const float> SensorRays::refined(Stream& stream) {
@@ -178,6 +180,12 @@ std::span<const float> SensorRays::refined(Stream& stream) {
 }
 
 std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {
+    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& from, std::size_t n_bytes, const char* what) {
+        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), what);
+        readback->record(stream, from, n_bytes);
+    };
+    read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
+    if (refined_) read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
     stream.submit();
     return {static_cast<const shared::MeasuredRay*>(readback_->wait(stream)), table_.size()};
 }

@@ -41,13 +41,24 @@ public:
     RayBatch batch() const;
     /// Records what the sensor measures of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
-    /// Records what a ray-drop network makes of what was measured, where the rays are an image.
+    /// Records what a ray-drop network makes of what was measured, where the rays are an image; drop_probabilities() is that.
     /// @param origin_m [3] of the sensor, from first_origin() @throws DataError for an image or channels that do not fit the network
     void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
-    /// Waits for what was recorded. @return [rays] valid until the next measure()
+    /// Reads back what was recorded, and waits for it. @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait(Stream& stream);
-    /// After wait(): [rays] drop probabilities of the network, valid until the next refine().
+    /// After wait(): [rays] drop probabilities of the network, valid until the next wait().
     std::span<const float> refined(Stream& stream);
+
+    /// Whether these are the rays here.
+    bool has(const RayTable& rays, const std::string& sensor) const;
+    const RayTable& table() const { return table_; }
+    const std::string& sensor() const { return sensor_; }
+    const Array<shared::SensorRay>& rays() const { return rays_; }
+    const Array<shared::MeasuredRay>& measured() const { return measured_; }
+    /// Of the network that the last refine() asked.
+    Address<float, shared::DropProbabilities> drop_probabilities() const { return address_of(refined_); }
+    /// Poses that the rays of a sweep are fired from.
+    std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
 
 private:
     Device& device_;
@@ -62,8 +73,7 @@ private:
     std::optional<Readback> readback_, refined_readback_;
     Kernel<shared::DropChannelsParams> drop_channels_;
     Array<float, shared::DropSamples> samples_;   ///< for a network
-
-    bool has(const RayTable& rays, const std::string& sensor) const;
+    const Array<float, shared::DropProbabilities>* refined_ = nullptr;   ///< by it, since the last measure()
 };
 
 /// Poses of a sensor through a sweep as kernels read them: those at or before its first ray to those at or behind its last one.

@@ -30,7 +30,11 @@ protected:
     }
     std::vector<float> ranges(SceneSet& scenes, std::size_t scene) {
         const relidar::Run& run = scenes.outlines()[scene];
-        return scenes.render(scene, configured_sensor(run.config, run.sequence), request, {}).image.range_m;
+        std::vector<float> range_m;
+        scenes.use(scene, {}, [&](ScanRenderer& renderer) {
+            range_m = renderer.render(configured_sensor(run.config, run.sequence), request).image.range_m;
+        });
+        return range_m;
     }
     /// Device memory of one of them, after a scan.
     std::uint64_t size_of_one() {

@@ -124,6 +124,40 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
 }
 
 /// The wall faces the sensor squarely wherever that stands: its normal is -x of the world, in the frame of the points.
+/// Points alone are made on the device, those beside an image on the host.
+TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
+    start();
+    v1::RenderLidarRequest request = standing();
+    request.clear_path();
+    add_pose(*request.mutable_path(), 0.3, at_x(-2.0));
+    add_pose(*request.mutable_path(), 0.6, {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation});
+    request.set_time_s(0.45), request.set_points_at_s(0.5);
+    request.mutable_sensor()->set_name("VLP-16:90x10");
+    for (const bool sampled : {false, true}) {
+        if (sampled) request.set_sample_seed(3);
+        request.mutable_wanted()->set_points(true), request.mutable_wanted()->set_range_image(true);
+        const v1::LidarScan both = scan_of(request);
+        request.mutable_wanted()->set_range_image(false), request.mutable_wanted()->set_drop_probability(false);
+        const v1::LidarScan alone = scan_of(request);
+        EXPECT_FALSE(alone.has_image());
+        EXPECT_EQ(alone.unseen(), both.unseen());
+        EXPECT_EQ(alone.rays(), both.rays());
+        EXPECT_EQ(alone.returned(), both.points().count());
+        const auto &p = alone.points(), &e = both.points();
+        ASSERT_GT(p.count(), 10u);
+        EXPECT_EQ(p.count(), e.count());
+        EXPECT_EQ(p.ring(), e.ring());
+        EXPECT_EQ(p.time_s(), e.time_s());
+        EXPECT_EQ(p.return_number(), e.return_number());
+        EXPECT_EQ(p.instance(), e.instance());
+        const std::vector<float> found = values<float>(p.xyz_m()), expected = values<float>(e.xyz_m());
+        ASSERT_EQ(found.size(), expected.size());
+        for (std::size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], expected[i], 2e-5) << i;
+        const std::vector<float> intensity = values<float>(p.intensity()), of_image = values<float>(e.intensity());
+        for (std::size_t i = 0; i < intensity.size(); ++i) EXPECT_NEAR(intensity[i], of_image[i], 1e-6) << i;
+    }
+}
+
 TEST_F(Service, ChannelsComeWithPointsAndImage) {
     channels = "normal,spread";
     start();

@@ -250,7 +250,12 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     const AssetShelf shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
     const SensorChoice sensor = configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
-    const std::vector<float> truth = scenes.render(0, sensor, request, {}).image.range_m;
+    const auto ranges = [&] {
+        std::vector<float> range_m;
+        scenes.use(0, {}, [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
+        return range_m;
+    };
+    const std::vector<float> truth = ranges();
     const auto refused = [&](const SpawnWish& wish) {
         try {
             scenes.spawn(0, {wish});
@@ -263,7 +268,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), HasSubstr("MiB of device memory with them"));
     EXPECT_TRUE(scenes.spawned().taken(0).empty());
     EXPECT_EQ(scenes.spawned().count_places(0), 0u);
-    EXPECT_EQ(scenes.render(0, sensor, request, {}).image.range_m, truth);
+    EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
     EXPECT_EQ(scenes.spawned().taken(0).size(), 1u);
 }

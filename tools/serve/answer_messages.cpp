@@ -102,6 +102,23 @@ std::uint32_t count_returned(const RenderedScan& scan) {
     return n;
 }
 
+/// What all answers say of a scan.
+struct ScanHead {
+    double time_s;
+    std::size_t rays, returned;
+    std::optional<double> unseen_share;
+};
+
+void write_head(const ScanHead& scan, const WantedScan& wanted, const Pose& dataset_from_points, v1::LidarScan& message) {
+    message.set_sensor(wanted.sensor->name);
+    message.set_time_s(scan.time_s);
+    message.set_points_at_s(wanted.points_at_s);
+    write_pose(dataset_from_points, *message.mutable_dataset_from_points());
+    message.set_rays(std::uint32_t(scan.rays));
+    message.set_returned(std::uint32_t(scan.returned));
+    if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
+}
+
 double length_m(const PoseTrack& track) {
     double length = 0.0;
     for (std::size_t i = 1; i < track.pose.size(); ++i)
@@ -129,13 +146,7 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
 
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config, v1::LidarScan& message) {
     const Pose dataset_from_points = wanted.request.dataset_from_sensor.at(wanted.points_at_s);
-    message.set_sensor(wanted.sensor->name);
-    message.set_time_s(scan.time_s);
-    message.set_points_at_s(wanted.points_at_s);
-    write_pose(dataset_from_points, *message.mutable_dataset_from_points());
-    message.set_rays(std::uint32_t(scan.image.range_m.size()));
-    message.set_returned(count_returned(scan));
-    if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
+    write_head({scan.time_s, scan.image.range_m.size(), count_returned(scan), scan.unseen_share}, wanted, dataset_from_points, message);
     if (wanted.points) write_points(scan, dataset_from_points, config, *message.mutable_points());
     if (!wanted.range_image && !wanted.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
@@ -146,6 +157,26 @@ void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config
     set_array(*image.mutable_range_m(), scan.image.range_m);
     set_array(*image.mutable_intensity(), scan.image.intensity);
     write_channels(scan.channels, *image.mutable_channels());
+}
+
+void write_scan(const PointScan& scan, const WantedScan& wanted, v1::LidarScan& message) {
+    write_head({scan.time_s, scan.n_rays, scan.points.size(), scan.unseen_share}, wanted, scan.dataset_from_points, message);
+    v1::Points& points = *message.mutable_points();
+    const auto set = [&](std::string& bytes, const auto& value_of) {
+        using Value = decltype(value_of(scan.points[0]));
+        bytes.resize(scan.points.size() * sizeof(Value));
+        for (std::size_t i = 0; i < scan.points.size(); ++i) {
+            const Value value = value_of(scan.points[i]);
+            std::memcpy(bytes.data() + i * sizeof(Value), &value, sizeof(Value));
+        }
+    };
+    set(*points.mutable_xyz_m(), [](const ScanPoint& p) { return p.position_m; });
+    set(*points.mutable_intensity(), [](const ScanPoint& p) { return p.intensity; });
+    set(*points.mutable_ring(), [](const ScanPoint& p) { return std::uint16_t(p.ring); });
+    set(*points.mutable_time_s(), [](const ScanPoint& p) { return p.time_offset_s; });
+    set(*points.mutable_instance(), [](const ScanPoint& p) { return p.instance; });
+    points.mutable_return_number()->assign(scan.points.size(), 1);
+    points.set_count(std::uint32_t(scan.points.size()));
 }
 
 void write_scene(const std::string& name, const Run& run, v1::Scene& message) {

@@ -19,6 +19,29 @@ double ms_between(Clock::time_point begin, Clock::time_point end) { return std::
 
 bool is_late(const grpc::ServerContext& context) { return std::chrono::system_clock::now() >= context.deadline(); }
 
+/// Has a scan rendered on the queue's thread.
+template <class Scan, class Render>
+Timed<Scan> timed(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context, SceneSet& scenes,
+                  const Render& render) {
+    const Clock::time_point asked = Clock::now();
+    Clock::time_point begun = asked, rendered = asked;
+    Timed<Scan> result;
+    const auto work = [&] {
+        begun = Clock::now();
+        try {
+            scenes.use(wanted.scene, wanted.weather, [&](ScanRenderer& renderer) { result.scan = render(renderer); });
+        } catch (const DataError& error) {   // the request has been looked at: the run's folder is at fault
+            throw Refusal(grpc::StatusCode::INTERNAL, error.what());
+        }
+        rendered = Clock::now();
+    };
+    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
+    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
+    result.queued_ms = ms_between(asked, begun);
+    result.rendered_ms = ms_between(begun, rendered);
+    return result;
+}
+
 }  // namespace
 
 bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled() && !is_late(context); }
@@ -37,24 +60,17 @@ RenderQueue::Place enter(RenderQueue& queue) {
     return std::move(*place);
 }
 
-TimedScan render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked, rendered = asked;
-    TimedScan timed;
-    const auto work = [&] {
-        begun = Clock::now();
-        try {
-            timed.scan = scenes.render(wanted.scene, *wanted.sensor, wanted.request, wanted.sample, wanted.weather);
-        } catch (const DataError& error) {   // the request has been looked at: the run's folder is at fault
-            throw Refusal(grpc::StatusCode::INTERNAL, error.what());
-        }
-        rendered = Clock::now();
-    };
-    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
-    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    timed.queued_ms = ms_between(asked, begun);
-    timed.rendered_ms = ms_between(begun, rendered);
-    return timed;
+Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
+    return timed<RenderedScan>(place, wanted, context, scenes, [&](ScanRenderer& renderer) {
+        return renderer.render(*wanted.sensor, wanted.request, wanted.sample);
+    });
+}
+
+Timed<PointScan> render_points(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
+    return timed<PointScan>(place, wanted, context, scenes, [&](ScanRenderer& renderer) {
+        renderer.ask_points(*wanted.sensor, wanted.request, wanted.points_at_s, wanted.sample);
+        return renderer.take_points();
+    });
 }
 
 }  // namespace relidar::serve

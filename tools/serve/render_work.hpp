@@ -20,12 +20,15 @@ bool is_wanted(const grpc::ServerContext& context);
 RenderQueue::Place enter(RenderQueue& queue);
 
 /// A scan, and what it took.
-struct TimedScan {
-    RenderedScan scan;
+template <class Scan>
+struct Timed {
+    Scan scan;
     double queued_ms = 0.0, rendered_ms = 0.0;
 };
 
 /// Renders a scan on the queue's thread. @throws Refusal where nobody waits for it any more, or the run's folder cannot be read
-TimedScan render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context);
+Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context);
+/// Its points alone.
+Timed<PointScan> render_points(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context);
 
 }  // namespace relidar::serve

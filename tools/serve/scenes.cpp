@@ -53,24 +53,21 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     }
 }
 
-RenderedScan SceneSet::render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request,
-                              std::optional<std::uint64_t> sample, const std::optional<Weather>& weather) {
+void SceneSet::use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work) {
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
         load_with_places(scene);
     }
-    RenderedScan scan;
     try {
         ScanRenderer& renderer = *loaded_[scene].renderer;
         renderer.set_weather(weather.value_or(sources_[scene].weather));
-        count_growth(scene, [&] { scan = renderer.render(sensor, request, sample); });
+        count_growth(scene, [&] { work(renderer); });
     } catch (const DeviceError&) {
         loaded_[scene].renderer.reset();   // what it holds is not known; the next request loads it again
         throw;
     }
     make_room(scene, 0);   // arrays grow with the rays of a sensor
-    return scan;
 }
 
 void SceneSet::load(std::size_t scene, const Run& run) {

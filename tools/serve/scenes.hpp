@@ -35,9 +35,9 @@ public:
     /// @throws Refusal where a name is taken or an asset does not fit, and where the device's memory does not do: nothing has changed then
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
 
-    /// Loads the scene where it is not there. @param scene  index into outlines() @param weather  none: that of its source
-    RenderedScan render(std::size_t scene, const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample,
-                        const std::optional<Weather>& weather = {});
+    /// Has a scene's renderer do something; loads the scene where it is not there. @param scene  index into outlines()
+    /// @param weather  none: that of its source
+    void use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work);
 
     /// Whether its surfels are on the device now.
     bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }

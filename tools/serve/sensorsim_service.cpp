@@ -59,7 +59,7 @@ grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, con
 
 void SensorsimService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
                               sensorsim::LidarRenderReturn& answer) {
-    const TimedScan timed = render_scan(place, scenes_, wanted, context);
+    const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
     write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
 }
 

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "service.hpp"
 
+#include <algorithm>
+
 #include "answer_messages.hpp"
 #include "asset_shelf.hpp"
 #include "render_work.hpp"
@@ -16,15 +18,32 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
     return names;
 }
 
+/// Whether an answer is points and nothing that a PointScan lacks: images, channels, second returns.
+bool points_are_all(const WantedScan& wanted, const Config& config, const Weather& weather) {
+    const SensorChoice& sensor = *wanted.sensor;
+    return wanted.points && !wanted.range_image && !wanted.drop_probability && config.render.channels.empty() &&
+           wanted.weather.value_or(weather).clear() && std::max(sensor.returns, config.sensor.returns) < 2 && sensor.rays.size() > 0;
+}
+
 }  // namespace
 
 void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
                            v1::LidarScan& answer) {
-    const TimedScan timed = render_scan(place, scenes_, wanted, context);
-    write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
-    write_sparse_actors(timed.scan, wanted, answer);
-    answer.set_queued_ms(timed.queued_ms);
-    answer.set_rendered_ms(timed.rendered_ms);
+    const Config& config = scenes_.outlines()[wanted.scene].config;
+    const auto tell_times = [&](const auto& timed) {
+        answer.set_queued_ms(timed.queued_ms);
+        answer.set_rendered_ms(timed.rendered_ms);
+    };
+    if (points_are_all(wanted, config, scenes_.sources()[wanted.scene].weather)) {
+        const Timed<PointScan> timed = render_points(place, scenes_, wanted, context);
+        write_scan(timed.scan, wanted, answer);
+        write_sparse_actors(wanted, {wanted.sensor->rays.origin, wanted.sensor->rays.direction}, answer);
+        return tell_times(timed);
+    }
+    const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
+    write_scan(timed.scan, wanted, config, answer);
+    write_sparse_actors(wanted, {timed.scan.image.origin, timed.scan.image.direction}, answer);
+    tell_times(timed);
 }
 
 grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse* answer) {

@@ -35,12 +35,13 @@ void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::Spawne
     message.set_surfels(place.actor.surfels);
 }
 
-void write_sparse_actors(const RenderedScan& scan, const WantedScan& wanted, v1::LidarScan& message) {
-    const Pose dataset_from_sensor = wanted.request.dataset_from_sensor.at(scan.time_s);
+void write_sparse_actors(const WantedScan& wanted, const RaysOfScan& rays, v1::LidarScan& message) {
+    const double time_s = wanted.request.time_s;
+    const Pose dataset_from_sensor = wanted.request.dataset_from_sensor.at(time_s);
     for (const PlacedActor& actor : wanted.placed) {
-        const Pose dataset_from_actor = wanted.request.dataset_from_actor->at(actor.track).at(scan.time_s);
+        const Pose dataset_from_actor = wanted.request.dataset_from_actor->at(actor.track).at(time_s);
         const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
-        const ActorDetail detail = actor_detail(scan.image.origin, scan.image.direction, box_from_sensor, actor.size_m, actor.surfels);
+        const ActorDetail detail = actor_detail(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
         if (!detail.is_sparse()) continue;
         v1::SparseActor& sparse = *message.add_sparse_actors();
         sparse.set_name(actor.name);

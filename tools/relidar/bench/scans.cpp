@@ -49,12 +49,6 @@ double thread_ms() {
     return 1e3 * double(t.tv_sec) + 1e-6 * double(t.tv_nsec);
 }
 
-std::size_t count_points(const RenderedScan& scan, const std::vector<float>& range_m) {
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < range_m.size(); ++i) n += returned(scan.image.drop_prob[i], range_m[i]);
-    return n;
-}
-
 }  // namespace
 
 ScanTimes measure_scans(Device& device, const ScanBench& bench) {
@@ -64,22 +58,27 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
     const SensorChoice sensor = choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence);
     ScanRenderer renderer(device, run);
     const Drive drive(run, bench.n_scans);
-    const auto render = [&](int scan) {
-        return renderer.render(sensor, drive.at(scan), bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt);
+    const auto ask = [&](int scan) {
+        const ScanRequest request = drive.at(scan);
+        renderer.ask_points(sensor, request, request.time_s, bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt);
     };
-    ScanTimes result{.sensor = sensor.name, .n_scans = bench.n_scans, .rays = render(0).image.range_m.size()};
+    ask(0);
+    ScanTimes result{.sensor = sensor.name, .n_scans = bench.n_scans, .rays = renderer.take_points().n_rays};
     const double kernels_before_ms = kernel_ms(renderer.times());
     std::vector<double> scan_ms;
     const auto start = std::chrono::steady_clock::now();
+    const double thread_begun_ms = thread_ms();
+    PointScan scan;
+    ask(0);
     for (int i = 0; i < bench.n_scans; ++i) {
         stop_if_interrupted();
         const auto begun = std::chrono::steady_clock::now();
-        const double thread_begun_ms = thread_ms();
-        const RenderedScan scan = render(i);
+        if (i + 1 < bench.n_scans) ask(i + 1);   // the device has work while the points of this one are taken
+        scan = renderer.take_points(std::move(scan.points));
+        result.points += double(scan.points.size()) / bench.n_scans;
         scan_ms.push_back(ms_since(begun));
-        result.host_ms += (thread_ms() - thread_begun_ms) / bench.n_scans;
-        result.points += double(count_points(scan, point_ranges(scan, run.config))) / bench.n_scans;
     }
+    result.host_ms = (thread_ms() - thread_begun_ms) / bench.n_scans;
     result.scans_per_s = 1e3 * bench.n_scans / ms_since(start);
     result.scan_ms = spread_of(scan_ms).median;
     result.device_ms = (kernel_ms(renderer.times()) - kernels_before_ms) / bench.n_scans;

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points of scans that are asked for ahead: the device renders one while the host takes another.
+#include <algorithm>
+#include <cstddef>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+#include <relidar/stages/accel.hpp>
+
+#include "render/scan_renderer.hpp"
+
+namespace relidar {
+namespace {
+
+/// The same motion seen from another frame.
+PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame) {
+    const Pose frame_from_world = inverse(world_from_frame);
+    for (Pose& pose : track.pose) pose = frame_from_world * pose;
+    return track;
+}
+
+// A point is what the device writes, byte by byte.
+static_assert(sizeof(ScanPoint) == sizeof(shared::ReturnedPoint) && std::int32_t(RELIDAR_NO_INSTANCE) == ScanPoint().instance);
+static_assert(offsetof(ScanPoint, position_m) == offsetof(shared::ReturnedPoint, position));
+static_assert(offsetof(ScanPoint, intensity) == offsetof(shared::ReturnedPoint, intensity));
+static_assert(offsetof(ScanPoint, time_offset_s) == offsetof(shared::ReturnedPoint, time_offset_s));
+static_assert(offsetof(ScanPoint, ring) == offsetof(shared::ReturnedPoint, ring));
+static_assert(offsetof(ScanPoint, instance) == offsetof(shared::ReturnedPoint, instance));
+
+}  // namespace
+
+/// Whether the device makes the points of a scan of this sensor.
+bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
+    const SensorConfig own = config_of(sensor);
+    return !sampled && weather.clear() && !sensor.grid && own.sub_rays == 1 && own.returns == 1 && sensor.rays.size() > 0;
+}
+
+void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
+                              std::optional<std::uint64_t> sample) {
+    static_assert(kScansInFlight == PointsOnDevice::kSlots);
+    Impl& s = *impl_;
+    if (s.asked.size() >= kScansInFlight)
+        throw UsageError(fmt::format("asking for the points of a scan: found {} scans that were not taken, expected fewer than {}",
+                                     s.asked.size(), kScansInFlight));
+    AskedPoints asked;
+    if (!s.gathers_points(sensor, sample.has_value())) {
+        const RenderedScan scan = render(sensor, request, sample);
+        asked.ready = returned_points(scan, s.config, request.dataset_from_sensor.at(points_at_s));
+        s.asked.push_back(std::move(asked));
+        return;
+    }
+    std::vector<InstancePose> placed = drive(sensor, request);
+    asked.dataset_from_points = request.dataset_from_sensor.at(points_at_s);
+    s.bring(sensor, request.time_s, std::move(placed));
+    Stream& stream = s.scene.renderer().stream();
+    const bool refined = s.refines_rays(sensor, sensor.rays);
+    const auto is_other_image = [&](const AskedPoints& a) {
+        return a.rays && (a.rays->table().rows != sensor.rays.rows || a.rays->table().columns != sensor.rays.columns);
+    };
+    if (refined && std::ranges::any_of(s.asked, is_other_image)) stream.finish();   // the network makes its room anew
+    const Impl::Cast cast = s.record(sensor, sensor.rays, request.time_s, refined);
+    asked.rays = cast.rays;
+    asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
+    asked.time_s = request.time_s;
+    asked.max_range_m = std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m));
+    asked.slot = s.n_asked++ % kScansInFlight;
+    const PoseTrack points_from_sensor = seen_from(asked.dataset_from_sensor, asked.dataset_from_points);
+    s.points.record(stream, *cast.rays,
+                    {.points_from_sensor = points_from_sensor,
+                     .time_s = request.time_s,
+                     .of_image = s.config.render.points != "median",
+                     .refined = refined,
+                     .step = float(s.scatter[std::size_t(sensor.lidar)].step)},
+                    asked.slot);
+    std::optional<Readback>& pass_cap = s.pass_caps[asked.slot];
+    if (!pass_cap) pass_cap.emplace(s.device, sizeof(std::uint32_t), "pass cap count");
+    pass_cap->record(stream, s.scene.renderer().forward_pass().pass_cap_count().buffer(), sizeof(std::uint32_t));
+    stream.submit();
+    s.asked.push_back(std::move(asked));
+}
+
+/// Waits for what the device has of a scan.
+PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint> memory) {
+    if (scan.ready) return std::move(*scan.ready);
+    Renderer& renderer = scene.renderer();
+    const PointsOnDevice::Gathered gathered = points.wait(renderer.stream(), scan.slot);
+    if (*static_cast<const std::uint32_t*>(pass_caps[scan.slot]->wait(renderer.stream())) > 0) renderer.check_passes();
+    const RayTable& rays = scan.rays->table();
+    PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
+    result.points.resize(gathered.points.size());
+    if (!result.points.empty())
+        std::memcpy(static_cast<void*>(result.points.data()), gathered.points.data(), gathered.points.size_bytes());
+    if (coverage.empty()) return result;
+    const auto ray_at = [&](std::size_t k) {
+        const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());
+        return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])), glm::dvec3(rays.origin[i]),
+                          glm::dvec3(rays.direction[i]), gathered.asked_m[k]};
+    };
+    result.unseen_share = relidar::unseen_share(gathered.asked_m.size(), ray_at, {coverage, sweep.world_offset_m, scan.max_range_m});
+    return result;
+}
+
+/// Has nothing in flight any more.
+void ScanRenderer::Impl::settle() {
+    for (AskedPoints& scan : asked) scan.ready = points_of(scan);
+}
+
+PointScan ScanRenderer::take_points(std::vector<ScanPoint> memory) {
+    Impl& s = *impl_;
+    if (s.asked.empty()) throw UsageError("taking the points of a scan: found none that was asked for, expected ask_points() before");
+    AskedPoints first = std::move(s.asked.front());
+    s.asked.pop_front();
+    return s.points_of(first, std::move(memory));
+}
+
+}  // namespace relidar

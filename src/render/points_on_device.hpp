@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// The points of scans, gathered on the device and read back one scan while another is rendered. Private to render.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <optional>
+#include <span>
+
+#include <relidar/sequence.hpp>
+
+#include "gpu/prefix_sum.hpp"
+#include "shared/render.h"
+
+namespace relidar {
+
+class SensorRays;
+
+/// Where points are made, and of what.
+struct PointMaking {
+    const PoseTrack& points_from_sensor;   ///< one pose: the sensor stands
+    double time_s;                         ///< of the sweep
+    bool of_image;                         ///< points lie where the image's range says, else on the dominant surface
+    bool refined;                          ///< drop probabilities are those of the network
+    float step;                            ///< of intensities; 0: they come in no steps
+};
+
+class PointsOnDevice {
+public:
+    /// Scans whose points have not been taken.
+    static constexpr std::size_t kSlots = 2;
+
+    explicit PointsOnDevice(Device& device);
+    /// Records the points of a scan that has been measured. @param slot  a free one
+    void record(Stream& stream, const SensorRays& rays, const PointMaking& how, std::size_t slot);
+
+    struct Gathered {
+        std::span<const shared::ReturnedPoint> points;
+        std::span<const float> asked_m;   ///< ranges of dominant surfaces of the rays asked_ray()
+    };
+    /// Waits for the points of a slot. @return valid until it is used again
+    Gathered wait(Stream& stream, std::size_t slot);
+    /// Rays of which a scan says what they meet, whether they return or not. @param k  below n_asked()
+    static std::size_t asked_ray(std::size_t k, std::size_t n_rays) { return k * n_rays / n_asked(n_rays); }
+    static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kMostAsked); }
+
+private:
+    static constexpr std::size_t kMostAsked = 4096;   // 32 bits hold its square
+
+    /// What the host reads of a scan.
+    struct Slot {
+        std::optional<Readback> points, count, asked;
+        std::size_t room = 0;     ///< points
+        std::size_t n_rays = 0;   ///< of its scan
+    };
+
+    Device& device_;
+    Kernel<shared::MarkReturnsParams> mark_;
+    Kernel<shared::GatherPointsParams> gather_;
+    PrefixSum sum_;
+    Array<std::uint32_t, shared::ReturnMarks> marks_;
+    Array<std::uint32_t, shared::ReturnPlaces> places_;
+    Array<std::uint32_t, shared::ScanTotal> count_;
+    Array<shared::ReturnedPoint> points_;
+    Array<float, shared::AskedRanges> asked_;
+    std::array<Slot, kSlots> slots_;
+
+    void make_room(Stream& stream, std::size_t n_rays);
+    void read_back(Stream& stream, std::size_t n_rays, Slot& slot);
+};
+
+}  // namespace relidar

@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a ScanRenderer is made of. Private to render.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <relidar/render.hpp>
+#include <relidar/stages/config.hpp>
+#include <relidar/stages/forward.hpp>
+
+#include "render/points_on_device.hpp"
+#include "render/resident_scene.hpp"
+#include "render/seen.hpp"
+#include "render/sensor_rays.hpp"
+#include "render/spray_plumes.hpp"
+
+namespace relidar {
+
+inline constexpr double kSameTime_s = 1e-3;       // as a sweep of the log
+inline constexpr double kMoment_s = 0.1;          // in which a speed is measured
+inline constexpr const char* kNative = "native";  ///< image of a network: the rays of a sensor
+
+/// Points that were asked for.
+struct AskedPoints {
+    std::optional<PointScan> ready = {};      ///< made on the host
+    std::shared_ptr<SensorRays> rays = {};
+    PoseTrack dataset_from_sensor = {};       ///< one pose where it stands
+    Pose dataset_from_points = {};
+    double time_s = 0.0;
+    double max_range_m = 0.0;                 ///< of the sensor
+    std::size_t slot = 0;                     ///< of PointsOnDevice
+};
+
+struct ScanRenderer::Impl {
+    const Config config;
+    Scene layout;         ///< models, instances and sensor drop; no surfels
+    Sequence sweep;        ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
+    const PoseTrack log_world_from_vehicle;   ///< where it was in the log
+    const glm::dvec3 first_origin_m;          ///< see first_origin()
+    const std::vector<Frame> sweeps;          ///< of the log that have an azimuth shift; no scans
+    std::vector<ChannelInfo> wanted;          ///< channels
+    ResidentScene scene;
+    std::vector<bool> shown;   ///< [instances]
+    Device& device;
+    std::vector<std::shared_ptr<SensorRays>> known_rays = {};   ///< of sensors, the one used last first
+    PointsOnDevice points{device};
+    std::deque<AskedPoints> asked = {};       ///< those asked for first come first
+    std::size_t n_asked = 0;                  ///< in all
+    std::array<std::optional<Readback>, kScansInFlight> pass_caps = {};
+    std::optional<DropRefiner> refiner = {};
+    Coverage coverage = {};
+    std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
+    Weather weather = {};
+    std::vector<Plume> plumes = {};   ///< of actors, in the scan that is taken
+
+    /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
+    SweepMoment moment(const SensorChoice& sensor, double time_s) {
+        Lidar& lidar = sweep.lidars[std::size_t(sensor.lidar)];
+        lidar.pattern = sensor.pattern;
+        return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
+    }
+    /// A sensor that follows the log's sweeps, as its head pointed in the one at this time. Nothing where there is none.
+    std::optional<SensorChoice> followed(const SensorChoice& sensor, double time_s) const {
+        const auto is_now = [&](const Frame& f) { return f.lidar == sensor.lidar && std::abs(f.time_s - time_s) < kSameTime_s; };
+        const auto found = sensor.follows_sweeps ? std::ranges::find_if(sweeps, is_now) : sweeps.end();
+        if (found == sweeps.end()) return {};
+        const SpinningSensor& head = sweep.lidars[std::size_t(sensor.lidar)].sensor;
+        if (sensor.rays.size() != head.beams.size() * found->azimuth_shift_rad.size()) return {};
+        SensorChoice result = sensor;
+        result.rays = shifted_azimuths(std::move(result.rays), head, found->azimuth_shift_rad);
+        result.follows_sweeps = false;
+        return result;
+    }
+    /// Sub-rays and returns of a sensor.
+    SensorConfig config_of(const SensorChoice& sensor) const {
+        SensorConfig result = config.sensor;
+        if (sensor.returns > 0) result.returns = sensor.returns;
+        if (sensor.returns > 1 && result.sub_rays == 1) result.sub_rays = 9;
+        return result;
+    }
+    std::shared_ptr<SensorRays> rays_of(const SensorChoice& sensor, const RayTable& table);
+    /// Rays of a sweep that the device has been told to trace and to measure.
+    struct Cast {
+        std::shared_ptr<SensorRays> rays;
+        PoseTrack track;   ///< of the sensor, one pose where it stands
+        Pose pose;         ///< at the time of the sweep
+    };
+    Cast record(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined);
+    RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined = false);
+    RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams);
+    /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
+    struct ImageOf {
+        int rows, columns;
+        std::string name;
+    };
+    bool refines(const ImageOf& image) const;
+    /// Whether the network looks at the scan as the sensor's rays take it.
+    bool refines_rays(const SensorChoice& sensor, const RayTable& whole) const;
+    bool gathers_points(const SensorChoice& sensor, bool sampled) const;
+    void bring(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed);
+    PointScan points_of(AskedPoints& scan, std::vector<ScanPoint> memory = {});
+    void settle();
+    void refine(RenderedScan& scan);
+    float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
+    RangeLimits limits_of(const SensorChoice& sensor) const;
+    Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
+    std::vector<WetRay> wet_rays(const RenderedScan& scan);
+    std::vector<std::vector<SprayStretch>> spray_of(const RenderedScan& scan) const;
+    void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample);
+    /// Where instances are in a sweep, and the spray behind them. @param actors  where they are; null: where the run's tracks have them
+    std::vector<InstancePose> place(const SweepMoment& now, const ActorPoses* actors = nullptr) {
+        const auto at = [&](double time_s) {
+            const SweepMoment moment{time_s, now.lidar, now.start};
+            return actors ? place_instances(layout, sweep, moment, *actors) : place_instances(layout, sweep, moment);
+        };
+        std::vector<InstancePose> placed = at(now.time_s);
+        plumes.clear();
+        if (weather.spray_mm > 0.0)
+            plumes = plumes_of(layout, placed, at(now.time_s - kMoment_s), shown, sweep.world_offset_m, weather.spray_mm);
+        return placed;
+    }
+    /// The vehicle is where it has to be for the sensor to be here.
+    void drive(PoseTrack world_from_sensor, int lidar) {
+        sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
+    }
+};
+
+}  // namespace relidar

@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points that are made on the device (render/mark_returns, render/gather_points) and asked for ahead, against returned_points() of scans
+// that are rendered one after the other, in double precision.
+#include <cmath>
+
+#include <gmock/gmock.h>
+
+#include <relidar/dataset.hpp>
+#include <relidar/error.hpp>
+#include <relidar/render.hpp>
+
+#include "../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+struct Wish {
+    SensorChoice sensor;
+    ScanRequest request;
+    double points_at_s;
+    std::optional<std::uint64_t> sample = {};
+};
+
+class Points : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        if (IsSkipped()) return;
+        log = make_synthetic_street({.n_frames = 12});
+        log.world_offset_m = {455000.0, 5428000.0, 113.0};
+        scene = initialise_scene(log, split_frames(log, 5).train, {});
+    }
+    /// A drive through the street in a bend, as the dataset has it.
+    PoseTrack bend() const {
+        PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
+        for (std::size_t k = 0; k < track.pose.size(); ++k)
+            track.pose[k].rotation = rotation_of(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
+        return track;
+    }
+    double middle_s() const { return log.frames[log.frames.size() / 2].time_s; }
+    SensorChoice sensor(const std::string& name) const { return choose_sensor(name, config, log); }
+    void make_renderer() {
+        renderer.emplace(device(), scene, config, log);
+        renderer->compare_with(find_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
+    }
+    void TearDown() override {
+        renderer.reset();
+        DeviceTest::TearDown();
+    }
+    PointScan on_host(const Wish& wish) {
+        const RenderedScan scan = renderer->render(wish.sensor, wish.request, wish.sample);
+        return returned_points(scan, config, wish.request.dataset_from_sensor.at(wish.points_at_s));
+    }
+    void ask(const Wish& wish) { renderer->ask_points(wish.sensor, wish.request, wish.points_at_s, wish.sample); }
+
+    Sequence log;
+    Scene scene;
+    Config config;
+    std::optional<ScanRenderer> renderer;
+};
+
+/// Positions within float precision at 80 m; everything else is the same.
+void expect_same(const PointScan& found, const PointScan& expected, const std::string& what, double step = 0.0) {
+    ASSERT_EQ(found.points.size(), expected.points.size()) << what;
+    ASSERT_GT(found.points.size(), 100u) << what;
+    EXPECT_EQ(found.n_rays, expected.n_rays) << what;
+    EXPECT_EQ(found.time_s, expected.time_s) << what;
+    EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
+    EXPECT_EQ(found.dataset_from_points.translation, expected.dataset_from_points.translation) << what;
+    double farthest_m = 0.0, brightest = 0.0;
+    for (std::size_t i = 0; i < found.points.size(); ++i) {
+        const ScanPoint &p = found.points[i], &e = expected.points[i];
+        farthest_m = std::max(farthest_m, double(glm::distance(p.position_m, e.position_m)));
+        brightest = std::max(brightest, std::abs(double(p.intensity) - double(e.intensity)));
+        ASSERT_EQ(p.time_offset_s, e.time_offset_s) << what << i;
+        ASSERT_EQ(p.ring, e.ring) << what << i;
+        ASSERT_EQ(p.instance, e.instance) << what << i;
+    }
+    EXPECT_LT(farthest_m, 5e-5) << what;
+    EXPECT_LE(brightest, step > 0.0 ? step + 1e-6 : 1e-7) << what << ": where half a step is left, either is right";
+}
+
+TEST_F(Points, AreThoseOfTheScan) {
+    for (const std::string points : {"median", "image"}) {
+        config.render.points = points;
+        make_renderer();
+        for (const double at_s : {middle_s(), middle_s() + 0.05, middle_s() - 0.4}) {
+            const Wish wish{sensor("native"), {middle_s(), bend()}, at_s};
+            const PointScan expected = on_host(wish);
+            ask(wish);
+            EXPECT_LT(expected.points.size(), expected.n_rays) << "some rays are dropped";
+            expect_same(renderer->take_points(), expected, points);
+        }
+    }
+}
+
+TEST_F(Points, OfASensorThatStandsAndAmongActorsOfTheCaller) {
+    make_renderer();
+    const Wish stands{sensor("native"), {middle_s(), {{0.0}, {bend().at(middle_s())}}}, 0.0};
+    const Wish alone{sensor("native"), {middle_s(), bend(), ActorPoses{}}, middle_s()};
+    const PointScan standing = on_host(stands), empty = on_host(alone);
+    ask(stands), ask(alone);
+    expect_same(renderer->take_points(), standing, "stands");
+    expect_same(renderer->take_points(), empty, "no actor");
+}
+
+/// Two scans are in flight at any time, of other sensors and at other places, and scans are rendered between them.
+TEST_F(Points, ManyInFlightDoNotMix) {
+    make_renderer();
+    const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"), sensor("HDL-32E:256x10")};
+    std::vector<Wish> wishes;
+    for (int k = 0; k < 9; ++k) wishes.push_back({sensors[std::size_t(k % 3)], {middle_s() - 0.4 + 0.1 * k, bend()}, middle_s()});
+    std::vector<PointScan> expected;
+    for (const Wish& wish : wishes) expected.push_back(on_host(wish));
+    ask(wishes[0]);
+    for (std::size_t k = 0; k < wishes.size(); ++k) {
+        if (k + 1 < wishes.size()) ask(wishes[k + 1]);
+        if (k % 4 == 1) renderer->render(sensors[0], {middle_s(), bend(), ActorPoses{}});
+        expect_same(renderer->take_points(), expected[k], "scan " + std::to_string(k));
+    }
+}
+
+/// Scans that a network corrects, of images of two shapes.
+TEST_F(Points, AreDroppedAsTheNetworkSays) {
+    make_renderer();
+    const std::vector<Wish> wishes = {{sensor("native"), {middle_s(), bend()}, middle_s()},
+                                      {sensor("VLP-16:300x10"), {middle_s() + 0.1, bend()}, middle_s()}};
+    const RenderedScan scan = renderer->render(wishes[0].sensor, wishes[0].request);
+    const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
+    DropImage image = drop_image(scan, drop_channel_names(options), first_origin(log));
+    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
+    const std::size_t before = on_host(wishes[0]).points.size();
+    renderer->refine_drops(train_drop_network(device(), {image}, options, 3,
+                                              [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
+    const std::vector<PointScan> expected = {on_host(wishes[0]), on_host(wishes[1])};
+    EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
+    ask(wishes[0]), ask(wishes[1]);
+    for (const PointScan& scan_expected : expected) expect_same(renderer->take_points(), scan_expected, "refined");
+}
+
+TEST_F(Points, HaveTheStepsOfTheLog) {
+    make_renderer();
+    const Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
+    const double step = 1.0 / 64.0;
+    IntensityScatter scatter;
+    scatter.step = step;
+    renderer->scatter_intensities({scatter});
+    const PointScan expected = on_host(wish);
+    ask(wish);
+    const PointScan found = renderer->take_points();
+    expect_same(found, expected, "steps", step);
+    std::size_t n_other = 0;
+    for (std::size_t i = 0; i < found.points.size(); ++i) {
+        const double steps = double(found.points[i].intensity) / step;
+        EXPECT_NEAR(steps, std::round(steps), 1e-5);
+        n_other += std::abs(double(found.points[i].intensity) - double(expected.points[i].intensity)) > 0.5 * step;
+    }
+    EXPECT_LT(n_other, found.points.size() / 1000);
+}
+
+/// Where the device alone does not do, the host does the rest.
+TEST_F(Points, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
+    config.sensor.divergence_mrad = 3.0;
+    make_renderer();
+    SensorChoice parted = sensor("VLP-16:300x10");
+    parted.returns = 2;
+    std::vector<Wish> wishes = {{sensor("kitti360"), {middle_s(), bend()}, middle_s()},
+                                {parted, {middle_s(), bend()}, middle_s()},
+                                {sensor("native"), {middle_s(), bend()}, middle_s(), 7}};
+    for (const Wish& wish : wishes) {
+        const PointScan expected = on_host(wish);
+        ask(wish);
+        expect_same(renderer->take_points(), expected, wish.sensor.name);
+    }
+    renderer->set_weather({.fog_visibility_m = 60.0});
+    const Wish fog{sensor("native"), {middle_s(), bend()}, middle_s()};
+    const PointScan expected = on_host(fog);
+    ask(fog);
+    expect_same(renderer->take_points(), expected, "fog");
+}
+
+TEST_F(Points, AreTakenAsOftenAsAskedFor) {
+    make_renderer();
+    const Wish wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};
+    const auto says = [](const char* text) { return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text)); };
+    EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"));
+    for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
+    EXPECT_THAT([&] { ask(wish); }, says("found 2 scans that were not taken"));
+    for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->take_points();
+    Wish wrong = wish;
+    wrong.request.dataset_from_sensor.time_s.clear();
+    EXPECT_THROW(ask(wrong), DataError);
+    EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for")) << "a request that was refused";
+}
+
+}  // namespace
+}  // namespace relidar
