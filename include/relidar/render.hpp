@@ -37,7 +37,7 @@ struct RenderedScan {
     /// [n] each: those of config.render.channels, in weather `source`, but for what the run does not know ("seen" without a Coverage), and
     /// what a caller adds of his own, which goes through joins, grids, merges and into every output like the others
     std::vector<ScanChannel> channels = {};
-    /// share of the rays of which less than half of the way is seen, of all or of some thousand; nothing where the run does not know
+    /// share of the rays of which less than half of the way is seen, of all or of a thousand; nothing where the run does not know
     std::optional<double> unseen_share = {};
     Pose world_from_sensor;             ///< at the reference time, in the dataset's world
     PoseTrack track;                    ///< of the sensor, in the dataset's world; a single pose where all rays were fired from it

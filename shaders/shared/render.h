@@ -128,7 +128,7 @@ struct GatherPointsParams {
     RELIDAR_OF(Floats, AskedRanges) asked;              // output [n_asked] ranges of dominant surfaces, of rays k n_rays / n_asked
     uint n_rays;
     uint n_poses;
-    uint n_asked;                                       // at most n_rays and 4096
+    uint n_asked;                                       // at most n_rays and 65,536
     uint of_image;
     float step;                                         // of intensities; 0: they come in no steps
 };

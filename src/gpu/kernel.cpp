@@ -126,34 +126,41 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = impl_of(owner);
     impl_->device = &device;
+    impl_->module = std::string(name);
     impl_->name = std::string(name.substr(0, name.find('@')));
-    std::vector<Constant> all(constants);
+    impl_->constants = constants;
+    impl_->subgroups = subgroups;
+    std::vector<Constant>& all = impl_->constants;
     const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    if (device.compile_only) {
-        compile_only(name, all, subgroups);
-        return;
-    }
-    const VkResult result = find_or_make_pipeline(device, name, impl_->name, all, subgroups, impl_->pipeline);
-    if (result != VK_SUCCESS)
-        throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", name, device.info.name,
-                                      gpu::result_name(result)));
+    find_words(name);
+    if (device.compile_only) compile_only();
 }
 
-void KernelBase::compile_only(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
+VkPipeline KernelBase::Impl::pipeline() {
+    if (pipeline_) return pipeline_;
+    const VkResult result = find_or_make_pipeline(*device, module, name, constants, subgroups, pipeline_);
+    if (result != VK_SUCCESS)
+        throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module, device->info.name,
+                                      gpu::result_name(result)));
+    return pipeline_;
+}
+
+void KernelBase::compile_only() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
-    s.kernel = name;
-    s.constants = constants_text(find_words(name), constants);
+    s.kernel = impl_->module;
+    s.constants = constants_text(find_words(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size;
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
-    const VkResult result = find_or_make_pipeline(device, name, impl_->name, constants, subgroups, impl_->pipeline);
+    VkPipeline pipeline = VK_NULL_HANDLE;
+    const VkResult result = find_or_make_pipeline(device, impl_->module, impl_->name, impl_->constants, impl_->subgroups, pipeline);
     if (result != VK_SUCCESS) s.failure = gpu::result_name(result);
-    else if (device.pipeline_statistics) gpu::read_statistics(device.device, impl_->pipeline, s);
+    else if (device.pipeline_statistics) gpu::read_statistics(device.device, pipeline, s);
     device.compiled.push_back(s);
 }
 

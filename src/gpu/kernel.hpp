@@ -61,7 +61,7 @@ consteval std::string_view name_of_struct() {
 /// Workgroups have the device's size, unless the constants name one.
 class KernelBase {
 public:
-    /// @param name of an embedded kernel @throws DeviceError where the driver rejects it
+    /// @param name of an embedded kernel; the driver compiles it when it is run first, and may reject it then (DeviceError)
     KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {}, Subgroups subgroups = Subgroups::any);
     ~KernelBase();
     KernelBase(const KernelBase&) = delete;
@@ -74,7 +74,7 @@ private:
     std::unique_ptr<Impl> impl_;
 
     /// Makes the pipeline where it is a new one, and notes what the driver says of it.
-    void compile_only(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups);
+    void compile_only();
 };
 
 /// The name of a kernel that takes these parameters, "stage/stem". That of another kernel does not compile.

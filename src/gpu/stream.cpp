@@ -143,10 +143,11 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     if (device->compile_only)
         throw Error(ExitCode::bug,
                     fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
+    const VkPipeline pipeline = kernel.impl().pipeline();
     begin_timing(kernel.impl().name);
     const std::uint64_t address = store(bytes, n_bytes).address;
     VkCommandBuffer buffer = commands();
-    vkCmdBindPipeline(buffer, VK_PIPELINE_BIND_POINT_COMPUTE, kernel.impl().pipeline);
+    vkCmdBindPipeline(buffer, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
     vkCmdPushConstants(buffer, device->pipeline_layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
     constexpr std::uint32_t kMaxGroups = 65535;   // in one dimension, on every Vulkan device
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;

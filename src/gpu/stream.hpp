@@ -14,9 +14,18 @@ namespace relidar {
 
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
-    std::string name;
-    VkPipeline pipeline = VK_NULL_HANDLE;   ///< owned by the device
-    std::uint32_t workgroup_size = 0;       ///< threads
+    std::string module;                 ///< name of the embedded kernel
+    std::string name;                   ///< the same without its variant
+    std::vector<Constant> constants;
+    Subgroups subgroups = Subgroups::any;
+    std::uint32_t workgroup_size = 0;   ///< threads
+
+    /// Owned by the device. Made when it is asked for first, since a driver takes up to a second for one, and much of what there are kernels
+    /// for is never run. @throws DeviceError where the driver rejects it
+    VkPipeline pipeline();
+
+private:
+    VkPipeline pipeline_ = VK_NULL_HANDLE;
 };
 
 struct Stream::Impl {

@@ -14,7 +14,7 @@ PointsOnDevice::PointsOnDevice(Device& device)
       gather_(device, "render/gather_points"),
       sum_(device),
       count_(device, 1, "number of returned points"),
-      asked_(device, kMostAsked, "ranges of some rays") {}
+      asked_(device, kAskedRays, "ranges of some rays") {}
 
 void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
@@ -60,7 +60,7 @@ void PointsOnDevice::read_back(Stream& stream, std::size_t n_rays, Slot& slot) {
     if (n_rays > slot.room) {
         slot.points.emplace(device_, n_rays * sizeof(shared::ReturnedPoint), "returned points");
         slot.count.emplace(device_, sizeof(std::uint32_t), "number of returned points");
-        slot.asked.emplace(device_, kMostAsked * sizeof(float), "ranges of some rays");
+        slot.asked.emplace(device_, kAskedRays * sizeof(float), "ranges of some rays");
         slot.room = n_rays;
     }
     slot.n_rays = n_rays;

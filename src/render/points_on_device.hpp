@@ -10,6 +10,7 @@
 #include <relidar/sequence.hpp>
 
 #include "gpu/prefix_sum.hpp"
+#include "render/seen.hpp"
 #include "shared/render.h"
 
 namespace relidar {
@@ -42,11 +43,9 @@ public:
     Gathered wait(Stream& stream, std::size_t slot);
     /// Rays of which a scan says what they meet, whether they return or not. @param k  below n_asked()
     static std::size_t asked_ray(std::size_t k, std::size_t n_rays) { return k * n_rays / n_asked(n_rays); }
-    static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kMostAsked); }
+    static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
 
 private:
-    static constexpr std::size_t kMostAsked = 4096;   // 32 bits hold its square
-
     /// What the host reads of a scan.
     struct Slot {
         std::optional<Readback> points, count, asked;

@@ -8,7 +8,6 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kAskedRays = 4096;  // a share of rays is then known to a percent, in milliseconds
 constexpr float kSeen = 0.5f;             // of a ray's way
 
 bool looks_elsewhere(float share) { return share < kSeen; }

@@ -10,6 +10,9 @@
 
 namespace relidar {
 
+/// Of how many rays the share that looks elsewhere is known by: to a percent or two, in half a millisecond.
+inline constexpr std::size_t kAskedRays = 1024;
+
 /// What the log has seen of the scene.
 struct SeenByLog {
     const Coverage& coverage;   ///< empty: not known
@@ -26,14 +29,14 @@ struct LookingRay {
 /// Share of its way, to what it meets or to the end of its range, along which rays of the log have looked.
 float seen_share(const LookingRay& ray, const SeenByLog& log);
 
-/// Of n rays, or some thousand of them, the share that looks where the log did not. @param ray_at  of each number below n
+/// Of n rays the share that looks where the log did not. @param ray_at  of each number below n
 double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at, const SeenByLog& log);
 
 /// [rays] Share of the way of some rays of a scan, to what they meet or to the end of their range, along which rays of the log have looked.
 std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays, const SeenByLog& log);
 
 /// Says what share of the rays looks where the log did not (RenderedScan::unseen_share): by the channel "seen" where the scan has it, else
-/// by some thousand rays. Nothing where it is not known.
+/// by kAskedRays of them. Nothing where it is not known.
 void tell_unseen(RenderedScan& scan, const SeenByLog& log);
 
 }  // namespace relidar

@@ -175,8 +175,8 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
 }
 
 TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES};
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceSubgroupProperties subgroup{};
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
     EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
     subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;

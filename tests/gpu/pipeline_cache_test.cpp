@@ -137,7 +137,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
     const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}}, of_32{{ConstantId::WORKGROUP_SIZE, 32}};
     const auto pipeline_of = [&](const std::vector<Constant>& constants, Subgroups subgroups = Subgroups::any) {
-        return Kernel<shared::ListTouchedParams>(opened, "optimizer/list_touched", constants, subgroups).impl().pipeline;
+        return Kernel<shared::ListTouchedParams>(opened, "optimizer/list_touched", constants, subgroups).impl().pipeline();
     };
     const VkPipeline first = pipeline_of(of_64);
     EXPECT_NE(first, VK_NULL_HANDLE);

@@ -47,7 +47,6 @@ v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& s
     const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? number % (n - 1) : 0;
     for (int i = first; i < std::min(first + 2, n); ++i) *request.add_path() = tracks.dataset_from_sensor(i);
     request.mutable_wanted()->set_points(true);
-    request.mutable_wanted()->set_range_image(true);
     return request;
 }
 
@@ -55,7 +54,7 @@ Sample call(ScanClient& client, const v1::RenderLidarRequest& request) {
     const Clock::time_point begin = Clock::now();
     const v1::LidarScan scan = client.render(request);
     const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
-    return {latency_ms, scan.queued_ms(), scan.rendered_ms(), std::size_t(scan.image().rows()) * scan.image().columns(),
+    return {latency_ms, scan.queued_ms(), scan.rendered_ms(), std::size_t(scan.rays()),
             scan.points().count()};
 }
 
