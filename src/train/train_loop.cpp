@@ -166,15 +166,18 @@ TrainLoop::~TrainLoop() {
     }
 }
 
-const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
+const FrameData& TrainLoop::bring(std::size_t frame_index, bool surfels_changed) {
     FrameData& frame = frames_.bring(stream_, frame_index);
     refiner_.place(stream_, frame);
-    renderer_.set_sh_degree(sh_degree_at(config_.train, step));
-    // without harmonics per surfel, move() would leave the records of hits as they were
-    const bool fits = n_fixed_ == 0 || config_.image.sh_direction == ShDirection::ray || step % kFitEvery == 1;
-    if (fits) renderer_.place(frame.placed, frame.sensor_position_m);
+    if (surfels_changed) renderer_.place(frame.placed, frame.sensor_position_m);
     else renderer_.move(frame.placed, frame.sensor_position_m);
     return frame;
+}
+
+const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
+    renderer_.set_sh_degree(sh_degree_at(config_.train, step));
+    // without harmonics per surfel, move() would leave the records of hits as they were
+    return bring(frame_index, n_fixed_ == 0 || config_.image.sh_direction == ShDirection::ray || step % kFitEvery == 1);
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
@@ -296,7 +299,7 @@ DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
     DropCounts counts(sequence);
     const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());   // of a frame
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        const FrameData& frame = place(k, config_.train.iterations);
+        const FrameData& frame = k == 0 ? place(k, config_.train.iterations) : bring(k, false);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t stride = std::max(1u, frame.n_rays / kRays),
                             first = static_cast<std::uint32_t>(sampler_.random().next() % stride),

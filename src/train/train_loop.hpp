@@ -125,6 +125,8 @@ private:
 
     /// Records a frame's rays, where everything is in it, and the surfels as they look from there at a step.
     const FrameData& place(std::size_t frame_index, int step);
+    /// Brings a frame to the device and the instances to where they are in it. @param surfels_changed  since the last frame
+    const FrameData& bring(std::size_t frame_index, bool surfels_changed);
     /// Records the image of a batch, its losses, and the gradients of those.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
     /// Looks at the reports of the iterations up to `last`.
