@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "core/parallel.hpp"
+#include "render/points_on_device.hpp"
 
 namespace relidar {
 namespace {

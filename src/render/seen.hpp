@@ -10,9 +10,6 @@
 
 namespace relidar {
 
-/// Of how many rays the share that looks elsewhere is known by: to a percent or two, in half a millisecond.
-inline constexpr std::size_t kAskedRays = 1024;
-
 /// What the log has seen of the scene.
 struct SeenByLog {
     const Coverage& coverage;   ///< empty: not known
