@@ -107,6 +107,13 @@ void ScanRenderer::Impl::settle() {
     for (AskedPoints& scan : asked) scan.ready = points_of(scan);
 }
 
+ScanRenderer::~ScanRenderer() {
+    try {
+        impl_->settle();   // the device may still write what goes with this
+    } catch (const DeviceError&) {   // a lost device writes nothing any more
+    }
+}
+
 PointScan ScanRenderer::take_points(std::vector<ScanPoint> memory) {
     Impl& s = *impl_;
     if (s.asked.empty()) throw UsageError("taking the points of a scan: found none that was asked for, expected ask_points() before");

@@ -136,7 +136,6 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device
     compare_with(run.coverage);
     scatter_intensities(run.intensity_scatter);
 }
-ScanRenderer::~ScanRenderer() = default;
 
 void ScanRenderer::show_only(const std::vector<bool>& shown) {
     if (shown.size() != impl_->shown.size())
@@ -219,8 +218,10 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(const SensorChoice& sens
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;   // 0.2 GB
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
     auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
-    if (found == known_rays.end())   // one that has other rays in every scan; what is in flight keeps its own
-        found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->sensor() == name && rays.use_count() == 1; });
+    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {   // what is in flight keeps its own
+        return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
+    };
+    if (found == known_rays.end()) found = std::ranges::find_if(known_rays, is_free);   // this sensor has other rays in every scan
     const std::shared_ptr<SensorRays> rays = found != known_rays.end() ? *found : std::make_shared<SensorRays>(device);
     if (found != known_rays.end()) known_rays.erase(found);
     known_rays.insert(known_rays.begin(), rays);

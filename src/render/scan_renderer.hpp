@@ -49,7 +49,7 @@ struct ScanRenderer::Impl {
     ResidentScene scene;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
-    std::vector<std::shared_ptr<SensorRays>> known_rays = {};   ///< of sensors, the one used last first
+    std::vector<std::shared_ptr<SensorRays>> known_rays{std::make_shared<SensorRays>(device)};   ///< of sensors, the one used last first
     PointsOnDevice points{device};
     std::deque<AskedPoints> asked = {};       ///< those asked for first come first
     std::size_t n_asked = 0;                  ///< in all

@@ -179,6 +179,16 @@ TEST_F(Points, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     expect_same(renderer->take_points(), expected, "fog");
 }
 
+TEST_F(Points, MayBeLeftBehind) {
+    const Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
+    make_renderer();
+    const PointScan expected = on_host(wish);
+    ask(wish), ask(wish);
+    make_renderer();   // the validation layer tells of memory that is still in use
+    ask(wish);
+    expect_same(renderer->take_points(), expected, "of the next renderer");
+}
+
 TEST_F(Points, AreTakenAsOftenAsAskedFor) {
     make_renderer();
     const Wish wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};

@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // The line in front of the render thread: order, places, those who leave.
 #include <atomic>
+#include <cctype>
+#include <functional>
 #include <future>
+#include <optional>
 #include <stdexcept>
+#include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -65,6 +70,45 @@ TEST(RenderQueue, DoesAllWorkOnOneThread) {
     clients.clear();
     EXPECT_EQ(done, 8);
     EXPECT_EQ(elsewhere, 0);
+}
+
+/// The second is begun before the first is finished, and everything is in order; work of another kind, or of one part, waits.
+TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
+    RenderQueue queue(8);
+    std::string parts;   // of the queue's thread alone
+    std::vector<std::jthread> clients;
+    std::optional<Blocker> blocker(std::in_place, queue);
+    std::atomic<int> n_in_line = 0;
+    const auto add = [&](const auto& work) {
+        const int before = n_in_line;
+        clients.emplace_back([&queue, &n_in_line, work] {
+            RenderQueue::Place place = std::move(*queue.enter());
+            place.run(work, [&n_in_line, told = false]() mutable { return n_in_line += !std::exchange(told, true), true; });
+        });
+        while (n_in_line == before) std::this_thread::yield();   // asked whether it is wanted: it is in the line
+    };
+    const auto in_two = [&](char name, std::size_t kind) {
+        return WorkInTwo{[&parts, name] { parts += name; }, [&parts, name] { parts += char(std::toupper(name)); }, kind};
+    };
+    add(in_two('a', 1)), add(in_two('b', 1)), add(in_two('c', 1)), add(in_two('d', 2));
+    add(std::function<void()>([&parts] { parts += '-'; }));
+    add(in_two('e', 2));
+    blocker.reset();
+    clients.clear();
+    EXPECT_EQ(parts, "abAcBCdD-eE");
+}
+
+TEST(RenderQueue, WorkInTwoThatFailsIsNotFinishedAndStopsNoOther) {
+    RenderQueue queue(8);
+    bool finished = false;
+    const WorkInTwo fails{[] { throw std::runtime_error("begin"); }, [&] { finished = true; }, 1};
+    EXPECT_THROW(queue.enter()->run(fails, kWanted), std::runtime_error);
+    EXPECT_FALSE(finished);
+    const WorkInTwo fails_late{[] {}, [] { throw std::runtime_error("finish"); }, 1};
+    EXPECT_THROW(queue.enter()->run(fails_late, kWanted), std::runtime_error);
+    const WorkInTwo works{[] {}, [&] { finished = true; }, 1};
+    EXPECT_EQ(queue.enter()->run(works, kWanted), WorkEnd::done) << "nobody comes after it";
+    EXPECT_TRUE(finished);
 }
 
 TEST(RenderQueue, WorkWhoseClientHasLeftIsNeverBegun) {

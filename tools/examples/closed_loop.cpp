@@ -13,11 +13,10 @@ using namespace relidar;
 constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrakes_mps2 = 6.0;
 
 /// Distance to the nearest point ahead in the own lane, above the ground and beyond the own bonnet; 100 m where there is none.
-double gap_ahead(const RenderedScan& scan, const std::vector<float>& range_m) {
+double gap_ahead(const PointScan& scan) {
     double gap_m = 100.0;
-    for (std::size_t i = 0; i < range_m.size(); ++i) {
-        if (scan.image.drop_prob[i] >= 0.5f || !(range_m[i] > 0.0f)) continue;
-        const glm::vec3 p = scan.image.origin[i] + range_m[i] * scan.image.direction[i];
+    for (const ScanPoint& point : scan.points) {
+        const glm::vec3& p = point.position_m;
         if (p.x > 3.0f && std::abs(p.y) < kLane_m && p.z > -1.2f && p.z < 0.5f) gap_m = std::min(gap_m, double(p.x));
     }
     return gap_m;
@@ -38,12 +37,13 @@ int main(int argc, char** argv) try {
     double ego_m = 0.0, ego_mps = 8.0, actor_m = 25.0, actor_mps = 8.0;
     for (int step = 0; step < 80; ++step) {
         const double t = step * kStep_s;
-        const RenderedScan scan = renderer.render(
-            sensor, {.time_s = t,
-                     .dataset_from_sensor = {{t, t + kStep_s}, {ahead(ego_m, 0), ahead(ego_m + ego_mps * kStep_s, 0)}},
-                     .dataset_from_actor =
-                         ActorPoses{{actor, {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}});
-        const double gap_m = gap_ahead(scan, point_ranges(scan, run.config));
+        const ScanRequest request{
+            .time_s = t,
+            .dataset_from_sensor = {{t, t + kStep_s}, {ahead(ego_m, 0), ahead(ego_m + ego_mps * kStep_s, 0)}},
+            .dataset_from_actor =
+                ActorPoses{{actor, {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
+        renderer.ask_points(sensor, request, t);   // in the sensor's frame at t; where nothing waits for a scan, ask for the next one, too
+        const double gap_m = gap_ahead(renderer.take_points());
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3) ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);
         if (step % 10 == 0) std::printf("%4.1f s  ego %4.1f m/s  actor %4.1f m/s  nearest ahead %5.1f m\n", t, ego_mps, actor_mps, gap_m);

@@ -15,6 +15,12 @@ namespace relidar::serve {
 /// How a piece of work ended.
 enum class WorkEnd { done, unwanted };
 
+/// Work that has a device do something, and goes on when that is done. While the device is busy with one, the next of its kind is begun.
+struct WorkInTwo {
+    std::function<void()> begin, finish;
+    std::size_t kind = 0;   ///< of work that may be begun while other work of its kind is not finished
+};
+
 class RenderQueue {
 public:
     /// @param waiting  how many may wait, beside the one that is served
@@ -35,6 +41,8 @@ public:
         /// where it has, this waits for its end
         /// @throws what the work throws
         WorkEnd run(const std::function<void()>& work, const std::function<bool()>& is_wanted);
+        /// The same of work in two parts, which are done in order, and in the order of all others of its kind.
+        WorkEnd run(const WorkInTwo& work, const std::function<bool()>& is_wanted);
 
     private:
         friend RenderQueue;
@@ -47,7 +55,7 @@ public:
 
 private:
     struct Job {
-        const std::function<void()>& work;
+        const WorkInTwo& work;   ///< no `finish`: it has one part
         const std::function<bool()>& is_wanted;
         enum class State { waits, runs, done, unwanted } state = State::waits;
         std::exception_ptr failure = {};
@@ -63,7 +71,8 @@ private:
     std::thread thread_;
 
     void serve();
-    Job* next(std::unique_lock<std::mutex>& lock);
+    Job* next();
+    void do_part(Job& job, const std::function<void()>& part, std::unique_lock<std::mutex>& lock);
     void wait(Job& job, std::unique_lock<std::mutex>& lock);
 };
 

@@ -2,6 +2,7 @@
 #include "render_work.hpp"
 
 #include <chrono>
+#include <functional>
 
 #include <fmt/format.h>
 
@@ -19,27 +20,13 @@ double ms_between(Clock::time_point begin, Clock::time_point end) { return std::
 
 bool is_late(const grpc::ServerContext& context) { return std::chrono::system_clock::now() >= context.deadline(); }
 
-/// Has a scan rendered on the queue's thread.
-template <class Scan, class Render>
-Timed<Scan> timed(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context, SceneSet& scenes,
-                  const Render& render) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked, rendered = asked;
-    Timed<Scan> result;
-    const auto work = [&] {
-        begun = Clock::now();
-        try {
-            scenes.use(wanted.scene, wanted.weather, [&](ScanRenderer& renderer) { result.scan = render(renderer); });
-        } catch (const DataError& error) {   // the request has been looked at: the run's folder is at fault
-            throw Refusal(grpc::StatusCode::INTERNAL, error.what());
-        }
-        rendered = Clock::now();
-    };
-    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
-    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    result.queued_ms = ms_between(asked, begun);
-    result.rendered_ms = ms_between(begun, rendered);
-    return result;
+/// What a scene's renderer does for a request, which has been looked at: the run's folder is at fault where it fails.
+void use(SceneSet& scenes, const WantedScan& wanted, const std::function<void(ScanRenderer&)>& work) {
+    try {
+        scenes.use(wanted.scene, wanted.weather, work);
+    } catch (const DataError& error) {
+        throw Refusal(grpc::StatusCode::INTERNAL, error.what());
+    }
 }
 
 }  // namespace
@@ -61,16 +48,38 @@ RenderQueue::Place enter(RenderQueue& queue) {
 }
 
 Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    return timed<RenderedScan>(place, wanted, context, scenes, [&](ScanRenderer& renderer) {
-        return renderer.render(*wanted.sensor, wanted.request, wanted.sample);
-    });
+    const Clock::time_point asked = Clock::now();
+    Clock::time_point begun = asked;
+    Timed<RenderedScan> result;
+    const auto work = [&] {
+        begun = Clock::now();
+        use(scenes, wanted, [&](ScanRenderer& renderer) { result.scan = renderer.render(*wanted.sensor, wanted.request, wanted.sample); });
+        result.rendered_ms = ms_between(begun, Clock::now());
+    };
+    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
+    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
+    result.queued_ms = ms_between(asked, begun);
+    return result;
 }
 
 Timed<PointScan> render_points(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    return timed<PointScan>(place, wanted, context, scenes, [&](ScanRenderer& renderer) {
-        renderer.ask_points(*wanted.sensor, wanted.request, wanted.points_at_s, wanted.sample);
-        return renderer.take_points();
-    });
+    const Clock::time_point asked = Clock::now();
+    Clock::time_point begun = asked;
+    Timed<PointScan> result;
+    const auto begin = [&] {
+        begun = Clock::now();
+        use(scenes, wanted, [&](ScanRenderer& renderer) {
+            renderer.ask_points(*wanted.sensor, wanted.request, wanted.points_at_s, wanted.sample);
+        });
+    };
+    const auto finish = [&] {
+        scenes.use_again(wanted.scene, [&](ScanRenderer& renderer) { result.scan = renderer.take_points(); });
+        result.rendered_ms = ms_between(begun, Clock::now());
+    };
+    const WorkEnd end = place.run(WorkInTwo{begin, finish, wanted.scene}, [&] { return is_wanted(context); });
+    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
+    result.queued_ms = ms_between(asked, begun);
+    return result;
 }
 
 }  // namespace relidar::serve

@@ -59,15 +59,27 @@ void SceneSet::use(std::size_t scene, const std::optional<Weather>& weather, con
         make_room(scene, loaded_[scene].bytes);
         load_with_places(scene);
     }
-    try {
-        ScanRenderer& renderer = *loaded_[scene].renderer;
+    attempt(scene, [&](ScanRenderer& renderer) {
         renderer.set_weather(weather.value_or(sources_[scene].weather));
-        count_growth(scene, [&] { work(renderer); });
+        work(renderer);
+    });
+    make_room(scene, 0);   // arrays grow with the rays of a sensor
+}
+
+void SceneSet::use_again(std::size_t scene, const std::function<void(ScanRenderer&)>& work) {
+    if (!loaded_[scene].renderer)
+        throw DeviceError(fmt::format("rendering a scan of {}: found the scene lost by the request after it, expected it to stay",
+                                      sources_[scene].name));
+    attempt(scene, work);
+}
+
+void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&)>& work) {
+    try {
+        count_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
         loaded_[scene].renderer.reset();   // what it holds is not known; the next request loads it again
         throw;
     }
-    make_room(scene, 0);   // arrays grow with the rays of a sensor
 }
 
 void SceneSet::load(std::size_t scene, const Run& run) {

@@ -38,6 +38,8 @@ public:
     /// Has a scene's renderer do something; loads the scene where it is not there. @param scene  index into outlines()
     /// @param weather  none: that of its source
     void use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work);
+    /// Has it do what is left of that, before another scene is used. @throws DeviceError where it was lost in between
+    void use_again(std::size_t scene, const std::function<void(ScanRenderer&)>& work);
 
     /// Whether its surfels are on the device now.
     bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
@@ -63,6 +65,7 @@ private:
     void load_with_places(std::size_t scene);
     void make_room(std::size_t scene, std::uint64_t bytes);
     void count_growth(std::size_t scene, const std::function<void()>& work);
+    void attempt(std::size_t scene, const std::function<void(ScanRenderer&)>& work);
 };
 
 }  // namespace relidar::serve
