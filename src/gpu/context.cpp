@@ -2,7 +2,6 @@
 // Opening a device: the instance, the features relidar needs (all missing ones are reported at once), one compute queue and the
 // pipeline layout that every kernel shares.
 #include "gpu/context.hpp"
-#include "gpu/cooperative_matrix.hpp"
 
 #include <cstdio>
 #include <cstring>
@@ -11,6 +10,7 @@
 
 #include <relidar/error.hpp>
 
+#include "gpu/cooperative_matrix.hpp"
 #include "gpu/memory.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/transfers.hpp"

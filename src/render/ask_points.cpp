@@ -56,10 +56,6 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     s.bring(sensor, request.time_s, std::move(placed));
     Stream& stream = s.scene.renderer().stream();
     const bool refined = s.refines_rays(sensor, sensor.rays);
-    const auto is_other_image = [&](const AskedPoints& a) {
-        return a.rays && (a.rays->table().rows != sensor.rays.rows || a.rays->table().columns != sensor.rays.columns);
-    };
-    if (refined && std::ranges::any_of(s.asked, is_other_image)) stream.finish();   // the network makes its room anew
     const Impl::Cast cast = s.record(sensor, sensor.rays, request.time_s, refined);
     asked.rays = cast.rays;
     asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
@@ -108,8 +104,10 @@ void ScanRenderer::Impl::settle() {
 }
 
 ScanRenderer::~ScanRenderer() {
+    const auto in_flight = [](const AskedPoints& scan) { return !scan.ready; };
+    if (std::ranges::none_of(impl_->asked, in_flight)) return;
     try {
-        impl_->settle();   // the device may still write what goes with this
+        impl_->scene.renderer().stream().finish();   // the device may still write what goes with this
     } catch (const DeviceError&) {   // a lost device writes nothing any more
     }
 }

@@ -217,14 +217,18 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(const SensorChoice& sensor, const RayTable& table) {
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;   // 0.2 GB
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
-    auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
+    const auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
+    if (found != known_rays.end()) {
+        std::rotate(known_rays.begin(), found, found + 1);
+        return known_rays.front();
+    }
     const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {   // what is in flight keeps its own
         return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
     };
-    if (found == known_rays.end()) found = std::ranges::find_if(known_rays, is_free);   // this sensor has other rays in every scan
-    const std::shared_ptr<SensorRays> rays = found != known_rays.end() ? *found : std::make_shared<SensorRays>(device);
-    if (found != known_rays.end()) known_rays.erase(found);
-    known_rays.insert(known_rays.begin(), rays);
+    auto place = std::ranges::find_if(known_rays, is_free);   // this sensor has other rays in every scan
+    if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
+    std::rotate(known_rays.begin(), place, place + 1);
+    const std::shared_ptr<SensorRays> rays = known_rays.front();
     rays->take(table, name, [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
     std::size_t n_rays = 0, n_kept = 0;
     for (const auto& kept : known_rays)

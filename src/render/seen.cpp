@@ -17,8 +17,7 @@ LookingRay looking_ray(const RenderedScan& scan, std::size_t i) {
     return {scan.world_from_firing(i), glm::dvec3(scan.image.origin[i]), glm::dvec3(scan.image.direction[i]), scan.median_range_m[i]};
 }
 
-}  // namespace
-
+/// Share of its way, to what it meets or to the end of its range, along which rays of the log have looked.
 float seen_share(const LookingRay& ray, const SeenByLog& log) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= log.world_offset_m;
@@ -26,6 +25,8 @@ float seen_share(const LookingRay& ray, const SeenByLog& log) {
     return static_cast<float>(
         log.coverage.share(world_from_firing * ray.origin_m, world_from_firing * (ray.origin_m + length_m * ray.direction)));
 }
+
+}  // namespace
 
 double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at, const SeenByLog& log) {
     std::vector<float> shares(n);
@@ -40,11 +41,12 @@ std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::
 }
 
 void tell_unseen(RenderedScan& scan, const SeenByLog& log) {
-    const std::size_t n = scan.median_range_m.size(), n_asked = std::min(n, kAskedRays);
+    const std::size_t n = scan.median_range_m.size();
     if (log.coverage.empty() || n == 0) return;
+    const auto ray_at = [&](std::size_t k) { return looking_ray(scan, PointsOnDevice::asked_ray(k, n)); };
     if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
         scan.unseen_share = double(std::ranges::count_if(*shares, looks_elsewhere)) / double(shares->size());
-    else scan.unseen_share = unseen_share(n_asked, [&](std::size_t k) { return looking_ray(scan, k * n / n_asked); }, log);
+    else scan.unseen_share = unseen_share(PointsOnDevice::n_asked(n), ray_at, log);
 }
 
 }  // namespace relidar

@@ -23,9 +23,6 @@ struct LookingRay {
     glm::dvec3 origin_m, direction;   ///< sensor frame
     float met_m;                      ///< of the dominant surface; 0: nothing
 };
-/// Share of its way, to what it meets or to the end of its range, along which rays of the log have looked.
-float seen_share(const LookingRay& ray, const SeenByLog& log);
-
 /// Of n rays the share that looks where the log did not. @param ray_at  of each number below n
 double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at, const SeenByLog& log);
 

@@ -87,34 +87,33 @@ SensorRays::SensorRays(Device& device)
       drop_channels_(device, "render/drop_channels") {}
 
 bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
-    return sensor == sensor_ && same_bytes(rays.direction, table_.direction) && same_bytes(rays.origin, table_.origin) &&
+    return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
+           same_bytes(rays.direction, table_.direction) && same_bytes(rays.origin, table_.origin) &&
            same_bytes(rays.time_offset_s, table_.time_offset_s) && same_bytes(rays.channel, table_.channel);
 }
 
 void SensorRays::take(const RayTable& rays, const std::string& sensor, const std::function<float(std::size_t)>& never_seen) {
-    if (!has(rays, sensor)) {
-        std::vector<shared::SensorRay> all(rays.size());
-        for_each_block(all.size(), [&](std::size_t i) {
-            all[i] = {.origin = rays.origin[i],
-                      .direction = rays.direction[i],
-                      .time_offset_s = rays.time_offset_s[i],
-                      .sees = 1.0f - never_seen(i),
-                      .channel = rays.channel[i]};
-        });
-        if (all.size() > rays_.size()) {
-            rays_ = {}, fired_ = {}, measured_ = {};   // gives their memory back first
-            rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
-            fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
-            measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
-            readback_.reset(), refined_readback_.reset();
-        }
-        rays_.upload(all);
-        table_ = rays;
-        sensor_ = sensor;
-        const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
-        first_s_ = *first, last_s_ = *last;
+    if (has(rays, sensor)) return;
+    std::vector<shared::SensorRay> all(rays.size());
+    for_each_block(all.size(), [&](std::size_t i) {
+        all[i] = {.origin = rays.origin[i],
+                  .direction = rays.direction[i],
+                  .time_offset_s = rays.time_offset_s[i],
+                  .sees = 1.0f - never_seen(i),
+                  .channel = rays.channel[i]};
+    });
+    if (all.size() > rays_.size()) {
+        rays_ = {}, fired_ = {}, measured_ = {};   // gives their memory back first
+        rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
+        fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
+        measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
+        readback_.reset(), refined_readback_.reset();
     }
-    table_.rows = rays.rows, table_.columns = rays.columns;
+    rays_.upload(all);
+    table_ = rays;
+    sensor_ = sensor;
+    const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
+    first_s_ = *first, last_s_ = *last;
 }
 
 std::vector<shared::SensorPose> SensorRays::poses(const PoseTrack& track, double time_s) const {

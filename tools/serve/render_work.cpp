@@ -29,6 +29,25 @@ void use(SceneSet& scenes, const WantedScan& wanted, const std::function<void(Sc
     }
 }
 
+/// Has a scan made on the queue's thread. @param finish  none: the work has one part
+template <class Scan>
+Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context, const std::function<void(Scan&)>& begin,
+                  const std::function<void(Scan&)>& finish = {}, std::size_t kind = 0) {
+    const Clock::time_point asked = Clock::now();
+    Clock::time_point begun = asked;
+    Timed<Scan> result;
+    const auto part = [&](const std::function<void(Scan&)>& work) {
+        work(result.scan);
+        result.rendered_ms = ms_between(begun, Clock::now());
+    };
+    WorkInTwo work{[&] { begun = Clock::now(), part(begin); }, {}, kind};
+    if (finish) work.finish = [&] { part(finish); };
+    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
+    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
+    result.queued_ms = ms_between(asked, begun);
+    return result;
+}
+
 }  // namespace
 
 bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled() && !is_late(context); }
@@ -48,38 +67,21 @@ RenderQueue::Place enter(RenderQueue& queue) {
 }
 
 Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked;
-    Timed<RenderedScan> result;
-    const auto work = [&] {
-        begun = Clock::now();
-        use(scenes, wanted, [&](ScanRenderer& renderer) { result.scan = renderer.render(*wanted.sensor, wanted.request, wanted.sample); });
-        result.rendered_ms = ms_between(begun, Clock::now());
-    };
-    const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
-    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    result.queued_ms = ms_between(asked, begun);
-    return result;
+    return timed<RenderedScan>(place, context, [&](RenderedScan& scan) {
+        use(scenes, wanted, [&](ScanRenderer& renderer) { scan = renderer.render(*wanted.sensor, wanted.request, wanted.sample); });
+    });
 }
 
 Timed<PointScan> render_points(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked;
-    Timed<PointScan> result;
-    const auto begin = [&] {
-        begun = Clock::now();
+    const auto begin = [&](PointScan&) {
         use(scenes, wanted, [&](ScanRenderer& renderer) {
             renderer.ask_points(*wanted.sensor, wanted.request, wanted.points_at_s, wanted.sample);
         });
     };
-    const auto finish = [&] {
-        scenes.use_again(wanted.scene, [&](ScanRenderer& renderer) { result.scan = renderer.take_points(); });
-        result.rendered_ms = ms_between(begun, Clock::now());
+    const auto finish = [&](PointScan& scan) {
+        scenes.use_again(wanted.scene, [&](ScanRenderer& renderer) { scan = renderer.take_points(); });
     };
-    const WorkEnd end = place.run(WorkInTwo{begin, finish, wanted.scene}, [&] { return is_wanted(context); });
-    if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    result.queued_ms = ms_between(asked, begun);
-    return result;
+    return timed<PointScan>(place, context, begin, finish, wanted.scene);
 }
 
 }  // namespace relidar::serve
