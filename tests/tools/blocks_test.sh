@@ -21,7 +21,7 @@ source "$tests/checks.sh"
 
 # Settings that train on this street within seconds, the same way each time.
 settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true
-    --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_every=2)
+    --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_every=2 --set init.voxel_m=0.3 --set blocks.actor_epochs=1)
 
 # same RUN: its surfels and poses are those of `one`, to the bit.
 same() {

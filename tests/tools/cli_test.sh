@@ -790,7 +790,7 @@ resuming() {
 network_resuming() {
     local few=(--preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
-    stop_in_network train street --out half "${few[@]}" --set refine.epochs=40 --no-eval
+    stop_in_network train street --out half "${few[@]}" --set refine.epochs=15 --no-eval
     check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; half holds the scene; continue with: relidar train --resume half$" err
     absent half/drop_network.safetensors
     rm -rf whole other && cp -r half whole && rm -r whole/checkpoints && cp -r half other
@@ -804,9 +804,9 @@ network_resuming() {
     good train --resume half
     says "nothing to do"
     good train --resume other --no-eval --set refine.epochs=1
-    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: resuming the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 40 as in the checkpoint; the network is trained from the beginning" err
+    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: resuming the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is trained from the beginning" err
     exists other/drop_network.safetensors
-    stop_in_network refine other --no-eval --set refine.epochs=40
+    stop_in_network refine other --no-eval --set refine.epochs=15
     check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: other has the network it had; continue with: relidar refine --resume other$" err
     bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.batch: found 5" refine --resume other --set refine.batch=5
     good refine --resume other --no-eval
@@ -872,7 +872,7 @@ bench() {
 }
 
 demo() {
-    good demo --out demo --iterations 2 --set init.voxel_m=0.5
+    good demo --out demo --iterations 2 --set init.voxel_m=0.5 --set refine.epochs=1
     for file in report.html street/street.toml run/model.safetensors run/report.html run/metrics.json; do exists demo/$file; done
     for folder in held_out shifted; do
         for format in npz png ply exr; do exists demo/$folder/frame_000010.$format; done

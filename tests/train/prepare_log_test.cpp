@@ -58,7 +58,7 @@ private:
 
 /// Long enough for two stretches. Its poses drift, its movers have no label, its beams are off.
 Sequence street() {
-    Sequence street = make_synthetic_street({.n_frames = 450, .rows = 32, .columns = 256, .range_noise_m = 0.01});
+    Sequence street = make_synthetic_street({.n_frames = 400, .rows = 32, .columns = 128, .range_noise_m = 0.01});
     street.boxes.clear();
     PoseTrack track = street.world_from_vehicle;
     for (std::size_t k = 0; k < track.pose.size(); ++k) track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));

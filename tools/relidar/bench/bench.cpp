@@ -9,6 +9,7 @@
 
 #include "bench/actors.hpp"
 #include "bench/case.hpp"
+#include "bench/floor.hpp"
 #include "bench/measure.hpp"
 #include "bench/scans.hpp"
 #include "bench/serve.hpp"
@@ -105,7 +106,8 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.scans.n_scans != 0) return bench_scans(options, device, command_line);
     if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const BenchCase bench = make_case(options.choice);
-    const BenchResult result = measure(device, bench, settings);
+    BenchResult result = measure(device, bench, settings);
+    result.copy_bytes_per_s = copy_bytes_per_s(device);   // now that the case has left the memory
     end_progress_line();
     if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
     if (!settings.quiet) print(bench_text(bench, result, device));

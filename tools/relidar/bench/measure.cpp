@@ -324,9 +324,7 @@ Spread spread_of(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
-namespace {
-
-BenchResult measure_case(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
+BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
     Progress(settings.quiet).show("warming up");
     Bench bench(device, bench_case);
@@ -346,14 +344,6 @@ BenchResult measure_case(Device& device, const BenchCase& bench_case, const Benc
     }
     BenchResult result = bench.result();
     result.device_clock = device_clock;
-    return result;
-}
-
-}  // namespace
-
-BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
-    BenchResult result = measure_case(device, bench_case, settings);
-    result.copy_bytes_per_s = copy_bytes_per_s(device);   // now that the case has left the memory
     return result;
 }
 

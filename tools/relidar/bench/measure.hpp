@@ -63,7 +63,7 @@ struct BenchResult {
     std::optional<BenchVisits> visits;   ///< software traversal alone
     BenchMemory memory;
     FloorSizes sizes;
-    std::optional<double> copy_bytes_per_s;   ///< read and written together
+    std::optional<double> copy_bytes_per_s;   ///< read and written together; of the device, not of the case: measure() leaves it out
 };
 
 struct BenchSettings {
