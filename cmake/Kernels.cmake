@@ -41,14 +41,15 @@ function(_relidar_compile name source defines)
     set(flags --target-env vulkan1.3 -I${PROJECT_SOURCE_DIR}/include $<$<BOOL:${RELIDAR_SHADER_DEBUG}>:-g>)
     set(check "")
     if(RELIDAR_SPIRV_VAL)
-        set(check COMMAND ${RELIDAR_GLSLANG} --quiet ${flags} ${defines} -o ${header}.spv ${source}
-                  COMMAND ${RELIDAR_SPIRV_VAL} --target-env vulkan1.3 --scalar-block-layout ${header}.spv)
+        set(check COMMAND ${RELIDAR_SPIRV_VAL} --target-env vulkan1.3 --scalar-block-layout ${header}.spv)
     endif()
     add_custom_command(
-        OUTPUT ${header}
-        COMMAND ${RELIDAR_GLSLANG} --quiet ${flags} ${defines} --depfile ${header}.d --vn ${symbol} -o ${header} ${source}
+        OUTPUT ${header}.spv ${header}   # in this order: the depfile is of the first
+        COMMAND ${RELIDAR_GLSLANG} --quiet ${flags} ${defines} --depfile ${header}.d -o ${header}.spv ${source}
         ${check}
-        DEPENDS ${source}
+        COMMAND ${CMAKE_COMMAND} -DSPIRV=${header}.spv -DHEADER=${header} -DSYMBOL=${symbol}
+            -P ${PROJECT_SOURCE_DIR}/cmake/KernelHeader.cmake
+        DEPENDS ${source} ${PROJECT_SOURCE_DIR}/cmake/KernelHeader.cmake
         DEPFILE ${header}.d
         COMMENT "Kernel ${name}"
         COMMAND_EXPAND_LISTS VERBATIM)

@@ -60,7 +60,7 @@ Run trained(Device& device, Sequence street) {
 const Run& weak_run(Device& device) {
     static const Run run = [&] {
         Run made = trained(device, weak_street());
-        made.config.refine.epochs = 60;
+        made.config.refine.epochs = 30;
         made.config.refine.rate = 0.01;
         return made;
     }();
