@@ -6,15 +6,12 @@
 #include <filesystem>
 #include <new>
 
-#ifdef __GLIBC__
-#include <malloc.h>
-#endif
-
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include "command.hpp"
 #include "console.hpp"
+#include "freed_memory.hpp"
 #include "usage.hpp"
 
 namespace {
@@ -33,17 +30,6 @@ constexpr const char* kFooter =
     "  relidar edit run --out empty --remove 0       remove, move, copy, insert actors; render the result\n"
     "  relidar serve run                             scans for simulators, by gRPC\n"
     "`relidar COMMAND --help` says more. Exit codes: 0 done, 1 fault of relidar, 2 usage, 3 data, 4 device, 130 interrupted.";
-
-/// Memory that one stage frees is kept for the next. Arrays of a whole log come and go in each of them, and pages that the system takes
-/// back and hands out again cost a fifth to a third of a registration's time.
-void keep_freed_memory() {
-#ifdef __GLIBC__
-    constexpr int kMiB = 1 << 20;
-    mallopt(M_MMAP_THRESHOLD, 256 * kMiB);
-    mallopt(M_TRIM_THRESHOLD, 512 * kMiB);
-    mallopt(M_TOP_PAD, 64 * kMiB);
-#endif
-}
 
 std::string typed(int argc, char** argv) {
     std::string text = "relidar";
@@ -84,7 +70,7 @@ int report(ExitCode code, const std::string& message) {
 }  // namespace
 
 int main(int argc, char** argv) {
-    keep_freed_memory();
+    cli::keep_freed_memory();
     try {
         run(argc, argv);
         return static_cast<int>(ExitCode::ok);

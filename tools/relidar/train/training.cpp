@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "console.hpp"
+#include "freed_memory.hpp"
 #include "interrupt.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
@@ -79,6 +80,7 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,
                          bool quiet, TrainSession session) {
+    give_back_freed_memory();
     LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
     session.progress = shown_by(progress);
