@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What becomes of memory that was freed. Arrays of a whole log come and go in every stage; pages that go back to the system between two of
-// them are made anew, a fifth to a third of the time that a registration takes. Only glibc is told; elsewhere both do nothing.
+// them are made anew, a fifth to a third of the time that a registration takes. Only glibc is told; elsewhere both do
+// nothing. Tests run with the same limits (GLIBC_TUNABLES in CMakePresets.json).
 #pragma once
 
 #include <cstddef>   // defines __GLIBC__
