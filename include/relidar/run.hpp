@@ -40,6 +40,7 @@ struct Run {
     DropNetwork drop_network{};     ///< corrects ray-drop; empty: there is none
     Coverage coverage{};            ///< where training scans have looked; empty: not known, as of runs made before it was kept
     std::vector<IntensityScatter> intensity_scatter{};   ///< [lidars] empty: not known, as of runs made before it was kept
+    bool held_out_placed = false;   ///< place_held_out() has been asked: what comes behind training is not done twice
     std::string refined_poses{};    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
 
     /// The scene with the tracks of its actors, as edits take it and give it back: run.replace(remove_track(run.driving(), "0")).

@@ -123,6 +123,7 @@ Run load_run(const fs::path& folder, const std::function<void(const std::string&
     run.sequence = std::move(scene.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
+    run.held_out_placed = scene.held_out_placed;
     run.refined_poses = std::move(scene.refined_poses);
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)

@@ -285,6 +285,7 @@ std::string to_scene_json(const Run& run) {
                  {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {{"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
+    if (run.held_out_placed) json["held_out_placed"] = true;
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
@@ -315,6 +316,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     if (root.has("range_noise"))   // of all LiDARs, as earlier versions have it
         for (Lidar& lidar : s.lidars) lidar.range_noise = read_range_noise(root.at("range_noise"));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
+    scene.held_out_placed = root.has("held_out_placed") && root.at("held_out_placed").boolean();
     if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
     check_counts(root, scene);
     scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").integer(0, 4294967295));

@@ -16,6 +16,7 @@ struct SceneFile {
     Sequence sequence;     ///< frames without scans
     Split split;
     std::vector<RunEdit> edits;
+    bool held_out_placed = false;
     std::string refined_poses;
     std::size_t n_surfels = 0;
 };

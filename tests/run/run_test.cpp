@@ -107,6 +107,13 @@ std::vector<IntensityScatter> example_scatter() {
     return {scatter};
 }
 
+TEST_F(RunFolder, KnowsWhetherHeldOutScansWerePlaced) {
+    EXPECT_FALSE(load_run(run.folder).held_out_placed);
+    run.held_out_placed = true;
+    save_run(run);
+    EXPECT_TRUE(load_run(run.folder).held_out_placed);
+}
+
 TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
     EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty()) << "as of runs made before it was kept";
     run.intensity_scatter = example_scatter();

@@ -37,6 +37,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     const relidar::Run before = run;
     const HeldOutPlacement placed = place_held_out(device(), run);
     ASSERT_EQ(placed.scans, run.split.test.size());
+    EXPECT_TRUE(run.held_out_placed);
     EXPECT_EQ(placed.placed, placed.scans);
     const double off_m = glm::length(glm::dvec3(off[0], off[1], off[2]));
     EXPECT_NEAR(placed.median_m, off_m, 0.006);
@@ -67,9 +68,11 @@ TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
     int asked = 0;
     EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++asked > 1; }}).scans, 0u);
     EXPECT_TRUE(stays()) << "stopped at the second scan";
+    EXPECT_FALSE(run.held_out_placed);
     run.config.train.place_held_out = false;
     EXPECT_EQ(place_held_out(device(), run).scans, 0u);
     EXPECT_TRUE(stays());
+    EXPECT_TRUE(run.held_out_placed) << "it was asked, and there was nothing to do";
     run.config.train.place_held_out = true;
     run.config.train.pose_register = false;
     EXPECT_EQ(place_held_out(device(), run).scans, 0u);

@@ -146,12 +146,10 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     end_progress_line();
     Run run{run_folder.path(), config, std::move(sequence), split, {}, {}};
     take_result(run, result);
-    if (!result.interrupted) {
-        place_shown(device, run, options.quiet);
-        learn_scatter_shown(device, run, options.quiet);
-    }
     save_run(run);
     stop_if_interrupted();
+    StageTimes stages;
+    complete_scene_shown(device, run, options.quiet, stages);
     if (config.refine.enabled && refine_shown(device, run, options.quiet)) save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);

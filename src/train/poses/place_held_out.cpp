@@ -61,8 +61,10 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     HeldOutPlacement result;
     const Config& config = run.config;
     if (!config.train.place_held_out || !registers_sensor(config.train) ||
-        !kind_of(config.image.primitive).has_normals)
+        !kind_of(config.image.primitive).has_normals) {
+        run.held_out_placed = true;
         return result;
+    }
     const RegisterOptions options = register_options(run.sequence, config);
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
@@ -83,6 +85,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     }
     if (session.progress) session.progress("placing held-out scans", 1.0);
     run.sequence.world_from_vehicle = std::move(track);
+    run.held_out_placed = true;
     result.placed = moved_m.size();
     if (moved_m.empty()) return result;
     std::sort(moved_m.begin(), moved_m.end());

@@ -100,7 +100,8 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
     return true;
 }
 
-/// Whether a run has its scene, of these settings and this log, and lacks what comes after it: the network, scores, the report.
+/// Whether a run has its scene, of these settings and this log, and lacks what comes after it: held-out scans on it, the scatter of its
+/// intensities, the network, scores, the report.
 bool has_scene(const fs::path& folder, const Config& config) {
     if (!is_file(folder / "scene.json") || is_file(folder / "report.html") || last_logged_iteration(folder) < config.train.iterations)
         return false;
@@ -242,7 +243,7 @@ TrainResult logged_result(const fs::path& folder) {
     return result;
 }
 
-/// Goes on where the scene is done: with the network, unless that is done too, scores and report.
+/// Goes on where the scene is trained: with what it lacks of what comes after that.
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
     Run run = load_run(options.out, note);
@@ -260,6 +261,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
         print("resume  behind the last iteration\n");
     }
     catch_interrupts();
+    if (!run.held_out_placed) complete_scene_shown(device, run, options.quiet, stages, resume_command(options));
     if (has_network) remove_network_checkpoints(run.folder);   // where a process was killed just before it would have done so
     else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
@@ -327,12 +329,9 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     end_progress_line();
     start.reset();
     if (!in_blocks) take_result(run, result);
-    stages.begin("place");
-    if (!result.interrupted) place_shown(device, run, options.quiet);
-    stages.begin("scatter");
-    if (!result.interrupted) learn_scatter_shown(device, run, options.quiet);
     stages.begin("save");
     save_run(run);
+    if (!result.interrupted) complete_scene_shown(device, run, options.quiet, stages, resume_command(options));
     if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options, stages);
     finish(device, run, result, options, command_line, stages);
 }

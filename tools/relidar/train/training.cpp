@@ -64,6 +64,17 @@ private:
     bool lost_ = false;
 };
 
+/// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them where they are.
+void place_shown(Device& device, Run& run, bool quiet) {
+    Progress progress(quiet);
+    const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
+    end_progress_line();
+    if (quiet || placed.scans == 0) return;
+    print(fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n", placed.placed,
+                      placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    std::fflush(stdout);
+}
+
 }  // namespace
 
 void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const ProcessGroup& group,
@@ -98,20 +109,23 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     return result;
 }
 
-void place_shown(Device& device, Run& run, bool quiet) {
-    Progress progress(quiet);
-    const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
-    end_progress_line();
-    if (quiet || placed.scans == 0) return;
-    print(fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n", placed.placed,
-                      placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
-    std::fflush(stdout);
-}
-
 void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
     end_progress_line();
+}
+
+void complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages, const std::string& resume) {
+    stages.begin("place");
+    place_shown(device, run, quiet);
+    stages.begin("scatter");
+    learn_scatter_shown(device, run, quiet);
+    if (interrupted())
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted while held-out scans were placed and scatter was learnt; {} holds the scene{}",
+                                run.folder.string(), resume.empty() ? "" : "; continue with: " + resume));
+    stages.begin("save");
+    save_run(run);
 }
 
 void check_network(const Device& device, const Config& config) {
