@@ -54,8 +54,9 @@ version=$("$relidar" --version)
 [[ $(zcat root/usr/share/doc/relidar/changelog.gz) == "relidar ($(field Version)) "* ]] || fail "the newest entry of the changelog is not of $(field Version)"
 readelf -d "$relidar" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p' >needed
 [[ -s needed ]] || fail "the program needs no shared library"
+sed 's|^|*/|' needed | tr '\n' '\0' | xargs -0 dpkg -S >owners
 while read -r library; do
-    owners=$(dpkg -S "*/$library" | sed 's/:.*//' | sort -u)   # more than one where other architectures are installed too
+    owners=$(sed -n "s|:.*/$library\$||p" owners | sort -u)   # more than one where other architectures are installed too
     field Depends | tr ',' '\n' | sed 's/(.*//; s/ //g' | grep -xF "$owners" >/dev/null || fail "Depends has none of $owners for $library: $(field Depends)"
 done <needed
 [[ " $(field Depends)," == *" libvulkan1,"* ]] || fail "Depends lacks libvulkan1: $(field Depends)"

@@ -13,8 +13,8 @@ namespace {
 
 class PlaceHeldOut : public test::DeviceTest {};
 
-/// Trained with exact poses; then those of the held-out frames are made wrong.
-Run off_run(Device& device, const Twist& off) {
+/// Trained with exact poses.
+Run trained_run(Device& device) {
     Run run;
     run.sequence = make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 48, .columns = 512, .range_noise_m = 0.01});
     run.split = split_frames(run.sequence, 4);
@@ -23,6 +23,13 @@ Run off_run(Device& device, const Twist& off) {
     run.config.train.refine_poses = "none";
     run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
     run.config.train.refine_poses = "sensor";
+    return run;
+}
+
+/// One training for all tests; then the poses of the held-out frames are made wrong.
+Run off_run(Device& device, const Twist& off) {
+    static const Run trained = trained_run(device);
+    Run run = trained;
     for (const int k : run.split.test) {
         Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
         pose = moved(pose, off);
