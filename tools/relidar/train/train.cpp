@@ -152,6 +152,12 @@ TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& op
     }
 }
 
+/// What Ctrl-C ends once the scene is saved.
+Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
+    return Error(ExitCode::interrupted, fmt::format("interrupted while {}; {} holds the scene; continue with: {}", what,
+                                                    run.folder.string(), resume_command(options)));
+}
+
 /// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
@@ -159,7 +165,13 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     ScanRenderer renderer(device, run);
     Progress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
-    Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    Evaluation evaluation;
+    try {
+        evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    } catch (const Error& error) {
+        if (error.code() != ExitCode::interrupted) throw;
+        throw interrupted_while("held-out frames were scored", run, options);
+    }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     write_text(run.folder / "metrics.json",
                metrics_json(evaluation, config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
@@ -220,9 +232,7 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
                           {.checkpoints = network_checkpoint_folder(run.folder),
                            .start = start ? &*start : nullptr,
                            .stages = &stages}))
-            throw Error(ExitCode::interrupted,
-                        fmt::format("interrupted while the ray-drop network was trained; {} holds the scene; continue with: {}",
-                                    run.folder.string(), resume_command(options)));
+            throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         remove_network_checkpoints(run.folder);   // it would end the same
         return leave_out(error);
