@@ -12,7 +12,7 @@
     TERM(2u, drop, drop, image, 0.01f, at_least(0), "weight of the ray-drop term, cross-entropy on all rays") \
     TERM(3u, opacity, opacity, image, 0.0f, at_least(0), expert("weight of (1 - W)^2 on returned rays")) \
     TERM(4u, ssim, intensity_ssim, image, 0.0f, between(0, 1), \
-         expert("share of 1 - SSIM in the intensity term, the rest is L1; of a sensor with image order; 0: paper")) \
+         expert("share of 1 - SSIM in the intensity term, beside Huber or L1; of a sensor with image order; 0: paper")) \
     TERM(5u, box, box, surfel, 0.0f, at_least(0), expert("weight of actors' surfels leaving their box; 0: paper")) \
     TERM(6u, chamfer, chamfer, chamfer, 0.01f, at_least(0), \
          expert("weight of the Chamfer distance between simulated and measured points, squared metres")) \
