@@ -224,6 +224,9 @@ endif()
 if(RELIDAR_ONEDNN AND NOT RELIDAR_FOR_PACKAGE)
     # not its package: that one asks for the headers of OpenCL
     relidar_dependency(onednn APT libdnnl-dev HEADER oneapi/dnnl/dnnl.hpp LIBRARY dnnl)
+    if(TARGET relidar::dep_onednn)
+        target_include_directories(relidar::dep_onednn INTERFACE ${CMAKE_CURRENT_LIST_DIR})   # onednn_primitive.hpp
+    endif()
 endif()
 
 if(RELIDAR_MISSING_DEPENDENCIES AND NOT RELIDAR_FOR_PACKAGE)

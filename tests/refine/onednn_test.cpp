@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The layers of the ray-drop network against oneDNN. It knows no ring of columns: images are given some columns of the other end on both
 // sides, and what it makes of those is left out, or of gradients added where they came from.
-#include <oneapi/dnnl/dnnl.hpp>
+#include <onednn_primitive.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/stream.hpp"
@@ -94,13 +94,13 @@ protected:
                            of_weights({d_to.channels, plain.channels, side, side}, memory::data_type::f32, memory::format_tag::oihw),
                            of_bias({d_to.channels}, memory::data_type::f32, memory::format_tag::x);
         const memory::dims strides{1, 1}, ends{reach, 0};
-        const dnnl::convolution_forward::primitive_desc forward(
-            {prop_kind::forward_training, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides, ends, ends},
-            engine_);
-        const dnnl::convolution_backward_data::primitive_desc by_input(
-            {algorithm::convolution_direct, of_from, of_weights, of_to, strides, ends, ends}, engine_, forward);
-        const dnnl::convolution_backward_weights::primitive_desc by_weights(
-            {algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides, ends, ends}, engine_, forward);
+        const auto forward =
+            onednn::describe<dnnl::convolution_forward>(engine_, prop_kind::forward_training, algorithm::convolution_direct, of_from,
+                                                        of_weights, of_bias, of_to, strides, ends, ends);
+        const auto by_input = onednn::describe_backward<dnnl::convolution_backward_data>(
+            engine_, forward, algorithm::convolution_direct, of_from, of_weights, of_to, strides, ends, ends);
+        const auto by_weights = onednn::describe_backward<dnnl::convolution_backward_weights>(
+            engine_, forward, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides, ends, ends);
         memory in = given(from), w = given(of_weights, weights), b = given(of_bias, bias), asked = given(d_to), out = empty(of_to),
                d_in = empty(of_from), d_w = empty(of_weights), d_b = empty(of_bias);
         execute(dnnl::convolution_forward(forward),
@@ -158,14 +158,18 @@ protected:
     /// ReLU by hand.
     NormAnswers ask(const ImageBatch& from, const std::vector<double>& gamma_beta, const ImageBatch& d_to) {
         const memory::desc of_images = images_like(from);
-        const auto flags = dnnl::normalization_flags::use_scale_shift;
-        const dnnl::batch_normalization_forward::primitive_desc forward({prop_kind::forward_training, of_images, 1e-5f, flags}, engine_);
-        const dnnl::batch_normalization_backward::primitive_desc backward({prop_kind::backward, of_images, of_images, 1e-5f, flags},
-                                                                          engine_, forward);
-        memory in = given(from), scale = given(forward.weights_desc(), gamma_beta), out = empty(of_images), d_in = empty(of_images),
-               mean = empty(forward.mean_desc()), variance = empty(forward.variance_desc()), d_scale = empty(backward.diff_weights_desc());
+        const auto flags = dnnl::normalization_flags::use_scale | dnnl::normalization_flags::use_shift;
+        const auto forward = onednn::describe_norm(engine_, of_images, 1e-5f, flags);
+        const auto backward = onednn::describe_norm_backward(engine_, forward, of_images, 1e-5f, flags);
+        const memory::desc of_channels({from.channels}, memory::data_type::f32, memory::format_tag::x);
+        const auto beta = gamma_beta.begin() + from.channels;
+        memory in = given(from), scale = given(of_channels, {gamma_beta.begin(), beta}),
+               shift = given(of_channels, {beta, gamma_beta.end()}), out = empty(of_images), d_in = empty(of_images),
+               mean = empty(forward.mean_desc()), variance = empty(forward.variance_desc()), d_scale = empty(of_channels),
+               d_shift = empty(of_channels);
         execute(dnnl::batch_normalization_forward(forward), {{DNNL_ARG_SRC, in},
-                                                             {DNNL_ARG_SCALE_SHIFT, scale},
+                                                             {DNNL_ARG_SCALE, scale},
+                                                             {DNNL_ARG_SHIFT, shift},
                                                              {DNNL_ARG_MEAN, mean},
                                                              {DNNL_ARG_VARIANCE, variance},
                                                              {DNNL_ARG_DST, out}});
@@ -179,10 +183,15 @@ protected:
                                                                {DNNL_ARG_MEAN, mean},
                                                                {DNNL_ARG_VARIANCE, variance},
                                                                {DNNL_ARG_DIFF_DST, d_out},
-                                                               {DNNL_ARG_SCALE_SHIFT, scale},
+                                                               {DNNL_ARG_SCALE, scale},
+                                                               {DNNL_ARG_SHIFT, shift},
                                                                {DNNL_ARG_DIFF_SRC, d_in},
-                                                               {DNNL_ARG_DIFF_SCALE_SHIFT, d_scale}});
-        return {to, images_of(d_in, from), values_of(d_scale, gamma_beta.size())};
+                                                               {DNNL_ARG_DIFF_SCALE, d_scale},
+                                                               {DNNL_ARG_DIFF_SHIFT, d_shift}});
+        std::vector<double> d_gamma_beta = values_of(d_scale, std::size_t(from.channels));
+        const std::vector<double> d_beta = values_of(d_shift, std::size_t(from.channels));
+        d_gamma_beta.insert(d_gamma_beta.end(), d_beta.begin(), d_beta.end());
+        return {to, images_of(d_in, from), d_gamma_beta};
     }
 };
 
@@ -225,13 +234,13 @@ TEST_F(OneDnnResample, PoolingAgrees) {
         const ImageBatch values = test::random_images(grid, 3, 1), asked = test::random_images(refine::pooled(grid), 3, 2);
         const memory::desc of_from = images_like(values), of_to = images_like(asked);
         const memory::dims two{2, 2}, none{0, 0};
-        const dnnl::pooling_forward::primitive_desc forward(
-            {prop_kind::forward_training, algorithm::pooling_max, of_from, of_to, two, two, none, none}, engine_);
-        const dnnl::pooling_backward::primitive_desc backward({algorithm::pooling_max, of_from, of_to, two, two, none, none}, engine_,
-                                                              forward);
+        const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training, algorithm::pooling_max,
+                                                                       of_from, of_to, two, two, none, none, none);
+        const auto backward = onednn::describe_backward<onednn::pooling_backward>(engine_, forward, algorithm::pooling_max, of_from, of_to,
+                                                                                  two, two, none, none, none);
         memory in = given(values), d_out = given(asked), out = empty(of_to), d_in = empty(of_from), which = empty(forward.workspace_desc());
-        execute(dnnl::pooling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
-        execute(dnnl::pooling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
+        execute(onednn::pooling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
+        execute(onednn::pooling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
         refine::Resample resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), refine::pooled(grid), 3),
@@ -253,9 +262,10 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         const ImageBatch values = test::random_images(size.small, 3, 1), asked = test::random_images(size.large, 3, 2);
         const ImageBatch wide = ringed(values, 1), wide_asked = cropped(asked, -2);
         const memory::desc of_from = images_like(wide), of_to = images_like(wide_asked);
-        const dnnl::resampling_forward::primitive_desc forward({prop_kind::forward_training, algorithm::resampling_linear, of_from, of_to},
-                                                               engine_);
-        const dnnl::resampling_backward::primitive_desc backward({algorithm::resampling_linear, of_from, of_to}, engine_, forward);
+        const auto forward = onednn::describe<dnnl::resampling_forward>(engine_, prop_kind::forward_training, algorithm::resampling_linear,
+                                                                        of_from, of_to);
+        const auto backward =
+            onednn::describe_backward<dnnl::resampling_backward>(engine_, forward, algorithm::resampling_linear, of_from, of_to);
         memory in = given(wide), d_out = given(wide_asked), out = empty(of_to), d_in = empty(of_from);
         execute(dnnl::resampling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}});
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});

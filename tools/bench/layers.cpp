@@ -3,7 +3,7 @@
 // by the input and by the weights. oneDNN chooses its own layouts, in which its values already lie; the columns that make a ring of
 // the image's are there, too. Times by the wall, and of all cores in this process, where a GPU's is not counted. OMP_WAIT_POLICY=passive
 // keeps oneDNN's threads from spinning in the device's turn.
-#include <oneapi/dnnl/dnnl.hpp>
+#include <onednn_primitive.hpp>
 
 #include <cmath>
 #include <ctime>
@@ -33,13 +33,13 @@ public:
           of_to_(any({1, size.n_out, size.rows, size.columns})),
           of_weights_(any({size.n_out, size.n_in, 3, 3})) {
         const memory::dims strides{1, 1}, ends{1, 0};
-        const dnnl::convolution_forward::primitive_desc forward({dnnl::prop_kind::forward_training, algorithm::convolution_direct, of_from_,
-                                                                 of_weights_, of_to_, strides, ends, ends},
-                                                                engine_);
-        const dnnl::convolution_backward_data::primitive_desc by_input(
-            {algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends}, engine_, forward);
-        const dnnl::convolution_backward_weights::primitive_desc by_weights(
-            {algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends}, engine_, forward);
+        const auto forward =
+            onednn::describe<dnnl::convolution_forward>(engine_, dnnl::prop_kind::forward_training, algorithm::convolution_direct, of_from_,
+                                                        of_weights_, of_to_, strides, ends, ends);
+        const auto by_input = onednn::describe_backward<dnnl::convolution_backward_data>(
+            engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends);
+        const auto by_weights = onednn::describe_backward<dnnl::convolution_backward_weights>(
+            engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends);
         passes_ = {{dnnl::convolution_forward(forward),
                     {{DNNL_ARG_SRC, filled(forward.src_desc())}, {DNNL_ARG_WEIGHTS, filled(forward.weights_desc())},
                      {DNNL_ARG_DST, filled(forward.dst_desc())}}},
