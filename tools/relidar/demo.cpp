@@ -150,6 +150,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     stop_if_interrupted();
     StageTimes stages;
     complete_scene_shown(device, run, options.quiet, stages);
+    stop_if_interrupted();
     if (config.refine.enabled && refine_shown(device, run, options.quiet)) save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);

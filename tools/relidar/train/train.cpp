@@ -158,6 +158,12 @@ Error interrupted_while(const char* what, const Run& run, const TrainOptions& op
                                                     run.folder.string(), resume_command(options)));
 }
 
+/// What a trained scene gets before its network.
+void complete_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
+    if (!complete_scene_shown(device, run, options.quiet, stages))
+        throw interrupted_while("held-out scans were placed and scatter was learnt", run, options);
+}
+
 /// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
@@ -271,7 +277,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
         print("resume  behind the last iteration\n");
     }
     catch_interrupts();
-    if (!run.held_out_placed) complete_scene_shown(device, run, options.quiet, stages, resume_command(options));
+    if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
     if (has_network) remove_network_checkpoints(run.folder);   // where a process was killed just before it would have done so
     else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
@@ -341,7 +347,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (!in_blocks) take_result(run, result);
     stages.begin("save");
     save_run(run);
-    if (!result.interrupted) complete_scene_shown(device, run, options.quiet, stages, resume_command(options));
+    if (!result.interrupted) complete_or_tell(device, run, options, stages);
     if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options, stages);
     finish(device, run, result, options, command_line, stages);
 }

@@ -115,17 +115,15 @@ void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     end_progress_line();
 }
 
-void complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages, const std::string& resume) {
+bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages) {
     stages.begin("place");
     place_shown(device, run, quiet);
     stages.begin("scatter");
     learn_scatter_shown(device, run, quiet);
-    if (interrupted())
-        throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted while held-out scans were placed and scatter was learnt; {} holds the scene{}",
-                                run.folder.string(), resume.empty() ? "" : "; continue with: " + resume));
+    if (interrupted()) return false;
     stages.begin("save");
     save_run(run);
+    return true;
 }
 
 void check_network(const Device& device, const Config& config) {

@@ -24,9 +24,9 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 void learn_scatter_shown(Device& device, Run& run, bool quiet);
 
 /// What a trained scene that is saved gets before its network: place_held_out() and learn_scatter(), with progress lines, telling how far
-/// scans moved. Saves the run once it has both. @throws Error with exit code 130 after Ctrl-C, and the folder has the scene without either
-/// @param stages  "place", "scatter", "save" @param resume  the command that goes on, for the message; empty: none
-void complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages, const std::string& resume = "");
+/// scans moved. Saves the run once it has both. @return whether it was not interrupted: the folder then has the scene without either
+/// @param stages  "place", "scatter", "save"
+bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages);
 
 /// @throws DeviceError where this device or build cannot train the network that a training ends with: before that training
 void check_network(const Device& device, const Config& config);
