@@ -115,8 +115,8 @@ TEST_F(Sensorsim, SweepFillsTheFrameFromItsStartToItsEnd) {
         const auto points = values<glm::vec3>(render(request).xyz_buffer());
         ASSERT_GT(points.size(), 1000u);
         double worst = 0.0;
-        for (const glm::vec3& point : points) {
-            const glm::dvec3 on_wall = glm::dvec3(point) + glm::dvec3(kWay_m, 0.0, 0.0);
+        for (std::size_t i = 0; i < points.size(); i += 7) {   // no divisor of the number of beams
+            const glm::dvec3 on_wall = glm::dvec3(points[i]) + glm::dvec3(kWay_m, 0.0, 0.0);
             double least = kPi;
             for (const Beam& beam : beams) least = std::min(least, off_beam(beam, on_wall, kWay_m));
             worst = std::max(worst, least);

@@ -40,7 +40,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
         {.seed = 3, .n_frames = 20, .rows = 64, .columns = 512, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true});
     const Split split = split_frames(street, 6);
     Config config = make_preset("quick");
-    config.train.iterations = 200;
+    config.train.iterations = 110;
     config.train.refine_poses = "none";
     const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);

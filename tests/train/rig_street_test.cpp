@@ -59,7 +59,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     ASSERT_EQ(street.lidars.size(), 4u);
     const Split split = split_frames(street, 10);
     ASSERT_EQ(split.test.size(), 4u);
-    const Config config = rig_config(200);
+    const Config config = rig_config(100);
     prepare_log(street, split, config, {});
     const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
