@@ -89,7 +89,8 @@ private:
 
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
-        return std::size_t(row) * std::size_t(columns) + std::size_t((column % columns + columns) % columns);
+        if (column < 0 || column >= columns) column = (column % columns + columns) % columns;   // few are: a division takes as long as the rest
+        return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
     float own(std::size_t k, std::size_t i) const {
         const std::array<const std::vector<float>*, kOwn> values{&scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine,
