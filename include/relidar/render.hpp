@@ -48,6 +48,25 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
+/// Where the sensor was at the rays of a scan, asked one after the other. The rays of a column mostly are fired at the same time, and rows
+/// follow each other: a pose is interpolated once a time. For one thread.
+class FiringPoses {
+public:
+    /// @param scan  outlives this @param target_from_dataset  the frame that poses are wanted in
+    explicit FiringPoses(const RenderedScan& scan, const Pose& target_from_dataset = {});
+    /// target_from_dataset * scan.world_from_firing(ray), until the next call.
+    const Pose& at(std::size_t ray);
+
+private:
+    struct Made {
+        float time_offset_s;   ///< not a number: none yet
+        Pose target_from_firing;
+    };
+    const RenderedScan& scan_;
+    const Pose target_from_dataset_;
+    std::vector<Made> made_;   ///< of each column; a single one of a scan without rows, or of a sensor that stands
+};
+
 /// Above this share of rays that look where no ray of the log did (RenderedScan::unseen_share), a user is warned. The log's own sensor on
 /// its way has less than a hundredth of them, in the next lane some hundredths.
 inline constexpr double kMuchUnseen = 0.2;

@@ -1,20 +1,41 @@
 // SPDX-License-Identifier: Apache-2.0
 // The points of a scan on the host.
+#include <algorithm>
+
 #include <relidar/render.hpp>
 
+#include "core/parallel.hpp"
+
 namespace relidar {
+namespace {
+
+constexpr std::size_t kRaysTogether = 16384;   // so many that the poses of a row are worth keeping
+
+/// [n] Where the rays that return meet something, in the frame of the points.
+std::vector<glm::vec3> placed_returns(const RenderedScan& scan, const std::vector<float>& range_m, const Pose& points_from_dataset) {
+    std::vector<glm::vec3> position_m(range_m.size());
+    run_parallel(int((range_m.size() + kRaysTogether - 1) / kRaysTogether), [&](int block) {
+        FiringPoses points_from_firing(scan, points_from_dataset);
+        const std::size_t first = std::size_t(block) * kRaysTogether, end = std::min(first + kRaysTogether, range_m.size());
+        for (std::size_t i = first; i < end; ++i) {
+            if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
+            const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[i]) + double(range_m[i]) * glm::dvec3(scan.image.direction[i]);
+            position_m[i] = glm::vec3(points_from_firing.at(i) * seen_m);
+        }
+    });
+    return position_m;
+}
+
+}  // namespace
 
 PointScan returned_points(const RenderedScan& scan, const Config& config, const Pose& dataset_from_points) {
-    PointScan result{{}, dataset_from_points, scan.time_s, scan.image.range_m.size(), scan.unseen_share};
-    const Pose points_from_dataset = inverse(dataset_from_points);
-    const bool stands = scan.track.pose.size() < 2;
-    const Pose standing = points_from_dataset * (scan.time_offset_s.empty() ? scan.world_from_sensor : scan.world_from_firing(0));
     const std::vector<float>& range_m = point_ranges(scan, config);
+    const std::vector<glm::vec3> position_m = placed_returns(scan, range_m, inverse(dataset_from_points));
+    PointScan result{{}, dataset_from_points, scan.time_s, range_m.size(), scan.unseen_share};
+    result.points.reserve(range_m.size());
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
-        const Pose points_from_firing = stands ? standing : points_from_dataset * scan.world_from_firing(i);
-        const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[i]) + double(range_m[i]) * glm::dvec3(scan.image.direction[i]);
-        result.points.push_back({.position_m = glm::vec3(points_from_firing * seen_m),
+        result.points.push_back({.position_m = position_m[i],
                                  .intensity = scan.image.intensity[i],
                                  .time_offset_s = scan.time_offset_s[i],
                                  .ring = scan.ring[i],

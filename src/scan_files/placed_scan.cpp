@@ -30,12 +30,12 @@ PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose&
     PlacedScan placed{scan, format, frame, scan.image.origin, scan.image.direction, scan.channels, std::move(notes)};
     const bool world = format.frame == PointFrame::world;
     if (!world && !format.deskew) return placed;
-    const Pose target_from_world = world ? Pose{} : inverse(world_from_deskewed);
+    FiringPoses target(scan, world ? Pose{} : inverse(world_from_deskewed));
     std::vector<std::vector<glm::vec3>*> turning;
     for (auto& [info, values, second] : placed.channels)
         if (auto* vectors = std::get_if<std::vector<glm::vec3>>(&values); vectors && info.turns) turning.push_back(vectors);
     for (std::size_t i = 0; i < placed.origin.size(); ++i) {
-        const Pose target_from_firing = target_from_world * placed.scan.world_from_firing(i);
+        const Pose& target_from_firing = target.at(i);
         placed.origin[i] = glm::vec3(target_from_firing * glm::dvec3(placed.origin[i]));
         placed.direction[i] = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(placed.direction[i])));
         for (std::vector<glm::vec3>* vectors : turning)

@@ -89,7 +89,7 @@ private:
 
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
-        if (column < 0 || column >= columns) column = (column % columns + columns) % columns;   // few are: a division takes as long as the rest
+        if (column < 0 || column >= columns) column = (column % columns + columns) % columns;   // few are, and divisions are slow
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
     float own(std::size_t k, std::size_t i) const {

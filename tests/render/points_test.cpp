@@ -80,6 +80,33 @@ void expect_same(const PointScan& found, const PointScan& expected, const std::s
     EXPECT_LE(brightest, step > 0.0 ? step + 1e-6 : 1e-7) << what << ": where half a step is left, either is right";
 }
 
+/// Rays whose columns share a firing time, whose rows do not, or that come in no order at all; of a sensor that moves, or stands.
+TEST(FiringPoses, AreThoseOfEachRay) {
+    RenderedScan scan;
+    scan.time_s = 5.0;
+    scan.world_from_sensor = {rotation_of(0.3, 0.0, 0.1), {4.0, 5.0, 6.0}};
+    PoseTrack bend;
+    for (int k = 0; k < 8; ++k) {
+        bend.time_s.push_back(4.9 + 0.05 * k);
+        bend.pose.push_back({rotation_of(0.1 * k, 0.02, 0.0), {2.0 * k, 0.1 * k, 0.0}});
+    }
+    const Pose target{rotation_of(-0.5, 0.2, 0.0), {1.0, -2.0, 0.5}};
+    for (const PoseTrack& track : {bend, PoseTrack{{5.0}, {bend.pose[3]}}, PoseTrack{}})
+        for (const float late_s : {0.0f, 1e-3f}) {   // of each row behind the one above
+            scan.track = track;
+            scan.image.rows = 4, scan.image.columns = 16;
+            scan.time_offset_s.clear();
+            for (int i = 0; i < 64; ++i) scan.time_offset_s.push_back(0.005f * float(i % 16) + late_s * float(i / 16));
+            FiringPoses poses(scan, target);
+            for (std::size_t k = 0; k < 128; ++k) {
+                const std::size_t ray = k < 64 ? k : k * 37 % 64;
+                const Pose expected = target * scan.world_from_firing(ray), found = poses.at(ray);
+                EXPECT_EQ(found.translation, expected.translation) << ray;
+                EXPECT_EQ(found.rotation, expected.rotation) << ray;
+            }
+        }
+}
+
 TEST_F(Points, AreThoseOfTheScan) {
     for (const std::string points : {"median", "image"}) {
         config.render.points = points;

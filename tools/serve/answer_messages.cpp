@@ -26,28 +26,6 @@ void set_array(std::string& bytes, const std::vector<T>& values) {
     bytes.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
 }
 
-/// Takes points from the sensor's frame at their firing time to that of the message.
-class Deskew {
-public:
-    Deskew(const RenderedScan& scan, const Pose& dataset_from_points) : scan_(scan), points_from_dataset_(inverse(dataset_from_points)) {
-        if (scan.track.pose.size() < 2 && !scan.time_offset_s.empty()) stands_ = points_from_firing(0);
-    }
-    glm::vec3 point(std::size_t ray, float range_m) const {
-        const glm::dvec3 seen = glm::dvec3(scan_.image.origin[ray]) + double(range_m) * glm::dvec3(scan_.image.direction[ray]);
-        return glm::vec3((stands_ ? *stands_ : points_from_firing(ray)) * seen);
-    }
-    glm::vec3 direction(std::size_t ray, const glm::vec3& of_ray) const {
-        return glm::vec3((stands_ ? *stands_ : points_from_firing(ray)).rotation * glm::dvec3(of_ray));
-    }
-
-private:
-    const RenderedScan& scan_;
-    const Pose points_from_dataset_;
-    std::optional<Pose> stands_;   ///< of all rays, where the sensor does not move
-
-    Pose points_from_firing(std::size_t ray) const { return points_from_dataset_ * scan_.world_from_firing(ray); }
-};
-
 template <class Messages>
 void write_channels(const std::vector<ScanChannel>& channels, Messages& messages) {
     for (const auto& [info, values, second] : channels) {
@@ -62,18 +40,20 @@ void write_channels(const std::vector<ScanChannel>& channels, Messages& messages
 }
 
 /// Turns the last value of a channel of points into their frame, where it is a direction.
-void turn_last(ScanChannel& of_points, const Deskew& deskew, std::size_t ray) {
+void turn_last(ScanChannel& of_points, const Pose& points_from_firing) {
     auto* vectors = std::get_if<std::vector<glm::vec3>>(&of_points.values);
-    if (vectors && of_points.info.turns) vectors->back() = deskew.direction(ray, vectors->back());
+    if (vectors && of_points.info.turns) vectors->back() = glm::vec3(points_from_firing.rotation * glm::dvec3(vectors->back()));
 }
 
 void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config, v1::Points& points) {
-    const Deskew deskew(scan, dataset_from_points);
+    FiringPoses firing(scan, inverse(dataset_from_points));
     const std::vector<float>& range_m = point_ranges(scan, config);
     std::vector<ScanChannel> channels = emptied(scan.channels);
     std::uint32_t n = 0;
     const auto add = [&](std::size_t ray, float range, float intensity, std::uint8_t number) {
-        append(*points.mutable_xyz_m(), deskew.point(ray, range));
+        const Pose& points_from_firing = firing.at(ray);
+        const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[ray]) + double(range) * glm::dvec3(scan.image.direction[ray]);
+        append(*points.mutable_xyz_m(), glm::vec3(points_from_firing * seen_m));
         append(*points.mutable_intensity(), intensity);
         append(*points.mutable_ring(), scan.ring[ray]);
         append(*points.mutable_time_s(), scan.time_offset_s[ray]);
@@ -81,7 +61,7 @@ void write_points(const RenderedScan& scan, const Pose& dataset_from_points, con
         append(*points.mutable_instance(), number == 1 ? scan.instance[ray] : std::int32_t(-1));
         for (std::size_t k = 0; k < channels.size(); ++k) {
             append_return(channels[k], scan.channels[k], ray, number);
-            turn_last(channels[k], deskew, ray);
+            turn_last(channels[k], points_from_firing);
         }
         ++n;
     };

@@ -65,9 +65,10 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config, co
     const RangeImage& image = scan.image;
     ScanColumns result{image.rows, image.columns, {}, point_ranges(scan, config), {}, {}, {}, scan.ring, scan.channels};
     const std::size_t n = result.range_m.size();
+    FiringPoses world_from_firing(scan);
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 in_sensor = glm::dvec3(image.origin[i]) + double(result.range_m[i]) * glm::dvec3(image.direction[i]);
-        result.position_m.push_back(glm::vec3(scan.world_from_firing(i) * in_sensor - world_offset_m));
+        result.position_m.push_back(glm::vec3(world_from_firing.at(i) * in_sensor - world_offset_m));
         result.intensity.push_back(as_byte(image.intensity[i]));
         result.drop.push_back(as_byte(image.drop_prob[i]));
         const int instance = scan.instance[i];

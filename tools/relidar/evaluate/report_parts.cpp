@@ -14,11 +14,11 @@ namespace relidar::cli {
 ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title, const std::string& real_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
     const std::vector<float>& range_m = point_ranges(frame.rendered, config);
-    const Pose sensor_from_world = inverse(frame.rendered.world_from_sensor);
+    FiringPoses sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
     ReportCloud measured{real_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool has_real = real.range_m[i] > 0.0f, has_simulated = returned(rendered.drop_prob[i], range_m[i]);
-        const Pose sensor_from_firing = sensor_from_world * frame.rendered.world_from_firing(i);
+        const Pose& sensor_from_firing = sensor.at(i);
         const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i] : std::numeric_limits<float>::quiet_NaN();
         const auto add = [&](ReportCloud& cloud, const RangeImage& image, float range) {
             cloud.position_m.push_back(glm::vec3(sensor_from_firing * glm::dvec3(image.origin[i] + range * image.direction[i])));
