@@ -118,7 +118,7 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     for (int rank = 0; rank < kSize; ++rank)
         processes.emplace_back([&, rank] {
             const auto tell = [&, rank](const std::string& line) { told[std::size_t(rank)].push_back(line); };
-            prepare_log(logs[std::size_t(rank)], split, config, {.tell = tell, .group = group.of(rank)});
+            prepare_log(logs[std::size_t(rank)], split, config, {.tell = tell, .stop = {}, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
     for (const Sequence& log : logs) expect_same(log, alone);
