@@ -122,7 +122,8 @@ struct HeldOutPlacement {
 /// Places each held-out scan of a run, whose sequence has its scans, on the trained scene, which stays (place_scan() in registration.hpp):
 /// training has moved the poses around it, and it did not go along. Nothing but the pose of its frame is found from its returns. LiDARs
 /// that sweep together are placed together. Nothing happens where the settings do not register the sensor (train.pose_register) or say so
-/// (train.place_held_out), and for 3D Gaussians, which have no normals.
+/// (train.place_held_out), and for 3D Gaussians, which have no normals. Sets Run::held_out_placed, unless it was stopped: then nothing is
+/// placed.
 HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session = {});
 
 /// How a ray-drop network is trained.

@@ -48,7 +48,7 @@ Run trained(Device& device, Sequence street) {
     run.config = make_preset("quick");
     run.config.train.iterations = 80;
     run.config.train.refine_poses = "none";
-    run.config.init.flatness = 1.0;   // the network is tested: in 120 steps it learns less beside discs that face the sensor
+    run.config.init.flatness = 1.0;   // the network is tested: in so few steps it learns less beside discs that face the sensor
     // neither the table of what the sensor never sees nor harmonics, which know from where a surface is seen, are to know a part of it
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
