@@ -48,8 +48,8 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
-/// Where the sensor was at the rays of a scan, asked one after the other. The rays of a column mostly are fired at the same time, and rows
-/// follow each other: a pose is interpolated once a time. For one thread.
+/// Where the sensor was when the rays of a scan were fired, for one thread that asks ray by ray. Many sensors fire the rays of a column at
+/// the same time: the pose of such a column is interpolated once.
 class FiringPoses {
 public:
     /// @param scan  outlives this @param target_from_dataset  the frame that poses are wanted in
@@ -64,7 +64,8 @@ private:
     };
     const RenderedScan& scan_;
     const Pose target_from_dataset_;
-    std::vector<Made> made_;   ///< of each column; a single one of a scan without rows, or of a sensor that stands
+    const bool moves_;
+    std::vector<Made> made_;   ///< the last one of each column; a single one of a scan without rows, or of a sensor that stands
 };
 
 /// Above this share of rays that look where no ray of the log did (RenderedScan::unseen_share), a user is warned. The log's own sensor on

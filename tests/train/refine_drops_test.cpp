@@ -134,8 +134,7 @@ TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
     const double before = exact_accuracy(renderer, options, run, sensor);
     renderer.refine_drops(refine_drops(device(), run));
     ASSERT_TRUE(renderer.refines(sensor));
-    const double after = exact_accuracy(renderer, options, run, sensor);
-    EXPECT_GT(after, before);
+    EXPECT_GT(exact_accuracy(renderer, options, run, sensor), before);
 }
 
 TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
