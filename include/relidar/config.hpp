@@ -112,7 +112,7 @@ struct EvalConfig {
 
 struct TraceConfig {
     int chunk = 16;
-    /// hits a ray that the forward pass keeps for the backward pass, at first: doubled up to 256 while one ray in a hundred has more;
+    /// hits a ray that the forward pass keeps for the backward pass, at first: doubled up to 256 while any ray has more;
     /// 0 = cast every ray again (paper)
     int keep_hits = 64;
     bool operator==(const TraceConfig&) const = default;

@@ -71,16 +71,11 @@ uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedH
 }
 
 /// Fills the hit buffer from what the forward pass kept.
-void load_kept_hits(TraceScene scene, Ray ray, uint first, uint n) {
+void load_kept_hits(uint first, uint n) {
+    uint list = thread_index();
     reset_hits(0.0);
     hits_closed = true;
-    for (uint i = 0u; i < min(n, CHUNK); ++i) {
-        KeptHit kept = params.kept.at[first + i];
-        SurfelHit hit;
-        enter_instance(scene, ray, kept.instance);
-        intersect(scene.records.at[kept.surfel], entered_origin, entered_direction, hit);
-        append_hit(Hit(hit.t, hit.alpha, kept.instance, kept.surfel));
-    }
+    for (uint i = 0u; i < min(n, CHUNK); ++i) append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
 }
 
 /// What the geometry of a ray adds: distortion is of second degree in the weights, so the shares of all hits are twice its value.
@@ -143,7 +138,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         if (going) {
             // whole chunks alone, so that sums are the same however many hits are kept
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
-            if (kept) load_kept_hits(scene, ray, ray_index * params.n_kept + blended, final.n_hits - blended);
+            if (kept) load_kept_hits(blended, final.n_hits - blended);
             else next_hits(scene, ray, after, least_of_rest(scene, state.transmittance));
             n = min(n_hits, final.n_hits - blended);
             if (pass == 0u) start_shift(scene, ray, final, g, state);

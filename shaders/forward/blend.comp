@@ -30,11 +30,13 @@ void main() {
     bool ended = false;
     Key last = Key(-1.0, 0u, 0u);
     for (uint k = 0u; k < (length & ~RELIDAR_LIST_CLOSED) && !ended; ++k) {
-        Hit hit = params.lists.hits.at[list_entry(params.lists, list, k)];
+        Hit hit = params.lists.hits.at[list_entry(params.lists.room, list, k)];
         Key key = Key(hit.t, hit.instance, hit.surfel);
         if (key == last) continue;   // reported twice
         last = key;
-        ended = blend_hit(params.scene, ray, i, hit, b);
+        uint n_before = b.ray.n_hits;
+        ended = blend_hit(params.scene, ray, hit, b);
+        if (!ended && (params.kept_in_lists == 0u || n_before != k)) keep_hit(n_before, hit);
     }
     if ((length & RELIDAR_LIST_CLOSED) != 0u && !ended) params.lists.lengths.at[list] = RELIDAR_LIST_UNFIT;
     else finish_blending(i, b);

@@ -60,7 +60,7 @@ Blended start_blending(TraceScene scene, uint ray_index) {
 }
 
 /// Blends the next hit. @return whether the ray has ended before it: then it is not blended
-bool blend_hit(TraceScene scene, Ray ray, uint ray_index, Hit hit, inout Blended b) {
+bool blend_hit(TraceScene scene, Ray ray, Hit hit, inout Blended b) {
     float alpha = min(hit.alpha, scene.alpha_max);
     float next = b.ray.transmittance * (1.0 - alpha);
     if (next < scene.transmittance_min) return true;
@@ -81,9 +81,13 @@ bool blend_hit(TraceScene scene, Ray ray, uint ray_index, Hit hit, inout Blended
     if (crosses) b.ray.median_depth = hit.t;
     if (crosses || b.ray.n_hits == 0u) b.ray.instance = hit.instance;
     b.ray.transmittance = next;
-    if (b.ray.n_hits < params.n_kept) params.kept.at[ray_index * params.n_kept + b.ray.n_hits] = KeptHit(hit.instance, hit.surfel);
     ++b.ray.n_hits;
     return false;
+}
+
+/// Keeps hit k of the thread's ray, in the order of blending.
+void keep_hit(uint k, Hit hit) {
+    if (k < params.n_kept) params.kept.at[list_entry(params.n_kept, thread_index(), k)] = hit;
 }
 
 /// Adds the background, and writes what the ray renders.

@@ -19,7 +19,12 @@ void render(TraceScene scene, Ray ray, uint ray_index) {
     bool ended = false;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
         next_hits(scene, ray, after, least_of_rest(scene, b.ray.transmittance));
-        for (uint i = 0u; i < n_hits && !ended; ++i) ended = blend_hit(scene, ray, ray_index, hit_at(i), b);
+        for (uint i = 0u; i < n_hits && !ended; ++i) {
+            Hit hit = hit_at(i);
+            uint k = b.ray.n_hits;
+            ended = blend_hit(scene, ray, hit, b);
+            if (!ended) keep_hit(k, hit);
+        }
         if (!hits_closed) ended = true;
         else after = hit_key(n_hits - 1u);
     }

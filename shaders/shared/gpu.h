@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Building blocks that know nothing of rays or surfels: prefix sums and a stable radix sort. Both give the same result in every run.
-// Their workgroups have 256 threads and take a tile of 4096 elements each.
+// Building blocks that know nothing of rays or surfels: prefix sums, a stable radix sort, a copy. Sums and sort give the same result in
+// every run; their workgroups have 256 threads and take a tile of 4096 elements each.
 #ifndef RELIDAR_INCLUDED_SHARED_GPU_H
 #define RELIDAR_INCLUDED_SHARED_GPU_H
 #include "relidar/shared/lang.h"
@@ -35,6 +35,13 @@ struct RadixSortParams {
     RELIDAR_OF(Uints, DigitTotals) totals;       // [digits] keys of a digit
     uint capacity;
     uint shift;                                  // of the digit, a multiple of RELIDAR_SORT_BITS
+};
+
+/// A copy whose time is taken (gpu/copy.comp).
+struct CopyParams {
+    RELIDAR_OF(Vec4s, CopySource) from;   // input [n]
+    RELIDAR_OF(Vec4s, CopyTarget) to;     // output [n]
+    uint n;
 };
 
 RELIDAR_SHARED_END

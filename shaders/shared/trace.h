@@ -37,22 +37,14 @@ struct TraceScene {
     uint columns;                                     // of the image that the batch is, traced in tiles; 0: rays as they come
 };
 
-/// A hit, in the buffer of a ray or in its list.
-struct Hit {
-    float t;           // m
-    float alpha;       // sigma G, not clamped
-    uint instance;
-    uint surfel;
-};
-RELIDAR_POINTER(Hits, Hit);
-
-#define RELIDAR_MOST_ROOM 512              // of a list: 10 KiB of shared memory to sort it
+#define RELIDAR_MOST_ROOM 512              // of a list: 16 KiB of shared memory to sort four of them
+#define RELIDAR_SORTED_TOGETHER 4u         // lists that a workgroup sorts
 #define RELIDAR_LIST_CLOSED 0x80000000u    // beside a length: the ray ends within the list
 #define RELIDAR_LIST_UNFIT 0xffffffffu     // in its place: forward/trace renders the ray
 
 /// A list of hits for each thread that traces.
 struct HitLists {
-    Hits hits;                           // [ceil(n/32),room,32]
+    Hits hits;                           // [ceil(n/4),room,4]
     RELIDAR_OF(Uints, ListLengths) lengths;   // [n]
     uint n;
     uint room;                           // hits of a list
@@ -63,10 +55,11 @@ struct ForwardParams {
     TraceScene scene;
     HitLists lists;                                // forward/trace: where there are any, only rays whose list is unfit are traced
     RenderedRays rendered;                         // output [n_rays]
-    KeptHits kept;                                 // output [n_rays,n_kept] the first hits of each ray
+    Hits kept;                                     // output [ceil(n/4),n_kept,4] of n threads, their rays' first hits
     RELIDAR_OF(Uints, OverfullCount) n_overfull;   // accumulated [1] rays with more hits than are kept; not touched where n_kept is 0
     RenderedGeometries geometry;                   // output [n_rays], where the kernel is built for it
     uint n_kept;
+    uint kept_in_lists;                            // 1: they are lists.hits
     float surface_gap_m;                           // between the hits of two surfaces, where the kernel is built for modes
 };
 

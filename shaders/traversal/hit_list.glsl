@@ -40,7 +40,7 @@ void insert(Key key, float alpha, float alpha_max) {
         end_t = 0.0;
         return;
     }
-    listed.hits.at[list_entry(listed, own_list, slot)] = Hit(key.t, alpha, key.instance, key.surfel);
+    listed.hits.at[list_entry(listed.room, own_list, slot)] = Hit(key.t, alpha, key.instance, key.surfel);
     farthest_t = max(farthest_t, key.t);
     set_transmittance *= left_by(min(alpha, alpha_max));
     if (set_transmittance < least_transmittance) {

@@ -93,12 +93,32 @@ void push_entry(uint entry, float t) {
     ++stack_size;
 }
 
-/// Puts the inner slots that are to be opened on the stack, the nearest on top. Together: in the order of the subgroup's first ray.
+/// Puts the inner slots that a ray is to open on its stack, the nearest on top. A slot and where the ray enters it are one number: so the
+/// network that orders eight of them is of minima and maxima alone. The distance loses four bits, towards the ray's origin.
 /// @param first  entry of the first inner slot
+void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
+    const uint kThere = 0x80000000u;
+    uint key[RELIDAR_BVH_WIDTH];
+    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot)
+        key[slot] = (inner & met & (1u << slot)) != 0u ? ((floatBitsToUint(t[slot]) >> 1u) & ~7u) | kThere | slot : 0u;
+    const uint kPairs[38] = uint[](0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u, 0u, 2u, 1u, 3u, 4u, 6u, 5u, 7u, 1u, 2u, 5u, 6u, 0u, 4u, 3u, 7u, 1u, 5u,
+                                   2u, 6u, 1u, 4u, 3u, 6u, 2u, 4u, 3u, 5u, 3u, 4u);
+    [[unroll]] for (uint k = 0u; k < 38u; k += 2u) {
+        uint a = key[kPairs[k]], b = key[kPairs[k + 1u]];
+        key[kPairs[k]] = max(a, b);
+        key[kPairs[k + 1u]] = min(a, b);
+    }
+    [[unroll]] for (uint k = 0u; k < RELIDAR_BVH_WIDTH; ++k) {
+        if (key[k] == 0u) break;
+        uint slot = key[k] & 7u;
+        push_entry(first + bitCount(inner & ((1u << slot) - 1u)), uintBitsToFloat((key[k] & ~(kThere | 7u)) << 1u));
+    }
+}
+
+/// The same for rays that walk together, which open what any of them meets, in the order of the subgroup's first ray.
 void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
-    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
-        TOGETHER != 0u ? subgroupBroadcastFirst(t[slot]) : t[slot];
+    [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] = subgroupBroadcastFirst(t[slot]);
     for (uint left = inner & opened; left != 0u;) {
         uint farthest = uint(findLSB(left));
         float farthest_key = -1.0, own = kNever;
@@ -160,6 +180,19 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
     }
 }
 
+/// Offers opened entries to a ray that walks on its own. The record of the next one is on its way while one is tested.
+void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
+    while (entries != 0u) {
+        uint entry = first_leaf + take_lowest(entries), next_entry = entries != 0u ? first_leaf + uint(findLSB(entries)) : entry;
+        uint surfel = entered_first_surfel + scene.bvh.order.at[entry], next_surfel = entered_first_surfel + scene.bvh.order.at[next_entry];
+        SurfelRecord record = scene.records.at[surfel], next_record = scene.records.at[next_surfel];
+        offer_record(scene, after, instance, surfel, record);
+        if (entries == 0u) return;
+        entries &= entries - 1u;
+        offer_record(scene, after, instance, next_surfel, next_record);
+    }
+}
+
 /// Moves the boxes' ray to the frame of an instance's model, or of the world.
 void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
@@ -177,7 +210,9 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
     uint met = meet_boxes(node, walked, t);
     uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
     uint entries = leaf_entries(node, opened);
-    push_children(node.first_child | (in_model ? 0u : kTopEntry), node.exponents >> 24u, opened, met, t);
+    uint first = node.first_child | (in_model ? 0u : kTopEntry), inner = node.exponents >> 24u;
+    if (TOGETHER != 0u) push_children(first, inner, opened, met, t);
+    else push_own_children(first, inner, met, t);
     if (!in_model) {
         while (entries != 0u) push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + take_lowest(entries)], walked.start);
         return 0u;
@@ -186,8 +221,10 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
     if (TOGETHER == kSharesLoads) {
         offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
-    } else {
+    } else if (TOGETHER != 0u) {
         while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+    } else {
+        offer_alone(scene, after, tree, node.first_leaf, entries);
     }
     if (hits_closed) walked.end = last_hit_t() + (1e-4 + 1e-5 * last_hit_t());
     return n_tested;

@@ -98,7 +98,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     params.d_sh = gradients.surfels.sh.address();
     params.d_rays = gradients.rays.address();
     if (batch.kept) {
-        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays) * batch.kept->per_ray, batch.kept->hits.size());
+        RELIDAR_ASSERT_EQ(batch.kept->hold(batch.rays), true);
         params.kept = batch.kept->hits.address();
         params.n_kept = batch.kept->per_ray;
     }

@@ -295,8 +295,8 @@ void visit(C& c, Visitor&& f) {
       "line");
     f("trace.chunk", c.trace.chunk, between(1, 64), expert("hits sorted at a time"));
     f("trace.keep_hits", c.trace.keep_hits, between(0, 4096),
-      expert("training: hits kept a ray, 8 bytes each, which need no second search; doubled up to 256 while more than one ray in a "
-             "hundred has more; 0: cast all again, as the paper does"));
+      expert("training: hits kept a ray, 16 bytes each, which need no second search; doubled up to 256 while any ray has more; "
+             "0: cast all again, as the paper does"));
 }
 
 }  // namespace relidar::config_detail

@@ -21,7 +21,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     traced.visits = visits.address();
     Stream stream(device);
     shared::ForwardParams params = {.scene = traced, .lists = {}, .rendered = rendered.address(), .kept = {}, .n_overfull = {},
-                                    .geometry = {}, .n_kept = 0, .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
+                                    .geometry = {}, .n_kept = 0, .kept_in_lists = 0, .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitLists> lists;
     if (appends_hits(device, options)) {
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);   // what lists come to

@@ -48,7 +48,7 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
-    RELIDAR_ASSERT_LE(kept ? std::size_t(batch.n_rays) * kept->per_ray : 0, kept ? kept->hits.size() : 0);
+    RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
     RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
     shared::ForwardParams params = {
@@ -59,8 +59,9 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
         .n_overfull = impl_->n_overfull.address(),
         .geometry = address_of(geometry ? &geometry->rendered : nullptr),
         .n_kept = kept ? kept->per_ray : 0,
+        .kept_in_lists = 0,
         .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
-    if (impl_->lists) impl_->lists->run(stream, batch, params);
+    if (impl_->lists) impl_->lists->run(stream, batch, params, kept);
     relidar::run(stream, impl_->trace, trace_threads(batch), params);
 }
 

@@ -11,12 +11,16 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostRoom = RELIDAR_MOST_ROOM;
-constexpr std::size_t kMostBytes = std::size_t(1) << 30;    // of all lists
-constexpr std::size_t kMostLists = std::size_t(1) << 24;    // threads that sort them are counted in 32 bits
-constexpr std::size_t kTogether = 32;                       // lists that lie side by side
+constexpr std::uint32_t kMostRoom = RELIDAR_MOST_ROOM;
+constexpr std::size_t kMostLists = std::size_t(1) << 24;   // threads that sort them are counted in 32 bits
 
-std::size_t bytes_of(std::size_t n_lists, int room) { return n_lists * static_cast<std::size_t>(room) * sizeof(shared::Hit); }
+/// What all lists may take: an eighth of the device's memory; where it is not known, as much as a small GPU's.
+std::size_t most_bytes(const Device& device) {
+    const std::size_t memory = device.info().memory_bytes;
+    return (memory ? memory : std::size_t(8) << 30) / 8;
+}
+
+std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists * room * sizeof(shared::Hit); }
 
 }  // namespace
 
@@ -24,75 +28,86 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
     : device_(device),
       append_(device, "forward/append", variant, constants),
       blend_(device, "forward/blend", constants),
-      room_(room),
+      room_(static_cast<std::uint32_t>(room)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than their lists have room for"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {
-    make_sort();
+    make_sort(room_);
 }
 
-void HitLists::make_sort() {
+void HitLists::make_sort(std::uint32_t room) {
+    const auto lanes = static_cast<std::uint32_t>(device_.info().subgroup_size);
     sort_.emplace(device_, KernelName<shared::SortHitsParams>("forward/sort_hits"),
-                  std::vector<Constant>{{ConstantId::ROOM, static_cast<std::uint32_t>(room_)}});
+                  std::vector<Constant>{{ConstantId::ROOM, room},
+                                        {ConstantId::LANES, lanes},
+                                        {ConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
+                  Subgroups::full);
+    sort_room_ = room;
 }
 
 /// As many lists, with as much of the room as there is memory for; without any, none.
-void HitLists::make_lists(std::size_t n_lists, int room) {
-    const std::size_t n = (n_lists + kTogether - 1) / kTogether * kTogether;
-    const int before = room_;
+void HitLists::make_hits(std::size_t n_lists) {
+    const std::uint32_t wanted = room_;
     hits_ = {};
-    for (room_ = n > kMostLists ? 0 : room; room_ > 0; room_ /= 2) {
-        if (bytes_of(n, room_) > kMostBytes) continue;
+    for (; room_ > 0; room_ /= 2) {
+        if (bytes_of(n_lists, room_) > most_bytes(device_)) continue;
         try {
-            hits_ = Array<shared::Hit>(device_, n * static_cast<std::size_t>(room_), "lists of hits");
-            lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
+            hits_ = Array<shared::Hit>(device_, n_lists * room_, "lists of hits");
             break;
         } catch (const DeviceError&) {   // no memory for so many
         }
     }
-    n_lists_ = n;
-    if (room_ < room) grows_ = false;
-    if (room_ > 0 && room_ != before) make_sort();
+    hits_room_ = room_;
+    if (room_ < wanted) grows_ = false;
 }
 
-/// Whether more than one ray in a hundred had more hits than its list has room for. Looked at so late that it costs no wait: the stream
-/// has waited for that submission, to record into its slot again.
+/// Whether any ray had more hits than its list has room for: the whole device may wait for the few that forward/trace renders then. Looked
+/// at so late that it costs no wait: the stream has waited for that submission, to record into its slot again.
 bool HitLists::wants_more_room(Stream& stream) {
     if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots) return false;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait(stream), sizeof count);
     const std::uint32_t n_overflows = count - std::exchange(overflows_before_, count);
-    return grows_ && room_ < kMostRoom && 100 * static_cast<std::size_t>(n_overflows) > counted_rays_;
+    return grows_ && room_ < kMostRoom && n_overflows > 0;
 }
 
-void HitLists::make_room(Stream& stream, std::size_t n_lists) {
-    const bool more = wants_more_room(stream);
-    if (!more && n_lists <= n_lists_) return;
-    if (n_lists_ > 0) stream.finish();   // nobody may be writing lists that go
-    make_lists(std::max(n_lists, n_lists_), more ? std::min(2 * room_, kMostRoom) : room_);
-    stream.fill(n_overflows_);   // those of shorter lists
-    overflows_before_ = 0;
-    rays_since_ = 0;
+/// Finds memory for lists: that of the hits which are kept for the backward pass, where a list's room is no more than that.
+shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
+    const std::size_t n = KeptHits::side_by_side(n_threads);
+    if (n > kMostLists) return {};
+    if (wants_more_room(stream)) {
+        room_ = std::min(2 * room_, kMostRoom);
+        stream.fill(n_overflows_);   // those of shorter lists
+        overflows_before_ = 0;
+    }
+    const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= kMostRoom;
+    const bool own_fit = hits_room_ == room_ && hits_.size() >= n * room_;
+    if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();   // nobody may be writing lists that go
+    if (in_kept) hits_ = {};
+    else if (!own_fit) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));   // as many as there ever were
+    if (lengths_.size() < n) lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
+    const std::uint32_t room = in_kept ? kept->per_ray : room_;
+    if (room > 0 && room != sort_room_) make_sort(room);
+    return {.hits = in_kept ? kept->hits.address() : hits_.address(),
+            .lengths = lengths_.address(),
+            .n = static_cast<std::uint32_t>(n_threads),
+            .room = room};
 }
 
-void HitLists::count_overflows(Stream& stream, std::size_t n_rays) {
-    rays_since_ += n_rays;
+void HitLists::count_overflows(Stream& stream) {
     if (!grows_ || room_ >= kMostRoom || overflows_.pending()) return;
     overflows_.record(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
     counted_until_ = impl_of(stream).last_ticket + 1;
-    counted_rays_ = std::exchange(rays_since_, 0);
 }
 
-void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params) {
+void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params, const KeptHits* kept) {
     const std::size_t n = trace_threads(batch);
-    make_room(stream, n);
-    if (room_ == 0) return;
-    params.lists = {.hits = hits_.address(),
-                    .lengths = lengths_.address(),
-                    .n = static_cast<std::uint32_t>(n),
-                    .room = static_cast<std::uint32_t>(room_)};
-    relidar::run(stream, append_, n, {.scene = params.scene, .lists = params.lists, .n_overflows = n_overflows_.address()});
-    count_overflows(stream, batch.n_rays);
-    relidar::run(stream, *sort_, n * sort_->impl().workgroup_size, {.lists = params.lists});
+    const shared::HitLists lists = make_room(stream, n, kept);
+    if (lists.room == 0) return;
+    params.lists = lists;
+    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;
+    relidar::run(stream, append_, n, {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
+    count_overflows(stream);
+    relidar::run(stream, *sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
     relidar::run(stream, blend_, n, params);
 }
 

@@ -24,30 +24,30 @@ public:
 
     /// Renders the rays of a batch whose lists are fit, and fills `params.lists`, by which forward/trace knows the others. Where the device
     /// has no memory for lists it stays empty: then these are all rays. One stream alone may be given.
-    void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params);
-    int room() const { return room_; }   ///< hits that a list has room for
+    /// @param kept  of `params`: lists are made in its memory where they find room there, and need not be copied
+    void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params, const KeptHits* kept = nullptr);
+    std::uint32_t room() const { return room_; }   ///< hits that a list has room for
 
 private:
     Device& device_;
     Kernel<shared::AppendParams> append_;
     Kernel<shared::ForwardParams> blend_;
-    std::optional<Kernel<shared::SortHitsParams>> sort_;   ///< for lists of room_
-    int room_;
-    std::size_t n_lists_ = 0;
+    std::optional<Kernel<shared::SortHitsParams>> sort_;   ///< for lists of sort_room_
+    std::uint32_t room_, sort_room_ = 0;
     bool grows_ = true;
-    Array<shared::Hit> hits_;
+    Array<shared::Hit> hits_;   ///< empty where lists are in the memory of kept hits
+    std::uint32_t hits_room_ = 0;                   ///< of a list there
     Array<std::uint32_t, shared::ListLengths> lengths_;
     Array<std::uint32_t, shared::OverflowCount> n_overflows_;
     Readback overflows_;
     std::uint64_t counted_until_ = 0;   ///< ticket of the submission that reads the count back
-    std::size_t counted_rays_ = 0, rays_since_ = 0;   ///< of the copy that is read back next; traced since it was recorded
-    std::uint32_t overflows_before_ = 0;              ///< what was read last
+    std::uint32_t overflows_before_ = 0;   ///< what was read last
 
-    void make_lists(std::size_t n_lists, int room);
-    void make_sort();
-    void make_room(Stream& stream, std::size_t n_lists);
+    void make_hits(std::size_t n_lists);
+    void make_sort(std::uint32_t room);
+    shared::HitLists make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept);
     bool wants_more_room(Stream& stream);
-    void count_overflows(Stream& stream, std::size_t n_rays);
+    void count_overflows(Stream& stream);
 };
 
 }  // namespace relidar

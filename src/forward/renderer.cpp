@@ -27,6 +27,7 @@ struct Renderer::Impl {
     Array<DeviceRay> host_rays;   ///< of forward()
     Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
+    std::size_t kept_threads = 0;   ///< which they have room for
     std::optional<RayGeometry> geometry;
     RenderedBatch batch;
 
@@ -43,9 +44,10 @@ struct Renderer::Impl {
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
     }
 
-    void make_kept_hits(std::size_t n_rays) {
+    void make_kept_hits(std::size_t n_threads) {
         kept.reset();   // before others are there: nobody reads them any more
-        if (options.keep_hits > 0) kept.emplace(device, n_rays, options.keep_hits);
+        if (options.keep_hits > 0) kept.emplace(device, kept_threads = n_threads, options.keep_hits);
+        batch.kept = kept ? &*kept : nullptr;
     }
 };
 
@@ -79,6 +81,10 @@ void Renderer::record_forward(const RayBatch& rays) {
     if (rays.n_rays > r.rendered.size()) {
         r.stream.finish();
         r.make_room(rays.n_rays);
+    }
+    if (r.kept && !r.kept->hold(rays)) {   // tiles of an image are whole
+        r.stream.finish();
+        r.make_kept_hits(trace_threads(rays));
     }
     r.batch.rays = rays;
     r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr, r.batch.geometry);   // Eq. 2-4
@@ -119,16 +125,13 @@ bool Renderer::keep_hits(std::uint32_t per_ray) {
     Impl& r = *impl_;
     r.stream.finish();
     const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
-    const auto make = [&] {
-        r.make_kept_hits(r.rendered.size());
-        r.batch.kept = r.kept ? &*r.kept : nullptr;
-    };
+    const std::size_t n_threads = std::max(r.kept_threads, r.rendered.size());
     try {
-        make();
+        r.make_kept_hits(n_threads);
         return true;
     } catch (const DeviceError&) {
         r.options.keep_hits = before;
-        make();
+        r.make_kept_hits(n_threads);
         return false;
     }
 }

@@ -49,20 +49,17 @@ std::optional<IterationReports::Report> IterationReports::take(Stream& stream, i
     const auto count = [&](Readback& readback) { return *static_cast<const std::uint32_t*>(readback.wait(stream)); };
     add_up(report, static_cast<const float*>(slot.terms.wait(stream)));
     if (report.line) end_line(*report.line);
-    std::uint64_t n_rays = 0;
-    for (const Iteration& iteration : report.iterations) n_rays += iteration.n_rays;
     return Report{.first_step = first_step,
                   .last_step = last_step,
                   .pass_cap = count(slot.pass_cap),
                   .most_hits = report.counts_hits ? count(slot.most_hits) : 0u,
                   .overfull = count(slot.overfull),
-                  .n_rays = n_rays,
                   .hit_capacity = report.hit_capacity,
                   .kept_hits = report.kept_hits};
 }
 
 void IterationReports::add_up(const Closed& report, const float* terms) {
-    for (const auto& [step, frame, n_rays] : report.iterations) {
+    for (const auto& [step, frame] : report.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *terms++;
             if (!std::isfinite(term))

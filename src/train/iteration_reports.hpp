@@ -38,8 +38,8 @@ public:
 
     /// Where the iteration being recorded adds its losses.
     TermRow row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
-    /// That iteration is recorded. @param frame  the dataset's own number @param n_rays  that were traced
-    void add(int step, int frame, std::uint32_t n_rays) { iterations_.push_back({step, frame, n_rays}); }
+    /// That iteration is recorded. @param frame  the dataset's own number
+    void add(int step, int frame) { iterations_.push_back({step, frame}); }
     bool is_full() const { return iterations_.size() == kRows; }
     /// Records a report of the iterations since the last one: at most one an iteration, after add(). @param line  that ends with them
     void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
@@ -48,7 +48,6 @@ public:
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        std::uint64_t n_rays;         ///< traced
         std::uint64_t hit_capacity;   ///< when it was recorded, as the next
         std::uint32_t kept_hits;
     };
@@ -74,7 +73,6 @@ private:
     struct Iteration {
         int step;
         int frame;
-        std::uint32_t n_rays;
     };
     struct Closed {
         std::vector<Iteration> iterations;

@@ -208,7 +208,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
         rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
-    reports_.add(step, frame.index, renderer_.rendered().rays.n_rays);
+    reports_.add(step, frame.index);
     if (densifier_.due(step))
         change_surfels([&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
     densifier_.after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
@@ -254,7 +254,7 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;   // a report of before there were more
-    const std::uint32_t wanted = kept_hits_wanted(report.kept_hits, report.overfull, report.n_rays);
+    const std::uint32_t wanted = kept_hits_wanted(report.kept_hits, report.overfull);
     if (wanted == report.kept_hits) return;
     close_report(last_step_, false);   // of iterations that kept as many as now
     no_room_to_keep_more_ = !renderer_.keep_hits(wanted);

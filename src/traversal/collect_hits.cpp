@@ -19,9 +19,15 @@ std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
     return result;
 }
 
-std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull, std::uint64_t n_rays) {
+std::size_t trace_threads(const RayBatch& batch) {
+    if (batch.columns == 0) return batch.n_rays;
+    const std::size_t rows = batch.n_rays / batch.columns;
+    return (rows + 1) / 2 * ((std::size_t(batch.columns) + 15) / 16) * 32;
+}
+
+std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull) {
     constexpr std::uint32_t kMost = 256;
-    return 100 * n_overfull > n_rays ? std::max(per_ray, std::min(2 * per_ray, kMost)) : per_ray;
+    return n_overfull > 0 ? std::max(per_ray, std::min(2 * per_ray, kMost)) : per_ray;
 }
 
 CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits) {

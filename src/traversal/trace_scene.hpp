@@ -12,13 +12,6 @@
 
 namespace relidar {
 
-/// Threads that trace a batch: whole tiles of 8 x 4 rays over an image, some of them beside it; else one a ray.
-inline std::size_t trace_threads(const RayBatch& batch) {
-    if (batch.columns == 0) return batch.n_rays;
-    const std::size_t rows = batch.n_rays / batch.columns;
-    return (rows + 3) / 4 * ((std::size_t(batch.columns) + 7) / 8) * 32;
-}
-
 /// What a kernel searches, without the rays.
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel, const ImageModel& model) {
     return {.tlas = accel.tlas,

@@ -185,11 +185,13 @@ TEST_F(DeviceGradient, Geometry) {
                      "image and geometry, opaque with clamps");
 }
 
-/// The likelihood (M12) alone, without the rest of the geometry.
+/// The likelihood (M12) alone, without the rest of the geometry. In small rows the hits of many rays cancel, and show that a GPU's exp and
+/// division are off by up to 3 and 2.5 units in the last place, where a processor's are off by half a unit.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .outputs = Outputs::likelihood},
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.proxy = Proxy::triangles, .chunk = 4, .tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
                      "likelihood, SH along the ray, chunk 4");
     options.seed = 65, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
     options.opacity_low = 0.02, options.opacity_high = 0.2;

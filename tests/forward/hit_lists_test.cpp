@@ -4,6 +4,7 @@
 // double reference both stand in render_test.cpp, geometry_test.cpp and tests/backward.
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include <relidar/error.hpp>
 #include <relidar/measure/gpu.hpp>
@@ -57,10 +58,10 @@ struct Placed {
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
 
-    std::vector<shared::RenderedRay> render(const TraceOptions& options) {
+    std::vector<shared::RenderedRay> render(const TraceOptions& options, KeptHits* kept = nullptr) {
         ForwardPass forward(stream.device(), model, accel.proxy(), options);
         Array<shared::RenderedRay> rendered(stream.device(), rays.size(), "rendered rays");
-        forward.run(stream, scene, accel, batch(), rendered);
+        forward.run(stream, scene, accel, batch(), rendered, kept);
         stream.finish();
         EXPECT_EQ(forward.take_pass_cap_count(), 0u);
         return rendered.download();
@@ -74,7 +75,7 @@ struct Placed {
         HitLists lists(device, traversal_variant(device), trace_constants(device, accel.proxy(), {}, model), room);
         shared::ForwardParams params = {.scene = trace_scene(scene, accel, batch(), model, {}, pass_cap.address()), .lists = {},
                                         .rendered = rendered.address(), .kept = {}, .n_overfull = {}, .geometry = {}, .n_kept = 0,
-                                        .surface_gap_m = 0.0f};
+                                        .kept_in_lists = 0, .surface_gap_m = 0.0f};
         stream.fill(rendered, kUntouched);
         lists.run(stream, batch(), params);
         stream.finish();
@@ -150,6 +151,33 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     }
 }
 
+/// Hits are kept for the backward pass as they are blended, whether lists lie in their memory, are longer than what is kept, or are left to
+/// forward/trace.
+TEST_F(Lists, KeepTheHitsThatTheyBlend) {
+    TraversalCase long_lists = test::long_list_case();
+    for (float& opacity : long_lists.surfels.opacity_logit) opacity = -4.5f;
+    for (const TraversalCase& c : {long_lists, test::equal_depth_case(), test::random_case(45, 300, 200)}) {
+        Placed placed(device(), c, {.name = "any"});
+        for (const std::uint32_t per_ray : {3u, 64u, 128u}) {
+            KeptHits expected(device(), c.rays.size(), per_ray);
+            const std::vector<shared::RenderedRay> rays = placed.render({.order = HitOrder::chunks}, &expected);
+            const std::vector<shared::Hit> wanted = expected.hits.download();
+            for (const int room : {2, 64, 512}) {
+                KeptHits kept(device(), c.rays.size(), per_ray);
+                placed.render({.order = HitOrder::lists, .list_room = room}, &kept);
+                const std::vector<shared::Hit> actual = kept.hits.download();
+                std::size_t n_different = 0;
+                for (std::size_t ray = 0; ray < rays.size(); ++ray)
+                    for (std::size_t k = 0; k < std::min(rays[ray].n_hits, per_ray); ++k) {
+                        const std::size_t entry = (ray / 4 * per_ray + k) * 4 + ray % 4;
+                        n_different += std::memcmp(&actual[entry], &wanted[entry], sizeof(shared::Hit)) != 0;
+                    }
+                EXPECT_EQ(n_different, 0u) << c.name << ", " << per_ray << " kept, room " << room;
+            }
+        }
+    }
+}
+
 /// A wall that lets nothing through ends the walk: what lies behind it is not in the list.
 TEST_F(Lists, EndBehindAWall) {
     TraversalCase c = test::long_list_case();
@@ -162,7 +190,7 @@ TEST_F(Lists, EndBehindAWall) {
     EXPECT_EQ(differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
-/// Room doubles while more than one ray in a hundred has too little, and no longer.
+/// Room doubles while any ray has too little, and no longer.
 TEST_F(Lists, Grow) {
     TraversalCase c = test::long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;
@@ -177,14 +205,14 @@ TEST_F(Lists, Grow) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
         const shared::TraceScene traced = trace_scene(placed.scene, placed.accel, placed.batch(), placed.model, {}, pass_cap.address());
         shared::ForwardParams params = {.scene = traced, .lists = {}, .rendered = rendered.address(), .kept = {}, .n_overfull = {},
-                                        .geometry = {}, .n_kept = 0, .surface_gap_m = 0.0f};
+                                        .geometry = {}, .n_kept = 0, .kept_in_lists = 0, .surface_gap_m = 0.0f};
         lists.run(placed.stream, placed.batch(), params);
         run(placed.stream, trace, trace_threads(placed.batch()), params);
         placed.stream.finish();
         EXPECT_EQ(differences(rendered.download(), expected), 0u) << "room " << lists.room();
     }
-    EXPECT_GE(lists.room(), int(most));
-    EXPECT_LT(lists.room(), 4 * int(most));
+    EXPECT_GE(lists.room(), most);
+    EXPECT_LT(lists.room(), 4 * most);
 }
 
 TEST_F(Lists, RoomThatCannotBeIsRefused) {

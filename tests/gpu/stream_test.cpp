@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What one submission can carry, and values that come back with it.
+// What one submission can carry, values that come back with it, and the copy that is measured (gpu/copy).
 #include <numeric>
 
 #include <stdlib.h>
@@ -8,8 +8,10 @@
 #include <relidar/measure/gpu.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/kernel.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
+#include "shared/gpu.h"
 
 namespace relidar {
 namespace {
@@ -42,6 +44,22 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
         EXPECT_EQ(sums[s].download(), expected) << "submission " << s;
     }
     EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
+}
+
+/// gpu/copy, by which a device's memory is measured, copies what it is asked to and nothing beyond.
+TEST_F(StreamTest, CopyThatIsMeasured) {
+    constexpr std::uint32_t kCopied = 1000, kAll = 1003;
+    std::vector<glm::vec4> values(kAll);
+    for (std::uint32_t i = 0; i < kAll; ++i) values[i] = glm::vec4(float(i)) + glm::vec4(0.0f, 0.25f, 0.5f, 0.75f);
+    const Array<glm::vec4, shared::CopySource> from(device(), values, "source");
+    const Array<glm::vec4, shared::CopyTarget> to(device(), std::vector<glm::vec4>(kAll, glm::vec4(-1.0f)), "target");
+    const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 256u}});
+    Stream stream(device());
+    run(stream, copy, kCopied, {.from = from.address(), .to = to.address(), .n = kCopied});
+    stream.finish();
+    for (std::uint32_t i = kCopied; i < kAll; ++i) values[i] = glm::vec4(-1.0f);
+    EXPECT_EQ(to.download(), values);
+    EXPECT_GT(copy_bytes_per_s(device()).value_or(0.0), 1e8);   // no memory is slower
 }
 
 TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {

@@ -92,9 +92,8 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
     stream.finish();
     const test::ImageBatch actual = to.read(), back = d_from.read();
-    // single precision places a pixel of 1030 to some 3e-5 of one
-    EXPECT_LT(worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 5e-5);
-    EXPECT_LT(worst_error(back, reference::upsample_vjp(asked, back.rows, back.columns)), 5e-5);
+    EXPECT_LT(worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
+    EXPECT_LT(worst_error(back, reference::upsample_vjp(asked, back.rows, back.columns)), 2e-6);
     // both kernels place pixels alike, so that they are transposes to rounding
     const double forth = test::dot(asked.values, actual.values);
     EXPECT_NEAR(test::dot(back.values, values.values), forth, 1e-6 * std::sqrt(double(asked.values.size())) * 4.0);

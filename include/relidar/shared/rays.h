@@ -68,12 +68,15 @@ struct GeometryGradient {
 };
 RELIDAR_POINTER(GeometryGradients, GeometryGradient);
 
-/// A blended hit, so that it need not be searched again.
-struct KeptHit {
+/// A hit, in the buffer of a ray, in its list, or kept for the backward pass.
+struct Hit {
+    float t;           // m
+    float alpha;       // sigma G, not clamped
     uint instance;
     uint surfel;
 };
-RELIDAR_POINTER(KeptHits, KeptHit);
+RELIDAR_POINTER(Hits, Hit);
+#define RELIDAR_SIDE_BY_SIDE 4u   // lists of hits, or hits that are kept of rays
 
 RELIDAR_SHARED_END
 #endif

@@ -65,7 +65,7 @@ struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};
     std::uint32_t n_rays = 0;      ///< room for the largest batch; where one has more, the renderer waits once and makes room
-    std::uint32_t keep_hits = 0;   ///< first hits of a ray kept for a backward pass, 8 bytes each; 0 = it casts every ray again
+    std::uint32_t keep_hits = 0;   ///< first hits of a ray kept for a backward pass, 16 bytes each; 0 = it casts every ray again
 };
 
 /// A scene ready to be rendered: parameters, acceleration structure, forward pass and what rays render, on one device and in one stream

@@ -29,7 +29,7 @@ struct RayBatch {
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
     /// Where the batch is an image, row by row: its columns, of which n_rays is a multiple. Threads that run together then trace tiles of
-    /// 8 x 4 neighbours, which open the same nodes. 0 = rays as they come.
+    /// 16 x 2 neighbours, which open the same nodes. 0 = rays as they come.
     std::uint32_t columns = 0;
     /// What the rays measured, entry by entry as `rays`; looked at with TraceOptions::likelihood alone. Null = nothing.
     const Array<shared::DeviceTarget>* targets = nullptr;
@@ -52,8 +52,7 @@ struct TraceOptions {
     int chunk = 16;               ///< hits sorted at a time, 1..64
     Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
     HitOrder order = HitOrder::automatic;   ///< of the forward pass; automatic = lists on a GPU, chunks on a CPU
-    /// Hits that a list has room for at first, 1..512; twice as many while more than one ray in a hundred has more. Rays that have more are
-    /// traced in chunks.
+    /// Hits that a list has room for at first, 1..512; twice as many while any ray has more. Rays that have more are traced in chunks.
     int list_room = 64;
     /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and BackwardPass::run, which must then be given one,
     /// what the geometric losses want.
@@ -66,19 +65,28 @@ struct TraceOptions {
     bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }   ///< a RayGeometry, for one of them
 };
 
+/// Threads that trace a batch: whole tiles of 16 x 2 rays over an image, some of them beside it; else one a ray.
+std::size_t trace_threads(const RayBatch& batch);
+
 /// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
 struct KeptHits {
-    Array<shared::KeptHit> hits;   ///< [n_rays, per_ray]
-    std::uint32_t per_ray = 0;     ///< what a ray has behind them is searched again
+    Array<shared::Hit> hits;     ///< [ceil(n_threads / 4), per_ray, 4]
+    std::uint32_t per_ray = 0;   ///< what a ray has behind them is searched again
 
-    /// @param n_rays  of the largest batch
-    KeptHits(Device& device, std::size_t n_rays, std::uint32_t hits_per_ray)
-        : hits(device, n_rays * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+    /// @param n_threads  that trace the largest batch
+    KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
+        : hits(device, side_by_side(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+    /// As many threads, in whole groups whose hits lie side by side.
+    static std::size_t side_by_side(std::size_t n_threads) {
+        return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
+    }
+    /// Whether there is room for those of a batch.
+    bool hold(const RayBatch& batch) const { return side_by_side(trace_threads(batch)) * per_ray <= hits.size(); }
 };
 
-/// How many hits of a ray should be kept where `n_overfull` of `n_rays` had more than the `per_ray` that are: twice as many while those are
-/// more than one in a hundred, but at most 256 (2 kB a ray), or as many as now.
-std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull, std::uint64_t n_rays);
+/// How many hits of a ray should be kept where `n_overfull` rays had more than the `per_ray` that are: twice as many while there are such
+/// rays, for a GPU waits for the few that it searches again as long as for all others; but at most 256 (4 kB a ray), or as many as now.
+std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
 /// What the geometric losses want of each ray of a batch beside its image, and what they give back.
 struct RayGeometry {

@@ -21,6 +21,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include <relidar/export.hpp>
+#include <relidar/measure/gpu.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -3,18 +3,14 @@
 
 #include <algorithm>
 #include <bit>
-#include <chrono>
 #include <cmath>
-
-#include <relidar/error.hpp>
-#include <relidar/stages/gpu.hpp>
 
 namespace relidar::cli {
 namespace {
 
 // Bytes of what the kernels exchange (shaders/shared).
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20,
-                 kKeptHit = 8, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
+                 kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
 constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/traversal/software_bvh.glsl
@@ -91,24 +87,6 @@ bool runs(const Row& row, const FloorSizes& s) {
            (row.when == When::gather && s.training && s.gather);
 }
 
-/// Seconds of the fastest of a few copies.
-double seconds_of_copy(Device& device, std::size_t n_bytes) {
-    const Buffer from(device, n_bytes, "source of the copy"), to(device, n_bytes, "target of the copy");
-    Stream stream(device, true);
-    stream.fill(from);
-    double best = 1e30;
-    for (int i = 0; i < 8; ++i) {
-        stream.finish();
-        const auto start = std::chrono::steady_clock::now();
-        stream.copy(from, to, n_bytes);
-        stream.finish();
-        if (!device.info().timestamps)
-            best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
-    }
-    if (device.info().timestamps) best = std::ranges::min(stream.times().milliseconds.at("copy")) / 1000.0;
-    return best;
-}
-
 }  // namespace
 
 std::map<std::string, double> floor_bytes(const FloorSizes& sizes) {
@@ -137,16 +115,5 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
 }
 
 double search_operations(const FloorSizes& s) { return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations; }
-
-std::optional<double> copy_bytes_per_s(Device& device) {
-    constexpr std::size_t kMiB = std::size_t(1) << 20;
-    for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
-        try {
-            return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes);
-        } catch (const DeviceError&) {   // no room for two of that size
-        }
-    }
-    return std::nullopt;
-}
 
 }  // namespace relidar::cli

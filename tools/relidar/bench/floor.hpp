@@ -6,12 +6,7 @@
 
 #include <cstdint>
 #include <map>
-#include <optional>
 #include <string>
-
-namespace relidar {
-class Device;
-}
 
 namespace relidar::cli {
 
@@ -45,9 +40,5 @@ std::map<std::string, double> cache_bytes(const FloorSizes& sizes);
 
 /// Arithmetic of the forward pass's search, operations; 0 where visits are not counted.
 double search_operations(const FloorSizes& sizes);
-
-/// Bytes a second that the device's copy reads and writes together: the best of several copies of 256 MiB, so that no cache holds them, or
-/// of less where memory is short. Nothing where not even 1 MiB is left.
-std::optional<double> copy_bytes_per_s(Device& device);
 
 }  // namespace relidar::cli

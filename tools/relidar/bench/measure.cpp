@@ -29,7 +29,9 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Samples = std::map<std::string, std::vector<double>>;
 
-constexpr double kWarmUp_ms = 200.0;   // kernels are compiled and clocks raised in the first moments
+/// Kernels are compiled in the first moments, and a GPU raises its clocks.
+double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
+
 constexpr const char* kOrder[] = {"scene/activate",     "accel/proxies",  "accel/build",     "accel/refit",
                                   "accel/top_level",    "forward/append", "forward/sort_hits", "forward/blend",
                                   "forward/trace",      "loss/image_loss", "fill",
@@ -80,7 +82,7 @@ std::uint32_t hits_to_keep(const BenchCase& bench, const std::vector<std::uint32
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
         const auto n_overfull = std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
-        const std::uint32_t more = kept_hits_wanted(keep, static_cast<std::uint64_t>(n_overfull), hits.size());
+        const std::uint32_t more = kept_hits_wanted(keep, static_cast<std::uint64_t>(n_overfull));
         if (more == keep) break;
         keep = more;
     }
@@ -277,11 +279,11 @@ BenchResult Bench::result() {
     result.forward_mrays_per_s = krays / forward_ms;
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
     result.kept_hits = r.kept_hits();
-    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
-        result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.memory = memory_;
     result.memory.rays = device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
     result.memory.peak = device_.peak_bytes();
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
+        result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.sizes = sizes(result);
     return result;
 }
@@ -334,7 +336,7 @@ BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSett
     do {
         stop_if_interrupted();
         repeat();
-    } while (ms_since(start) < kWarmUp_ms);
+    } while (ms_since(start) < warm_up_ms(device));
     bench.forget_times();
     Progress progress(settings.quiet);
     for (int i = 0; i < settings.repeat; ++i) {

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of gpu/copy.
+#include <algorithm>
+#include <chrono>
+
+#include <relidar/error.hpp>
+#include <relidar/measure/gpu.hpp>
+#include <relidar/stages/gpu.hpp>
+
+#include "gpu/kernel.hpp"
+#include "gpu/stream.hpp"
+#include "shared/gpu.h"
+
+namespace relidar {
+namespace {
+
+/// Seconds of the fastest of some copies of n vectors, by a kernel or by the driver: a GPU's driver may use a part of it alone, a
+/// processor's moves larger pieces than threads do. Copies follow each other without a pause, for a GPU raises its clocks at work alone.
+double seconds_of_copy(Device& device, std::size_t n) {
+    const Array<glm::vec4, shared::CopySource> from(device, n, "source of the copy");
+    const Array<glm::vec4, shared::CopyTarget> to(device, n, "target of the copy");
+    const Kernel<shared::CopyParams> copy(device, "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 256u}});
+    Stream stream(device, true);
+    stream.fill(from);
+    stream.finish();
+    constexpr int kCopies = 8;
+    double best = 1e30;
+    for (int i = 0; i < 8; ++i) {
+        const auto start = std::chrono::steady_clock::now();
+        for (int k = 0; k < kCopies; ++k) {
+            if (i % 2 == 0) run(stream, copy, n, {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(n)});
+            else stream.copy(from.buffer(), to.buffer(), n * sizeof(glm::vec4));
+        }
+        stream.finish();
+        best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / kCopies);
+    }
+    if (!device.info().timestamps) return best;
+    const auto times = stream.times().milliseconds;
+    return std::min(std::ranges::min(times.at("gpu/copy")), std::ranges::min(times.at("copy"))) / 1000.0;
+}
+
+}  // namespace
+
+std::optional<double> copy_bytes_per_s(Device& device) {
+    constexpr std::size_t kMiB = std::size_t(1) << 20;
+    for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
+        try {
+            return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
+        } catch (const DeviceError&) {   // no room for two of that size
+        }
+    }
+    return std::nullopt;
+}
+
+}  // namespace relidar
