@@ -2,6 +2,9 @@
 // Range offsets of the beams of a log: what each adds to every range, from planes that several beams have seen.
 #include <algorithm>
 #include <cmath>
+#include <numeric>
+#include <optional>
+#include <span>
 #include <unordered_map>
 
 #include <relidar/sequence.hpp>
@@ -43,20 +46,34 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
     return result;
 }
 
-/// Returns of the frames, and how many cells they fall into. A cell keeps its returns while they move by centimetres.
-std::vector<Observation> gather(const Sequence& sequence, const std::vector<int>& positions, std::size_t& n_cells) {
+/// Returns cell by cell, in the order of their frames. A cell keeps its returns while they move by centimetres.
+struct Cells {
+    std::vector<Observation> seen;
+    std::vector<std::size_t> first;   ///< [cells + 1] in `seen`
+
+    std::size_t size() const { return first.size() - 1; }
+    std::span<const Observation> of(std::size_t cell) const { return std::span(seen).subspan(first[cell], first[cell + 1] - first[cell]); }
+};
+
+Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
     std::vector<std::vector<Observation>> frames =
         read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); });
     std::unordered_map<std::uint64_t, std::uint32_t> number;
-    std::vector<Observation> all;
-    for (std::vector<Observation>& frame : frames) {
-        for (Observation& o : frame)
+    Cells cells{{}, {0}};
+    for (std::vector<Observation>& frame : frames)
+        for (Observation& o : frame) {
             o.cell = number.try_emplace(cell_key(glm::dvec3(o.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
-        all.insert(all.end(), frame.begin(), frame.end());
+            if (o.cell + 1u == cells.first.size()) cells.first.push_back(0);
+            ++cells.first[o.cell + 1u];
+        }
+    std::partial_sum(cells.first.begin(), cells.first.end(), cells.first.begin());
+    cells.seen.resize(cells.first.back());
+    std::vector<std::size_t> next(cells.first.begin(), cells.first.end() - 1);
+    for (std::vector<Observation>& frame : frames) {
+        for (const Observation& o : frame) cells.seen[next[o.cell]++] = o;
         frame = {};
     }
-    n_cells = number.size();
-    return all;
+    return cells;
 }
 
 glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) {
@@ -65,63 +82,82 @@ glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) {
 
 /// A cell's plane.
 struct Plane {
-    glm::dvec3 point{0.0};
-    glm::dvec3 normal{0.0};   ///< zero where the cell is no plane
+    glm::dvec3 point;
+    glm::dvec3 normal;
 };
 
-std::vector<Plane> planes_of(const std::vector<Observation>& seen, const std::vector<double>& offset_m, std::size_t n_cells) {
-    struct CellSums {
-        PlaneSums sums;          // from the cell's first point
-        glm::dvec3 about{0.0};
-    };
-    std::vector<CellSums> cells(n_cells);
-    for (const Observation& o : seen) {
-        CellSums& s = cells[o.cell];
-        const glm::dvec3 at = moved(o, offset_m);
-        if (s.sums.n == 0.0) s.about = at;
-        s.sums.add(at - s.about);
-    }
-    std::vector<Plane> planes(n_cells);
-    for_each_block(n_cells, [&](std::size_t i) {
-        if (cells[i].sums.n < kMinReturns) return;
-        const PlaneFit fit = cells[i].sums.fit();
-        if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m || fit.variance[1] < kMaxThickness_m * kMaxThickness_m) return;
-        planes[i] = {cells[i].about + fit.mean, fit.axes[0]};
-    });
-    return planes;
+std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vector<double>& offset_m) {
+    if (seen.size() < std::size_t(kMinReturns)) return std::nullopt;
+    const glm::dvec3 about = moved(seen[0], offset_m);
+    PlaneSums sums;
+    for (const Observation& o : seen) sums.add(moved(o, offset_m) - about);
+    const PlaneFit fit = sums.fit();
+    if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m || fit.variance[1] < kMaxThickness_m * kMaxThickness_m) return std::nullopt;
+    return Plane{about + fit.mean, fit.axes[0]};
 }
 
 /// Sums of one beam's returns: residuals across their planes, by how squarely they were met.
 struct OffsetFit {
-    double weight = kPriorReturns;
+    double weight = 0.0;
     double sum = 0.0;
 };
 
-/// One step of every beam's offset towards the planes. @return count and mean square of the residuals that come in
-std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen, const std::vector<Plane>& planes,
-                                           std::vector<double>& offset_m) {
-    std::vector<OffsetFit> fits(offset_m.size());
+/// Sums over the residuals of some cells.
+struct Residuals {
+    std::vector<OffsetFit> fits;   ///< [beams]
     std::size_t n = 0;
     double squares = 0.0;
-    for (const Observation& o : seen) {
-        const Plane& plane = planes[o.cell];
+
+    void add(const Observation& o, const Plane& plane, const std::vector<double>& offset_m) {
         const double facing = glm::dot(plane.normal, glm::dvec3(o.direction)),
                      residual = glm::dot(plane.normal, moved(o, offset_m) - plane.point);
-        if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) continue;
+        if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
         ++n;
         squares += residual * residual;
         fits[o.beam].weight += facing * facing;
         // of the whole offset, so that the prior holds it, not the step
         fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
+    void add(const Residuals& other) {
+        n += other.n;
+        squares += other.squares;
+        for (std::size_t b = 0; b < fits.size(); ++b) {
+            fits[b].weight += other.fits[b].weight;
+            fits[b].sum += other.fits[b].sum;
+        }
+    }
+};
+
+/// Residuals across the planes as they are with these offsets. Blocks of cells on all cores; their sums are added in order.
+Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
+    constexpr std::size_t kBlock = 2048;
+    std::vector<Residuals> blocks((cells.size() + kBlock - 1) / kBlock);
+    run_parallel(static_cast<int>(blocks.size()), [&](int b) {
+        Residuals& block = blocks[std::size_t(b)];
+        block.fits.resize(offset_m.size());
+        for (std::size_t cell = std::size_t(b) * kBlock; cell < std::min(cells.size(), (std::size_t(b) + 1) * kBlock); ++cell) {
+            const std::span<const Observation> seen = cells.of(cell);
+            const std::optional<Plane> plane = plane_of(seen, offset_m);
+            if (!plane) continue;
+            for (const Observation& o : seen) block.add(o, *plane, offset_m);
+        }
+    });
+    Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
+    for (const Residuals& block : blocks) all.add(block);
+    return all;
+}
+
+/// One step of every beam's offset towards the planes. @return count and mean square of the residuals that come in
+std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
+    const Residuals r = residuals_of(cells, offset_m);
     double mean = 0.0, weight = 0.0;
-    for (std::size_t b = 0; b < fits.size(); ++b) {
-        offset_m[b] = fits[b].sum / fits[b].weight;
-        mean += fits[b].weight * offset_m[b];
-        weight += fits[b].weight;
+    for (std::size_t b = 0; b < offset_m.size(); ++b) {
+        offset_m[b] = r.fits[b].sum / r.fits[b].weight;
+        mean += r.fits[b].weight * offset_m[b];
+        weight += r.fits[b].weight;
     }
     for (double& offset : offset_m) offset -= mean / weight;   // all ranges longer by the same: hardly to be told from another scene
-    return {n, n > 0 ? squares / double(n) : 0.0};
+    return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }
 
 }  // namespace
@@ -129,13 +165,12 @@ std::pair<std::size_t, double> fit_offsets(const std::vector<Observation>& seen,
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
     const std::vector<Beam*> beams = beams_of(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    std::size_t n_cells = 0;
-    const std::vector<Observation> seen = gather(sequence, positions, n_cells);
+    const Cells cells = gather(sequence, positions);
     LaserCalibration result;
-    if (seen.empty()) return result;
+    if (cells.seen.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
-        const auto [n, mean_square] = fit_offsets(seen, planes_of(seen, offset_m, n_cells), offset_m);
+        const auto [n, mean_square] = fit_offsets(cells, offset_m);
         result.returns = n;
         result.rms_after = std::sqrt(mean_square);
         if (round == 0) result.rms_before = result.rms_after;
