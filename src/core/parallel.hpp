@@ -46,4 +46,20 @@ void for_each_block(std::size_t n, const Task& task) {
     });
 }
 
+/// Sorts on all cores: stretches, which are then merged by twos. `less` must tell any two elements apart, so that there is one order.
+template <class T, class Less>
+void sort_parallel(std::vector<T>& values, const Less& less) {
+    constexpr std::size_t kLeast = 1 << 15;   // of a stretch
+    const std::size_t n_threads = std::max(1u, std::thread::hardware_concurrency());
+    std::size_t n = 1;
+    while (n < n_threads && values.size() / (2 * n) >= kLeast) n *= 2;
+    const auto at = [&](std::size_t k) { return values.begin() + static_cast<std::ptrdiff_t>(values.size() * k / n); };
+    run_parallel(static_cast<int>(n), [&](int k) { std::sort(at(std::size_t(k)), at(std::size_t(k) + 1), less); });
+    for (std::size_t width = 1; width < n; width *= 2)
+        run_parallel(static_cast<int>(n / (2 * width)), [&](int pair) {
+            const std::size_t first = 2 * width * std::size_t(pair);
+            std::inplace_merge(at(first), at(first + width), at(first + 2 * width), less);
+        });
+}
+
 }  // namespace relidar

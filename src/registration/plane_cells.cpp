@@ -3,7 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <functional>
+#include <utility>
 
 #include <Eigen/Eigenvalues>
 
@@ -72,13 +73,13 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
 
 PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift)
     : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
-    std::vector<std::uint64_t> key(points.size());
-    for (std::size_t i = 0; i < points.size(); ++i) key[i] = key_of(points[i].point_m);
-    std::iota(order_.begin(), order_.end(), 0u);
-    std::sort(order_.begin(), order_.end(), [&](std::uint32_t a, std::uint32_t b) { return key[a] != key[b] ? key[a] < key[b] : a < b; });
-    for (std::size_t i = 0; i < order_.size(); ++i) {
-        if (i > 0 && key[order_[i]] == key[order_[i - 1]]) continue;
-        key_.push_back(key[order_[i]]);
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());   // cell, point
+    for_each_block(points.size(), [&](std::size_t i) { keyed[i] = {key_of(points[i].point_m), static_cast<std::uint32_t>(i)}; });
+    sort_parallel(keyed, std::less<>());
+    for (std::size_t i = 0; i < keyed.size(); ++i) {
+        order_[i] = keyed[i].second;
+        if (i > 0 && keyed[i].first == keyed[i - 1].first) continue;
+        key_.push_back(keyed[i].first);
         first_.push_back(i);
     }
     first_.push_back(order_.size());

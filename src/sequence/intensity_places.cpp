@@ -73,9 +73,12 @@ PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>&
         }
         frame = {};
     }
-    std::erase_if(all, [&](const PlaceReturn& r) { return count[r.place] < 2; });
-    std::stable_sort(all.begin(), all.end(), [](const PlaceReturn& a, const PlaceReturn& b) { return a.place < b.place; });
-    return {std::move(all), count.size()};
+    std::vector<std::size_t> next(count.size() + 1, 0);   // where each place's returns go, those that nobody shares left out
+    for (std::size_t place = 0; place < count.size(); ++place) next[place + 1] = next[place] + (count[place] < 2 ? 0 : count[place]);
+    std::vector<PlaceReturn> by_place(next.back());
+    for (const PlaceReturn& r : all)
+        if (count[r.place] >= 2) by_place[next[r.place]++] = r;
+    return {std::move(by_place), count.size()};
 }
 
 }  // namespace relidar
