@@ -27,7 +27,7 @@ class JoinedBlocks : public test::DeviceTest {
 protected:
     void SetUp() override {
         DeviceTest::SetUp();
-        if (IsSkipped()) return;
+        if (IsSkipped() || HasFatalFailure()) return;
         std::string pattern = (fs::temp_directory_path() / "relidar-blocks-XXXXXX").string();
         ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
         folder = pattern;

@@ -25,7 +25,7 @@ class Points : public test::DeviceTest {
 protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
-        if (IsSkipped()) return;
+        if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 12});
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
         scene = initialise_scene(log, split_frames(log, 5).train, {});

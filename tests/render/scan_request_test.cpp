@@ -51,7 +51,7 @@ protected:
 
     void SetUp() override {
         DeviceTest::SetUp();
-        if (!IsSkipped()) renderer.emplace(device(), wall_and_car(), Config{}, log);
+        if (!IsSkipped() && !HasFatalFailure()) renderer.emplace(device(), wall_and_car(), Config{}, log);
     }
     void TearDown() override {
         renderer.reset();

@@ -24,7 +24,7 @@ protected:
     /// A street in two blocks, one of what lies before x = 0 and one of what lies behind. Its cars are thin: rays shine through.
     void SetUp() override {
         DeviceTest::SetUp();
-        if (IsSkipped()) return;
+        if (IsSkipped() || HasFatalFailure()) return;
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-actors-XXXXXX").string();
         ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
         folder = pattern;

@@ -83,7 +83,7 @@ class LiveScan : public test::DeviceTest {
 protected:
     void SetUp() override {
         DeviceTest::SetUp();
-        if (!IsSkipped()) made_ = std::make_unique<Scanner>(small_run(), OtherRuns{{"other", small_run()}}, device());
+        if (!IsSkipped() && !HasFatalFailure()) made_ = std::make_unique<Scanner>(small_run(), OtherRuns{{"other", small_run()}}, device());
     }
     void TearDown() override {
         made_.reset();
