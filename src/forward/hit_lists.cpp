@@ -84,7 +84,11 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
     if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();   // nobody may be writing lists that go
     if (in_kept) hits_ = {};
     else if (!own_fit) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));   // as many as there ever were
-    if (lengths_.size() < n) lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
+    try {
+        if (lengths_.size() < n) lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
+    } catch (const DeviceError&) {   // no memory for lists
+        return {};
+    }
     const std::uint32_t room = in_kept ? kept->per_ray : room_;
     if (room > 0 && room != sort_room_) make_sort(room);
     return {.hits = in_kept ? kept->hits.address() : hits_.address(),
@@ -104,7 +108,7 @@ void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams&
     const shared::HitLists lists = make_room(stream, n, kept);
     if (lists.room == 0) return;
     params.lists = lists;
-    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;
+    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;   // lists without memory of their own
     relidar::run(stream, append_, n, {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     count_overflows(stream);
     relidar::run(stream, *sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});

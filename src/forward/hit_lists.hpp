@@ -35,8 +35,8 @@ private:
     std::optional<Kernel<shared::SortHitsParams>> sort_;   ///< for lists of sort_room_
     std::uint32_t room_, sort_room_ = 0;
     bool grows_ = true;
-    Array<shared::Hit> hits_;   ///< empty where lists are in the memory of kept hits
-    std::uint32_t hits_room_ = 0;                   ///< of a list there
+    Array<shared::Hit> hits_;       ///< empty where lists are in the memory of kept hits
+    std::uint32_t hits_room_ = 0;   ///< of a list there
     Array<std::uint32_t, shared::ListLengths> lengths_;
     Array<std::uint32_t, shared::OverflowCount> n_overflows_;
     Readback overflows_;

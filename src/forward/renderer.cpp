@@ -27,7 +27,6 @@ struct Renderer::Impl {
     Array<DeviceRay> host_rays;   ///< of forward()
     Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
-    std::size_t kept_threads = 0;   ///< which they have room for
     std::optional<RayGeometry> geometry;
     RenderedBatch batch;
 
@@ -46,7 +45,7 @@ struct Renderer::Impl {
 
     void make_kept_hits(std::size_t n_threads) {
         kept.reset();   // before others are there: nobody reads them any more
-        if (options.keep_hits > 0) kept.emplace(device, kept_threads = n_threads, options.keep_hits);
+        if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
         batch.kept = kept ? &*kept : nullptr;
     }
 };
@@ -125,7 +124,7 @@ bool Renderer::keep_hits(std::uint32_t per_ray) {
     Impl& r = *impl_;
     r.stream.finish();
     const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
-    const std::size_t n_threads = std::max(r.kept_threads, r.rendered.size());
+    const std::size_t n_threads = std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
     try {
         r.make_kept_hits(n_threads);
         return true;
