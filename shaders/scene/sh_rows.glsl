@@ -21,11 +21,14 @@ void choose_moves(bool loads, bool stores) {
 void load_channel(Floats sh, uint surfel, uint channel, uint n) {
     if (!STAGED) return;
     barrier();   // the moves are chosen, the channel before has been stored
-    uint first = surfel - gl_LocalInvocationIndex;
-    for (uint e = gl_LocalInvocationIndex; e < 16u * gl_WorkGroupSize.x; e += gl_WorkGroupSize.x) {
-        uint s = e / 16u, k = e % 16u;
-        if (k < n && staged_loads[s]) staged_channel[s * kChannelPitch + k] = sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k];
+    uint first = surfel - gl_LocalInvocationIndex, k = gl_LocalInvocationIndex % 16u;
+    float moved[16];   // all of them are asked for before any is waited for
+    [[unroll]] for (uint m = 0u; m < 16u; ++m) {
+        uint s = (m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u;
+        moved[m] = k < n && staged_loads[s] ? sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k] : 0.0;
     }
+    [[unroll]] for (uint m = 0u; m < 16u; ++m)
+        staged_channel[(m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u * kChannelPitch + k] = moved[m];
     barrier();
 }
 

@@ -1,58 +1,64 @@
 // SPDX-License-Identifier: Apache-2.0
-// A loop over independent items on a few threads.
+// Loops over independent items on all cores, by threads that stay.
 #pragma once
 
 #include <algorithm>
-#include <atomic>
 #include <cstddef>
-#include <exception>
+#include <functional>
 #include <thread>
 #include <vector>
 
 namespace relidar {
 
-/// Runs task(i) for every i in [0, n). What a task throws is thrown again once all threads have ended; of several
-/// failures the one of the smallest i, so that a message does not depend on timing.
+/// Cores that this process may use, 1 or more.
+inline std::size_t n_cores() { return std::max(1u, std::thread::hardware_concurrency()); }
+
+/// Runs task(i) for every i in [0, n), on the calling thread and those that are idle. A task may run another such loop. What a task throws
+/// is thrown again once all have ended; of several failures the one of the smallest i, so that a message does not depend on timing.
+void run_parallel(int n, const std::function<void(int)>& task);
+
+/// Neighbouring items that a thread takes at a time: several blocks a core, and enough that taking one costs nothing.
+inline std::size_t block_size(std::size_t n) {
+    constexpr std::size_t kLeast = 128, kMost = 4096, kBlocksOfCore = 8;
+    return std::clamp(n / (kBlocksOfCore * n_cores()), kLeast, kMost);
+}
+
+/// task(begin, end) for all blocks of [0, n), on all cores.
 template <class Task>
-void run_parallel(int n, const Task& task) {
-    const int n_threads = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1, std::max(n, 1));
-    std::vector<std::exception_ptr> failure(static_cast<std::size_t>(std::max(n, 0)));
-    std::atomic<int> next{0};
-    const auto work = [&] {
-        for (int i = next++; i < n; i = next++) {
-            try {
-                task(i);
-            } catch (...) {
-                failure[static_cast<std::size_t>(i)] = std::current_exception();
-            }
-        }
-    };
-    std::vector<std::thread> threads;
-    for (int t = 1; t < n_threads; ++t) threads.emplace_back(work);
-    work();
-    for (std::thread& thread : threads) thread.join();
-    for (const std::exception_ptr& f : failure) {
-        if (f) std::rethrow_exception(f);
-    }
+void for_each_range(std::size_t n, const Task& task) {
+    const std::size_t size = block_size(n);
+    run_parallel(static_cast<int>((n + size - 1) / size),
+                 [&](int block) { task(std::size_t(block) * size, std::min(n, (std::size_t(block) + 1) * size)); });
 }
 
 /// task(i) for every i < n, on all cores in blocks.
 template <class Task>
 void for_each_block(std::size_t n, const Task& task) {
-    constexpr std::size_t kBlock = 4096;
-    run_parallel(static_cast<int>((n + kBlock - 1) / kBlock), [&](int block) {
-        const std::size_t end = std::min(n, (std::size_t(block) + 1) * kBlock);
-        for (std::size_t i = std::size_t(block) * kBlock; i < end; ++i) task(i);
+    for_each_range(n, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) task(i);
     });
 }
 
-/// Sorts on all cores: stretches, which are then merged by twos. `less` must tell any two elements apart, so that there is one order.
+/// A sum over [0, n) that is the same on any number of cores: of parts of `size` items, added up in their order.
+/// @param part  (begin, end) -> Sum, of which operator+= adds two
+template <class Part>
+auto sum_parallel(std::size_t n, std::size_t size, const Part& part) {
+    using Sum = decltype(part(std::size_t{}, std::size_t{}));
+    std::vector<Sum> sums((n + size - 1) / size);
+    run_parallel(static_cast<int>(sums.size()),
+                 [&](int i) { sums[std::size_t(i)] = part(std::size_t(i) * size, std::min(n, (std::size_t(i) + 1) * size)); });
+    Sum all{};
+    for (const Sum& sum : sums) all += sum;
+    return all;
+}
+
+/// Sorts on all cores: stretches, which are then merged by twos. There is one order, whatever the number of
+/// cores, where `less` tells any two elements apart or those that it does not are the same.
 template <class T, class Less>
 void sort_parallel(std::vector<T>& values, const Less& less) {
     constexpr std::size_t kLeast = 1 << 15;   // of a stretch
-    const std::size_t n_threads = std::max(1u, std::thread::hardware_concurrency());
     std::size_t n = 1;
-    while (n < n_threads && values.size() / (2 * n) >= kLeast) n *= 2;
+    while (n < n_cores() && values.size() / (2 * n) >= kLeast) n *= 2;
     const auto at = [&](std::size_t k) { return values.begin() + static_cast<std::ptrdiff_t>(values.size() * k / n); };
     run_parallel(static_cast<int>(n), [&](int k) { std::sort(at(std::size_t(k)), at(std::size_t(k) + 1), less); });
     for (std::size_t width = 1; width < n; width *= 2)

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// A loop over many independent items that says how far it is.
+// Loops over many independent items that say how far they are.
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <string_view>
+#include <thread>
 
 #include <relidar/progress.hpp>
 
@@ -11,25 +13,32 @@
 
 namespace relidar {
 
-/// for_each_block, in 20 parts, each of them told before it begins.
-template <class Task>
-void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
-    constexpr std::size_t kParts = 20;
-    for (std::size_t part = 0; part < kParts; ++part) {
-        const std::size_t begin = n * part / kParts, end = n * (part + 1) / kParts;
-        if (progress) progress(what, double(part) / double(kParts));
-        for_each_block(end - begin, [&](std::size_t i) { task(begin + i); });
-    }
-}
-
-/// run_parallel, in parts of 8 of which each is told before it begins.
+/// run_parallel. The calling thread tells how many of the items are done before each that it takes itself; what `progress` throws ends it.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
-    constexpr std::size_t kPart = 8;
-    for (std::size_t begin = 0; begin < n; begin += kPart) {
-        if (progress) progress(what, double(begin) / double(n));
-        run_parallel(static_cast<int>(std::min(kPart, n - begin)), [&](int i) { task(begin + std::size_t(i)); });
-    }
+    const std::thread::id caller = std::this_thread::get_id();
+    std::atomic<std::size_t> done{0};
+    std::atomic<bool> is_ended{false};
+    run_parallel(static_cast<int>(n), [&](int i) {
+        if (is_ended) return;
+        if (progress && std::this_thread::get_id() == caller) try {
+                progress(what, double(done) / double(n));
+            } catch (...) {
+                is_ended = true;
+                throw;
+            }
+        task(std::size_t(i));
+        ++done;
+    });
+}
+
+/// As for_each_told, in blocks.
+template <class Task>
+void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
+    const std::size_t size = block_size(n);
+    for_each_told((n + size - 1) / size, progress, what, [&](std::size_t block) {
+        for (std::size_t i = block * size; i < std::min(n, (block + 1) * size); ++i) task(i);
+    });
 }
 
 }  // namespace relidar

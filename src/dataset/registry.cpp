@@ -10,6 +10,7 @@
 #include <relidar/error.hpp>
 #include <relidar/reader.hpp>
 #include "core/files.hpp"
+#include "core/parallel.hpp"
 #include "dataset/argoverse2/argoverse2.hpp"
 #include "dataset/bag/ros_bag.hpp"
 #include "dataset/boreas/boreas.hpp"
@@ -175,10 +176,11 @@ void check_range(const FrameRange& range) {
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars) nominal.push_back(lidar.pattern ? RayTable{} : nominal_rays(lidar, 0.0));
-    for (Frame& frame : sequence.frames) {
+    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+        Frame& frame = sequence.frames[std::size_t(i)];
         frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
         frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.lidar_of(frame).sensor, nominal[std::size_t(frame.lidar)]);
-    }
+    });
 }
 
 }  // namespace

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 
+#include "core/parallel.hpp"
+
 namespace relidar {
 namespace {
 
@@ -41,20 +43,34 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const SweepMoment& seen) {
-    double n_points = 0.0, n_tail = 0.0;
-    for (std::size_t i = 0; i < image.range_m.size(); ++i) {
-        if (!returned(image.drop_prob[i], image.range_m[i])) continue;
-        n_points += 1.0;
-        const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
-        const double t_s = facing_time(sequence, in_sensor, seen);
-        const glm::dvec3 point_m =
-            sequence.world_from_vehicle.at(t_s, sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor) * in_sensor;
-        const bool occupied = std::any_of(swept.begin(), swept.end(),
-                                          [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
-        n_tail += !occupied && std::any_of(swept.begin(), swept.end(), [&](const Swept& s) { return is_swept(s, point_m); });
+/// Points of some rays, and those of them that lie where a box was or will be, but is not.
+struct Tail {
+    std::size_t n_points = 0, n_tail = 0;
+    Tail& operator+=(const Tail& other) {
+        n_points += other.n_points;
+        n_tail += other.n_tail;
+        return *this;
     }
-    return n_points > 0.0 ? n_tail / n_points : 0.0;
+};
+
+double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const SweepMoment& seen) {
+    constexpr std::size_t kRays = 2048;   // of a part
+    const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
+    const Tail all = sum_parallel(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
+        Tail part;
+        for (std::size_t i = begin; i < end; ++i) {
+            if (!returned(image.drop_prob[i], image.range_m[i])) continue;
+            ++part.n_points;
+            const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
+            const double t_s = facing_time(sequence, in_sensor, seen);
+            const glm::dvec3 point_m = sequence.world_from_vehicle.at(t_s, mounted) * in_sensor;
+            if (std::ranges::none_of(swept, [&](const Swept& s) { return is_swept(s, point_m); })) continue;
+            part.n_tail += std::ranges::none_of(
+                swept, [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
+        }
+        return part;
+    });
+    return all.n_points > 0 ? double(all.n_tail) / double(all.n_points) : 0.0;
 }
 
 }  // namespace

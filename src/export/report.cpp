@@ -11,6 +11,7 @@
 
 #include <fmt/format.h>
 
+#include "core/parallel.hpp"
 #include "chart.hpp"
 #include "html.hpp"
 #include "report_parts.hpp"
@@ -192,13 +193,16 @@ std::string timings(const Report& report) {
 }
 
 std::string figure(const ReportFigure& figure) {
+    std::vector<std::string> urls(figure.images.size());
+    run_parallel(static_cast<int>(urls.size()),
+                 [&](int i) { urls[std::size_t(i)] = export_detail::png_data_url(figure.images[std::size_t(i)].second); });
     std::string body;
-    for (const auto& [caption, image] : figure.images) {
-        const std::string url = export_detail::png_data_url(image);
+    for (std::size_t i = 0; i < urls.size(); ++i) {
+        const auto& [caption, image] = figure.images[i];
         const double aspect = std::min(kMaxAspect, double(image.columns) / double(image.rows));
         body += fmt::format("<figure><figcaption>{}</figcaption>", escape_html(caption));
         body += fmt::format("<img alt=\"{}\" style=\"aspect-ratio:{:.4f}\" src=\"{}\"></figure>\n", escape_html(caption), aspect,
-                            url);
+                            urls[i]);
     }
     return body;
 }
@@ -210,7 +214,9 @@ std::string page(const Report& report) {
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
     for (const ReportView& view : report.views) html += section(view.title, export_detail::view_html(view, report.views.size()));
-    for (const ReportFigure& pictures : report.figures) html += section(pictures.title, figure(pictures));
+    std::vector<std::string> figures(report.figures.size());
+    run_parallel(static_cast<int>(figures.size()), [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
+    for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
     html += section("Curves", curves(report));
     for (const ReportBars& bars : report.bars) html += section(bars.title, export_detail::bars_html(bars));
     html += section("Scores", key_metrics(report));

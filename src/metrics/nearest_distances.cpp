@@ -3,14 +3,14 @@
 // shared out among threads. Distances are computed in double, as the points of a log may lie far from the origin.
 #include <relidar/metrics.hpp>
 
-#include <algorithm>
 #include <cmath>
-#include <thread>
 
 #include <fmt/format.h>
 #include <nanoflann.hpp>
 
 #include <relidar/error.hpp>
+
+#include "core/parallel.hpp"
 
 namespace relidar {
 namespace {
@@ -31,22 +31,12 @@ using Metric = nanoflann::L2_Simple_Adaptor<double, TargetCloud>;
 using Tree = nanoflann::KDTreeSingleIndexAdaptor<Metric, TargetCloud, 3, std::uint32_t>;
 
 constexpr std::size_t kLeafSize = 16;
-constexpr std::size_t kMinQueriesPerThread = 4096;   // below this a thread costs more than it saves
 
 void check_finite(const std::vector<glm::dvec3>& points, const char* name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
             throw DataError(fmt::format("nearest distances: {} point {} is ({}, {}, {}), expected finite values", name, i,
                                         points[i].x, points[i].y, points[i].z));
-}
-
-void search(const Tree& tree, const std::vector<glm::dvec3>& query, std::size_t first, std::size_t last, double* distance) {
-    for (std::size_t i = first; i < last; ++i) {
-        std::uint32_t index = 0;
-        double squared = 0.0;
-        tree.knnSearch(&query[i].x, 1, &index, &squared);
-        distance[i] = std::sqrt(squared);
-    }
 }
 
 }  // namespace
@@ -60,14 +50,12 @@ std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query, cons
 
     const TargetCloud cloud{target};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(kLeafSize));
-    const std::size_t useful = std::max<std::size_t>(query.size() / kMinQueriesPerThread, 1);
-    const std::size_t n_threads = std::min<std::size_t>(std::max(std::thread::hardware_concurrency(), 1u), useful);
-    std::vector<std::jthread> threads;
-    for (std::size_t k = 1; k < n_threads; ++k)
-        threads.emplace_back(search, std::cref(tree), std::cref(query), k * query.size() / n_threads,
-                             (k + 1) * query.size() / n_threads, distance.data());
-    search(tree, query, 0, query.size() / n_threads, distance.data());
-    threads.clear();   // joins
+    for_each_block(query.size(), [&](std::size_t i) {
+        std::uint32_t index = 0;
+        double squared = 0.0;
+        tree.knnSearch(&query[i].x, 1, &index, &squared);
+        distance[i] = std::sqrt(squared);
+    });
     return distance;
 }
 

@@ -103,6 +103,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const bool listed = a.list && touched;
     if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
+    const Concurrent groups(stream);   // none of them reads what another writes
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;

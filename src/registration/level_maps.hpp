@@ -4,6 +4,7 @@
 
 #include <vector>
 
+#include "core/parallel.hpp"
 #include "registration/voxel_planes.hpp"
 
 namespace relidar {
@@ -22,8 +23,10 @@ public:
     bool empty() const { return maps_.front().empty(); }
     RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
     /// As VoxelPlanes has them, on every level.
-    void add(const glm::dvec3& point_m, double travelled_m) {
-        for (VoxelPlanes& map : maps_) map.add(point_m, travelled_m);
+    void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
+        run_parallel(kLevels, [&](int level) {
+            for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
+        });
     }
     void forget(double travelled_m) {
         for (VoxelPlanes& map : maps_) map.forget(travelled_m);

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <span>
 
 #include <Eigen/SparseCholesky>
 
@@ -95,10 +96,12 @@ private:
         if (map_of_ == about) return;
         map_of_ = about;
         maps_.clear();
+        std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keys_.size(); ++key) {
             if (std::abs(way_m(key) - way_m(about)) > kMap_m) continue;
-            for (const ThinPoint& point : scans_[keys_[key]]) maps_.add(place(track_, point).point_m, 0.0);
+            for (const ThinPoint& point : scans_[keys_[key]]) points_m.push_back(place(track_, point).point_m);
         }
+        maps_.add(points_m, 0.0);
     }
 
     /// Points of a scan in the frame of its pose, each seen from where the sensor was.
@@ -125,36 +128,32 @@ private:
 
     /// The best of a grid of starts about a pose.
     Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
-        Pose best = about;
-        double best_score = -1.0;
+        std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) { return int(std::ceil(std::min(reach_m, widest_m) / kGrid_m)); };
         const int wide = steps(kWidest_m), high = steps(kHighest_m);
         for (int x = -wide; x <= wide; ++x)
             for (int y = -wide; y <= wide; ++y)
-                for (int z = -high; z <= high; ++z) {
-                    Pose start = about;
-                    start.translation += kGrid_m * glm::dvec3(x, y, z);
-                    const double score = coarse_share(points, start) - kGridPenalty * std::sqrt(double(x * x + y * y + z * z));
-                    if (score <= best_score) continue;
-                    best_score = score;
-                    best = start;
-                }
-        return best;
+                for (int z = -high; z <= high; ++z) offsets.emplace_back(x, y, z);
+        const auto start_at = [&](std::size_t i) { return Pose{about.rotation, about.translation + kGrid_m * offsets[i]}; };
+        std::vector<double> scores(offsets.size());
+        run_parallel(static_cast<int>(offsets.size()), [&](int i) {
+            scores[std::size_t(i)] = coarse_share(points, start_at(std::size_t(i))) - kGridPenalty * glm::length(offsets[std::size_t(i)]);
+        });
+        return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
     /// One Gauss-Newton step of a rigid scan. @return its length
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
-        RigidEquations equations;
-        std::size_t on_planes = 0;
-        for (const PlacedPoint& point : points) {
-            const glm::dvec3 p = at * point.point_m;
-            const Plane* plane = maps_.finest_plane(p, level);
-            if (!plane) continue;
-            const Row row = row_of({p, at.translation}, *plane, maps_.round(level).scale_m);
-            equations.add(row);
-            on_planes += row.weight > 0.25;
-        }
-        share = double(on_planes) / double(points.size());
+        const double scale_m = maps_.round(level).scale_m;
+        const RigidEquations equations = sum_parallel(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            RigidEquations part;
+            for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
+                const glm::dvec3 p = at * point.point_m;
+                if (const Plane* plane = maps_.finest_plane(p, level)) part.add(row_of({p, at.translation}, *plane, scale_m));
+            }
+            return part;
+        });
+        share = double(equations.n_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kLoopPrior);
         at = moved(at, x);

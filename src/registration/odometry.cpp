@@ -8,6 +8,7 @@
 #include <array>
 #include <atomic>
 #include <cmath>
+#include <span>
 #include <thread>
 #include <utility>
 
@@ -23,6 +24,7 @@ constexpr double kConverged_m = 1e-3;       // length of the last step
 constexpr double kPrior = 3e-4;  // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
 constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
 constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
+constexpr double kForgotten_m = 5.0;        // at a time
 constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place
 constexpr int kLostInARow = 5;              // after which the map begins anew
 constexpr std::size_t kStretch = 200;       // poses
@@ -88,12 +90,16 @@ private:
     std::size_t begin_;
     std::optional<Pose> first_motion_;
     LevelMaps maps_;
-    double travelled_m_ = 0.0, share_ = 0.0;
+    double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
     void add_to_maps(const std::vector<ThinPoint>& scan) {
-        for (const ThinPoint& point : scan) maps_.add(place(track_, point).point_m, travelled_m_);
-        maps_.forget(travelled_m_ - kMemory_m);
+        std::vector<glm::dvec3> points_m(scan.size());
+        for_each_block(scan.size(), [&](std::size_t i) { points_m[i] = place(track_, scan[i]).point_m; });
+        maps_.add(points_m, travelled_m_);
+        if (travelled_m_ - kMemory_m < forgotten_m_ + kForgotten_m) return;
+        forgotten_m_ = travelled_m_ - kMemory_m;
+        maps_.forget(forgotten_m_);
     }
 
     /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
@@ -134,18 +140,16 @@ private:
 
     /// @return length of the step
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
-        RigidEquations equations;
-        std::size_t on_planes = 0;
-        for (const ThinPoint& point : scan) {
-            const PlacedPoint at = place(track_, point);
-            const Plane* plane = maps_.finest_plane(at.point_m, level);
-            if (!plane) continue;
-            const Row row = row_of(at, *plane, scale_m);
-            const double a = point.left + 1 == k ? double(point.s) : 1.0;   // how far the point moves along
-            equations.add(row, a);
-            on_planes += row.weight > 0.25;
-        }
-        share = double(on_planes) / double(scan.size());
+        const RigidEquations equations = sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            RigidEquations part;
+            for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
+                const PlacedPoint at = place(track_, point);
+                const double moves_along = point.left + 1 == k ? double(point.s) : 1.0;
+                if (const Plane* plane = maps_.finest_plane(at.point_m, level)) part.add(row_of(at, *plane, scale_m), moves_along);
+            }
+            return part;
+        });
+        share = double(equations.n_on_planes()) / double(scan.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kPrior, twist_between(start, track_.pose[k]));
         set(k, moved(track_.pose[k], x));

@@ -2,6 +2,7 @@
 // One scan onto a scene that stays: each point towards the surface along its own ray, so that nothing has to be searched for.
 #include <relidar/registration.hpp>
 
+#include "core/parallel.hpp"
 #include "registration/plane_adjustment.hpp"
 #include "registration/pose_equations.hpp"
 
@@ -14,18 +15,25 @@ constexpr double kPlacePrior = 1e-4;    // of the mean stiffness, towards where 
 constexpr double kPlaceStep_m = 2e-4;   // length of the last step
 constexpr int kMostPlaceSteps = 8;
 
-/// Rays of one frame that are looked at.
+/// Rays of one frame that are looked at, and their returns.
 struct FrameRays {
     int position;
     std::vector<std::size_t> rays;
+    std::vector<ThinPoint> points;
 };
 
 std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const RegisterOptions& options) {
     std::vector<FrameRays> frames;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose])
-            frames.push_back({static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m)});
+            frames.push_back({static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m), {}});
     std::erase_if(frames, [](const FrameRays& f) { return f.rays.empty(); });
+    for (FrameRays& f : frames) {
+        f.points.resize(f.rays.size());
+        for_each_block(f.rays.size(), [&](std::size_t k) {
+            f.points[k] = point_of(sequence, sequence.world_from_vehicle, pose, f.position, f.rays[k]);
+        });
+    }
     return frames;
 }
 
@@ -42,18 +50,17 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
     double step_m = 2.0 * kPlaceStep_m;
     for (int i = 0; i < kMostPlaceSteps && step_m > kPlaceStep_m; ++i) {
         RigidEquations equations;
-        std::size_t on_surfaces = 0;
-        for (const auto& [position, rays] : frames) {
+        for (const auto& [position, rays, points] : frames) {
             const std::vector<SeenSurface> seen = view(position, rays, track);
-            for (std::size_t k = 0; k < rays.size(); ++k) {
-                if (seen[k].normal == glm::dvec3(0.0)) continue;
-                const ThinPoint point = point_of(sequence, track, pose, position, rays[k]);
-                const Row row = row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m);
-                equations.add(row, share_of(point, pose));
-                on_surfaces += row.weight > 0.25;
-            }
+            equations += sum_parallel(rays.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+                RigidEquations part;
+                for (std::size_t k = begin; k < end; ++k)
+                    if (seen[k].normal != glm::dvec3(0.0))
+                        part.add(row_of(place(track, points[k]), {seen[k].point_m, seen[k].normal}, kScale_m), share_of(points[k], pose));
+                return part;
+            });
         }
-        result.on_surfaces = double(on_surfaces) / double(n);
+        result.on_surfaces = double(equations.n_on_planes()) / double(n);
         if (equations.empty()) return result;
         const Twist step = equations.solve(kPlacePrior, twist_between(before, track.pose[pose]));
         track.pose[pose] = moved(track.pose[pose], step);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 
 #include "core/parallel.hpp"
 #include "registration/pose_equations.hpp"
@@ -162,7 +163,7 @@ double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const Thi
     for (const ThinPoint& point : own) {
         const PlacedPoint placed = place(track_, point);
         const Plane* plane = map.at(placed.point_m);
-        n_placed += plane && row_of(placed, *plane, scale_m).weight > 0.25;
+        n_placed += plane && row_of(placed, *plane, scale_m).is_on_plane();
     }
     return own.empty() ? 0.0 : double(n_placed) / double(own.size());
 }
@@ -183,29 +184,34 @@ double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& 
 
 std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m,
                                                        double largest_m) {
+    std::vector<std::span<const ThinPoint>> scans(candidates.size());
+    for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
+        while (end < points_.size() && points_[end].pose == k) ++end;
+        scans[k] = std::span(points_).subspan(begin, end - begin);
+    }
+    std::vector<double> shares(scans.size());
+    run_parallel(static_cast<int>(scans.size()),
+                 [&](int k) { shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], scale_m); });
     std::vector<std::size_t> lost;
     std::vector<bool> is_known = candidates;
-    std::size_t begin = 0;
     for (std::size_t k = 0; k < is_known.size(); ++k) {
-        std::size_t end = begin;
-        while (end < points_.size() && points_[end].pose == k) ++end;
-        const double share = share_on_planes(map, std::span(points_).subspan(begin, end - begin), scale_m);
-        if (candidates[k] && !(is_placed(share, end - begin) && stands_out_m(k, candidates) <= largest_m)) {
-            lost.push_back(k);
-            is_known[k] = false;
-        }
-        begin = end;
+        if (!candidates[k] || (is_placed(shares[k], scans[k].size()) && stands_out_m(k, candidates) <= largest_m)) continue;
+        lost.push_back(k);
+        is_known[k] = false;
     }
     interpolate_corrections(is_known);
     return lost;
 }
 
 void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m) {
-    RigidEquations equations;
-    for (const ThinPoint& point : own) {
-        const PlacedPoint placed = place(track_, point);
-        if (const Plane* plane = map.at(placed.point_m)) equations.add(row_of(placed, *plane, scale_m), share_of(point, pose));
-    }
+    const RigidEquations equations = sum_parallel(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        RigidEquations part;
+        for (const ThinPoint& point : std::span(own).subspan(begin, end - begin)) {
+            const PlacedPoint placed = place(track_, point);
+            if (const Plane* plane = map.at(placed.point_m)) part.add(row_of(placed, *plane, scale_m), share_of(point, pose));
+        }
+        return part;
+    });
     if (!equations.empty()) track_.pose[pose] = moved(track_.pose[pose], equations.solve(kAdjustmentPrior));
 }
 

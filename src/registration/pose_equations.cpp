@@ -11,10 +11,13 @@
 #include <Eigen/Cholesky>
 #include <Eigen/SparseCholesky>
 
+#include "core/parallel.hpp"
+
 namespace relidar {
 namespace {
 
 constexpr int kMostIterations = 100;   // 20 to 30 are usual, however long the log
+constexpr std::size_t kParts = 64, kPlanesOfPart = 256;   // of the sums over planes, whatever the number of threads: most, fewest
 constexpr double kTolerance = 1e-4;   // of the residual's norm: the next round corrects what is left
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
@@ -43,6 +46,14 @@ Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
 void RigidEquations::add(const Row& row, double share) {
     stiffness_ += row.weight * share * share * row.j * row.j.transpose();
     gradient_ += row.weight * share * row.residual_m * row.j;
+    n_on_planes_ += row.is_on_plane();
+}
+
+RigidEquations& RigidEquations::operator+=(const RigidEquations& other) {
+    stiffness_ += other.stiffness_;
+    gradient_ += other.gradient_;
+    n_on_planes_ += other.n_on_planes_;
+    return *this;
 }
 
 Twist RigidEquations::solve(double prior, const Twist& correction) const {
@@ -139,13 +150,26 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
         block(y, k) += next_[k] * block(x, k + 1);
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
-    std::size_t begin = 0;
-    for (const std::size_t end : plane_end_) {
-        Eigen::Vector3d moved = Eigen::Vector3d::Zero();
-        for (std::size_t k = begin; k < end; ++k) moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
-        for (std::size_t k = begin; k < end; ++k) block(y, couplings_[k].pose) -= couplings_[k].c.cast<double>() * moved;
-        begin = end;
-    }
+    struct Sum {
+        Eigen::VectorXd y;
+        Sum& operator+=(const Sum& other) {
+            if (y.size() == 0) y = other.y;
+            else y += other.y;
+            return *this;
+        }
+    };
+    if (n_planes_ == 0) return y;
+    y -= sum_parallel(n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
+             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
+             for (std::size_t plane = first; plane < last; ++plane) {
+                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
+                 Eigen::Vector3d moved = Eigen::Vector3d::Zero();
+                 for (std::size_t k = begin; k < end; ++k)
+                     moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
+                 for (std::size_t k = begin; k < end; ++k) block(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
+             }
+             return Sum{std::move(part)};
+         }).y;
     return y;
 }
 

@@ -25,15 +25,18 @@ using Matrix6 = Eigen::Matrix<double, 6, 6>;
 struct Row {
     double residual_m, weight;
     Vector6 j;
+    bool is_on_plane() const { return weight > 0.25; }
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
-/// Gauss-Newton equations of one pose while all else stays.
+/// Gauss-Newton equations of one pose while all else stays, and how many points lie on their planes.
 class RigidEquations {
 public:
     /// @param share  of the pose's motion that the point takes part in
     void add(const Row& row, double share = 1.0);
+    RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
+    std::size_t n_on_planes() const { return n_on_planes_; }
     /// @param prior  share of the mean stiffness, of translations and of rotations, that pulls the pose back: decides what no point sees
     /// @param correction  what it is pulled back by
     Twist solve(double prior, const Twist& correction = {}) const;
@@ -41,6 +44,7 @@ public:
 private:
     Matrix6 stiffness_ = Matrix6::Zero();
     Vector6 gradient_ = Vector6::Zero();
+    std::size_t n_on_planes_ = 0;
 };
 
 /// How far a step moves points that lie some ten metres away.

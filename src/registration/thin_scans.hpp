@@ -28,6 +28,9 @@ struct ThinPoint {
     std::uint32_t pose = 0;   ///< whose sweep it belongs to
 };
 
+/// Points of which the equations are summed by one thread.
+inline constexpr std::size_t kPointsOfPart = 512;
+
 /// Where a point lies, and the vehicle when it was fired.
 struct PlacedPoint {
     glm::dvec3 point_m, vehicle_m;

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "registration/voxel_planes.hpp"
 
+#include <array>
 #include <cmath>
+#include <mutex>
 
 namespace relidar {
 namespace {
@@ -9,7 +11,11 @@ namespace {
 constexpr double kFewestOfVoxel = 6;
 constexpr double kVoxelSpread = 0.12;  // of the cell's edge: least standard deviation along the narrower axis; 0.29 fills the cell
 constexpr double kThickness = 0.1;    // of the cell's edge: largest standard deviation along the normal
-constexpr double kRefit = 1.1;        // growth after which a plane is fitted anew
+/// One of a few, by the cell: threads seldom fit planes at the same time.
+std::mutex& mutex_of(const void* cell) {
+    static std::array<std::mutex, 64> mutexes;
+    return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];
+}
 
 }  // namespace
 
@@ -23,16 +29,19 @@ const Plane* VoxelPlanes::at(const glm::dvec3& point_m) const {
     const auto found = cells_.find(cell_key(point_m, cell_m_));
     if (found == cells_.end() || found->second.sums.n < kFewestOfVoxel) return nullptr;
     const Cell& cell = found->second;
-    if (cell.sums.n >= kRefit * cell.n_fitted) fit(cell, centre(point_m));
+    if (cell.is_outgrown()) {
+        const std::scoped_lock lock(mutex_of(&cell));
+        if (cell.is_outgrown()) fit(cell, centre(point_m));
+    }
     return cell.plane ? &*cell.plane : nullptr;
 }
 
 void VoxelPlanes::fit(const Cell& cell, const glm::dvec3& centre_m) const {
     const PlaneFit f = cell.sums.fit();
-    cell.n_fitted = cell.sums.n;
+    const bool is_plane = f.variance[1] >= std::pow(kVoxelSpread * cell_m_, 2) && f.variance[0] <= std::pow(kThickness * cell_m_, 2);
     cell.plane.reset();
-    if (f.variance[1] < std::pow(kVoxelSpread * cell_m_, 2) || f.variance[0] > std::pow(kThickness * cell_m_, 2)) return;
-    cell.plane = Plane{centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
+    if (is_plane) cell.plane = Plane{centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
+    cell.n_fitted.store(cell.sums.n, std::memory_order_release);
 }
 
 void VoxelPlanes::forget(double travelled_m) {

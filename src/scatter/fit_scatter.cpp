@@ -4,6 +4,7 @@
 // as long as that is more than chance gives.
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -38,7 +39,7 @@ struct Returns {
 
 /// Where a sorted list is parted into n parts; none twice.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
-    std::sort(values.begin(), values.end());
+    sort_parallel(values, std::less<>());
     std::vector<float> cuts;
     for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
     cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
@@ -64,10 +65,15 @@ std::vector<Place> returns_of(std::span<const MeasuredIntensities> images, std::
     for (const MeasuredIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
     const double share = double(most) / double(std::max<std::size_t>(n, 1));
-    std::vector<Place> places;
-    for (std::size_t k = 0; k < images.size(); ++k)
+    std::vector<std::vector<Place>> of_images(images.size());
+    run_parallel(int(images.size()), [&](int image) {
+        const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
-            if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share) places.push_back({std::uint32_t(k), std::uint32_t(i)});
+            if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
+                of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
+    });
+    std::vector<Place> places;
+    for (const std::vector<Place>& own : of_images) places.insert(places.end(), own.begin(), own.end());
     return places;
 }
 
@@ -79,20 +85,22 @@ Features features_of(std::span<const MeasuredIntensities> images, Place place) {
 
 Returns read_returns(std::span<const MeasuredIntensities> images, const std::vector<Place>& places) {
     Returns result;
-    std::array<std::vector<float>, kFeatures> some;
     const std::size_t stride = places.size() / kQuantileReturns + 1;
-    for (std::size_t i = 0; i < places.size(); i += stride) {
-        const Features features = features_of(images, places[i]);
-        for (std::size_t f = 0; f < kFeatures; ++f) some[f].push_back(features[f]);
-    }
-    for (std::size_t f = 0; f < kFeatures; ++f) result.cuts[f] = quantiles(std::move(some[f]), kBins);
+    std::vector<Features> some((places.size() + stride - 1) / stride);
+    for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
+    run_parallel(int(kFeatures), [&](int f) {
+        std::vector<float> values;
+        for (const Features& features : some) values.push_back(features[std::size_t(f)]);
+        result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
+    });
     for (const Place& place : places) result.value.push_back(images[place.image].measured[place.ray]);
     const std::vector<float> classes = quantiles(result.value, kClasses);
-    for (const float value : result.value) result.of_class.push_back(bin(classes, value));
     result.bins.resize(places.size());
+    result.of_class.resize(places.size());
     for_each_block(places.size(), [&](std::size_t i) {
         const Features features = features_of(images, places[i]);
         for (std::size_t f = 0; f < kFeatures; ++f) result.bins[i][f] = bin(result.cuts[f], features[f]);
+        result.of_class[i] = bin(classes, result.value[i]);
     });
     return result;
 }
@@ -186,18 +194,16 @@ Cut find_cut(const Returns& returns, std::span<const std::uint32_t> order, const
     return best;
 }
 
-/// Cuts of the nodes from `first` on. Of a large node features are counted at the same time, small nodes at the same time as others.
+/// Cuts of the nodes from `first` on, at the same time; of a large node the features as well.
 std::vector<Cut> find_cuts(const Returns& returns, const std::vector<std::uint32_t>& order, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
     std::vector<Cut> cuts(nodes.size());
     const auto part = [&](std::size_t k) { return std::span(order).subspan(nodes[k].first, nodes[k].count); };
-    for (std::size_t k = 0; k < nodes.size(); ++k)
-        if (nodes[k].count >= kLarge)
-            cuts[k] = find_cut(returns, part(k), terms, [](int n, const auto& task) { run_parallel(n, task); });
     run_parallel(int(nodes.size()), [&](int k) {
-        if (nodes[std::size_t(k)].count >= kLarge) return;
-        cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [](int n, const auto& task) {
+        const bool is_large = nodes[std::size_t(k)].count >= kLarge;
+        cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
+            if (is_large) return run_parallel(n, task);
             for (int i = 0; i < n; ++i) task(i);
         });
     });
@@ -255,7 +261,7 @@ double common_divisor(double a, double b, double error) {
 double find_step(std::vector<float> values) {
     constexpr double kError = 1e-6, kFinest = 1e-5;   // of the largest value
     constexpr std::size_t kFewestLevels = 8;
-    std::sort(values.begin(), values.end());
+    sort_parallel(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
     if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
     const double largest = double(values.back());

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "core/cell_key.hpp"
+#include "core/cell_numbers.hpp"
 #include "core/parallel.hpp"
 
 namespace relidar {
@@ -101,24 +102,23 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
     return result;
 }
 
-/// Cells of the world that the returns lie in, numbered, and the mean of the returns of each.
-std::vector<glm::vec3> number_cells(std::vector<Returns>& frames) {
-    struct Mean {
-        glm::dvec3 sum{0.0};
-        int n = 0;
-    };
-    std::unordered_map<std::uint64_t, std::uint32_t> number;
-    std::vector<Mean> means;
+/// Gives returns the cells of the world that they lie in. @return [cells] the mean of the returns of each
+std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
+    std::vector<Return*> all;
     for (Returns& frame : frames)
-        for (Return& r : frame.others) {
-            r.cell = number.try_emplace(cell_key(glm::dvec3(r.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
-            if (r.cell == means.size()) means.emplace_back();
-            means[r.cell].sum += glm::dvec3(r.point_m);
-            ++means[r.cell].n;
-        }
-    std::vector<glm::vec3> points;
-    for (const Mean& m : means) points.push_back(glm::vec3(m.sum / double(m.n)));
-    return points;
+        for (Return& r : frame.others) all.push_back(&r);
+    std::vector<std::uint64_t> keys(all.size());
+    for_each_block(all.size(), [&](std::size_t i) { keys[i] = cell_key(glm::dvec3(all[i]->point_m), kCell_m); });
+    const CellNumbers numbers = number_cells(keys);
+    const ItemsOfCells items(numbers);
+    for_each_block(all.size(), [&](std::size_t i) { all[i]->cell = numbers.of[i]; });
+    std::vector<glm::vec3> means(items.size());
+    for_each_block(items.size(), [&](std::size_t cell) {
+        glm::dvec3 sum(0.0);
+        for (const std::uint32_t i : items.of(cell)) sum += glm::dvec3(all[i]->point_m);
+        means[cell] = glm::vec3(sum / double(items.of(cell).size()));
+    });
+    return means;
 }
 
 /// A thing is in one piece from bottom to top; a tree above it is another, and so is the ground below. The piece with most of what moved.
@@ -200,7 +200,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
         frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
     });
-    const std::vector<glm::vec3> cells = number_cells(frames);
+    const std::vector<glm::vec3> cells = put_into_cells(frames);
     visibility.announce(cells);
     std::vector<Motion> motion(cells.size());
     for_each_block(cells.size(), [&](std::size_t i) {

@@ -12,6 +12,8 @@
 #include <relidar/error.hpp>
 #include <relidar/math.hpp>
 
+#include "core/parallel.hpp"
+
 namespace relidar {
 namespace {
 
@@ -89,10 +91,10 @@ RayTable make_rays(const SpinningSensor& sensor) {
     const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
     RayTable rays = empty_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
-    std::size_t at = 0;
-    for (int row = 0; row < rows; ++row) {
+    run_parallel(rows, [&](int row) {
         const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
         const int shift = column_shift(beam, columns);
+        std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;
             const double head = wrapped(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
@@ -102,7 +104,7 @@ RayTable make_rays(const SpinningSensor& sensor) {
             rays.time_offset_s[at] = static_cast<float>(head * seconds_per_rad);
             rays.channel[at] = static_cast<std::uint16_t>(row);
         }
-    }
+    });
     return rays;
 }
 

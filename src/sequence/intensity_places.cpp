@@ -3,9 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <unordered_map>
 
 #include "core/cell_key.hpp"
+#include "core/cell_numbers.hpp"
+#include "core/parallel.hpp"
 #include "core/plane_sums.hpp"
 #include "sequence/beam_returns.hpp"
 
@@ -19,8 +20,8 @@ constexpr double kMaxThickness = 0.15;      // of a surface over its narrower ex
 constexpr std::size_t kMostReturns = 6000000;
 
 struct Seen {
-    glm::dvec3 point_m;
-    glm::vec3 direction;
+    glm::dvec3 point_m{0.0};
+    glm::vec3 direction{0.0f};
     PlaceReturn given;   ///< place and cosine are still to be found
 };
 
@@ -37,48 +38,53 @@ std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
     return result;
 }
 
-using Surfaces = std::unordered_map<std::uint64_t, glm::vec3>;   // normals by cell
+/// Cells of all returns. @param seen  of all frames
+CellNumbers cells_of(const std::vector<Seen>& seen, double cell_m) {
+    std::vector<std::uint64_t> keys(seen.size());
+    for_each_block(seen.size(), [&](std::size_t i) { keys[i] = cell_key(seen[i].point_m, cell_m); });
+    return number_cells(keys);
+}
 
-Surfaces surfaces_of(const std::vector<std::vector<Seen>>& frames) {
-    std::unordered_map<std::uint64_t, PlaneSums> cells;
-    for (const std::vector<Seen>& frame : frames)
-        for (const Seen& s : frame) cells[cell_key(s.point_m, kSurface_m)].add(s.point_m - kSurface_m * glm::floor(s.point_m / kSurface_m));
-    Surfaces surfaces;
-    for (const auto& [key, sums] : cells) {
-        if (sums.n < kMinPoints) continue;
+/// [cells of kSurface_m] Normals; zero where the returns lie on no surface.
+std::vector<glm::vec3> normals_of(const std::vector<Seen>& seen, const CellNumbers& cells) {
+    const ItemsOfCells items(cells);
+    std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
+    for_each_block(cells.n_cells, [&](std::size_t cell) {
+        if (double(items.of(cell).size()) < kMinPoints) return;
+        PlaneSums sums;
+        for (const std::uint32_t i : items.of(cell)) sums.add(seen[i].point_m - kSurface_m * glm::floor(seen[i].point_m / kSurface_m));
         const PlaneFit fit = sums.fit();
-        if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1]) surfaces.emplace(key, glm::vec3(fit.axes[0]));
-    }
-    return surfaces;
+        if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1]) normals[cell] = glm::vec3(fit.axes[0]);
+    });
+    return normals;
 }
 
 }  // namespace
 
 PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<std::vector<Seen>> frames =
-        read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); });
-    const Surfaces surfaces = surfaces_of(frames);
-    std::unordered_map<std::uint64_t, std::uint32_t> number;
-    std::vector<std::uint32_t> count;
-    std::vector<PlaceReturn> all;
-    for (std::vector<Seen>& frame : frames) {
-        for (Seen& s : frame) {
-            const auto surface = surfaces.find(cell_key(s.point_m, kSurface_m));
-            if (surface == surfaces.end()) continue;
-            s.given.place = number.try_emplace(cell_key(s.point_m, kPlace_m), static_cast<std::uint32_t>(count.size())).first->second;
-            s.given.cosine = std::abs(glm::dot(surface->second, s.direction));
-            if (s.given.place == count.size()) count.push_back(0);
-            ++count[s.given.place];
-            all.push_back(s.given);
-        }
-        frame = {};
+    std::vector<Seen> seen =
+        joined(read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); }));
+    {
+        const CellNumbers cells = cells_of(seen, kSurface_m);
+        const std::vector<glm::vec3> normals = normals_of(seen, cells);
+        for_each_block(seen.size(),
+                       [&](std::size_t i) { seen[i].given.cosine = std::abs(glm::dot(normals[cells.of[i]], seen[i].direction)); });
+        std::size_t n = 0;
+        for (std::size_t i = 0; i < seen.size(); ++i)
+            if (normals[cells.of[i]] != glm::vec3(0.0f)) seen[n++] = seen[i];
+        seen.resize(n);
     }
-    std::vector<std::size_t> next(count.size() + 1, 0);   // where each place's returns go, those that nobody shares left out
-    for (std::size_t place = 0; place < count.size(); ++place) next[place + 1] = next[place] + (count[place] < 2 ? 0 : count[place]);
-    std::vector<PlaceReturn> by_place(next.back());
-    for (const PlaceReturn& r : all)
-        if (count[r.place] >= 2) by_place[next[r.place]++] = r;
-    return {std::move(by_place), count.size()};
+    const CellNumbers places = cells_of(seen, kPlace_m);
+    const ItemsOfCells items(places);
+    std::vector<PlaceReturn> by_place;   // those that nobody shares left out
+    for (std::uint32_t place = 0; place < places.n_cells; ++place) {
+        if (items.of(place).size() < 2) continue;
+        for (const std::uint32_t i : items.of(place)) {
+            by_place.push_back(seen[i].given);
+            by_place.back().place = place;
+        }
+    }
+    return {std::move(by_place), places.n_cells};
 }
 
 }  // namespace relidar

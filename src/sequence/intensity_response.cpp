@@ -101,7 +101,7 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// The derivatives of what is expected of one return, by the few unknowns that it depends on.
+/// The derivatives of what is expected of one return, by the few unknowns that it depends on, in ascending order.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
@@ -128,13 +128,13 @@ Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
 }
 
 struct System {
-    Eigen::MatrixXd h;
+    Eigen::MatrixXd h;   ///< its lower half
     Eigen::VectorXd g;
     double mean = 0.0, spread = 0.0;   ///< of what the mean beam measures
 };
 
-/// Sums over the places of a chunk.
-struct Sums {
+/// Sums over the places of a chunk; of the symmetric h its lower half. In cache lines of its own: threads write side by side.
+struct alignas(64) Sums {
     System system;
     std::vector<double> coupling;          // of the place at hand with each unknown; zero between places
     std::vector<Eigen::Index> touched;     // of its unknowns
@@ -153,7 +153,7 @@ struct Sums {
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
                 coupling[std::size_t(unknown)] += derivative * row.by_albedo;
                 system.g[unknown] += derivative * row.error;
-                for (std::size_t j = 0; j < row.n; ++j) system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
+                for (std::size_t j = 0; j <= i; ++j) system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
             }
             cc += row.by_albedo * row.by_albedo, ce += row.by_albedo * row.error;
             const double expected = m.albedo[r.place] * row.by_albedo;
@@ -161,7 +161,8 @@ struct Sums {
         }
         for (const Eigen::Index i : touched) {
             system.g[i] -= coupling[std::size_t(i)] * ce / cc;
-            for (const Eigen::Index j : touched) system.h(i, j) -= coupling[std::size_t(i)] * coupling[std::size_t(j)] / cc;
+            for (const Eigen::Index j : touched)
+                if (j <= i) system.h(i, j) -= coupling[std::size_t(i)] * coupling[std::size_t(j)] / cc;
         }
         for (const Eigen::Index i : touched) coupling[std::size_t(i)] = 0.0;
     }
@@ -200,7 +201,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         for (const double x : {sys.mean - sys.spread, sys.mean + sys.spread}) {
             const double weight = 0.5 * kResponsePrior, error = x - m.beams[b].gain * x - m.beams[b].offset;
             sys.h(at.gain(b), at.gain(b)) += weight * x * x, sys.h(at.offset(b), at.offset(b)) += weight;
-            sys.h(at.gain(b), at.offset(b)) += weight * x, sys.h(at.offset(b), at.gain(b)) += weight * x;
+            sys.h(at.offset(b), at.gain(b)) += weight * x;
             sys.g[at.gain(b)] += weight * x * error, sys.g[at.offset(b)] += weight * error;
         }
 }

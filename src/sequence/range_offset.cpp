@@ -2,14 +2,13 @@
 // Range offsets of the beams of a log: what each adds to every range, from planes that several beams have seen.
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <optional>
 #include <span>
-#include <unordered_map>
 
 #include <relidar/sequence.hpp>
 
 #include "core/cell_key.hpp"
+#include "core/cell_numbers.hpp"
 #include "core/parallel.hpp"
 #include "core/plane_sums.hpp"
 #include "sequence/beam_returns.hpp"
@@ -31,7 +30,6 @@ constexpr int kRounds = 30;                // planes that few beams share follow
 struct Observation {
     glm::vec3 point_m;       ///< from the world's origin, which is in the middle of the log
     glm::vec3 direction;
-    std::uint32_t cell;
     std::uint32_t beam;
 };
 
@@ -41,7 +39,7 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
         const auto beam = beam_that_saw(sequence, frame, ray, kMaxRange_m);
         if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
-        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), 0, *beam});
+        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), *beam});
     }
     return result;
 }
@@ -56,23 +54,16 @@ struct Cells {
 };
 
 Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<std::vector<Observation>> frames =
-        read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); });
-    std::unordered_map<std::uint64_t, std::uint32_t> number;
-    Cells cells{{}, {0}};
-    for (std::vector<Observation>& frame : frames)
-        for (Observation& o : frame) {
-            o.cell = number.try_emplace(cell_key(glm::dvec3(o.point_m), kCell_m), static_cast<std::uint32_t>(number.size())).first->second;
-            if (o.cell + 1u == cells.first.size()) cells.first.push_back(0);
-            ++cells.first[o.cell + 1u];
-        }
-    std::partial_sum(cells.first.begin(), cells.first.end(), cells.first.begin());
-    cells.seen.resize(cells.first.back());
-    std::vector<std::size_t> next(cells.first.begin(), cells.first.end() - 1);
-    for (std::vector<Observation>& frame : frames) {
-        for (const Observation& o : frame) cells.seen[next[o.cell]++] = o;
-        frame = {};
-    }
+    const std::vector<Observation> all =
+        joined(read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); }));
+    std::vector<std::uint64_t> keys(all.size());
+    for_each_block(all.size(), [&](std::size_t i) { keys[i] = cell_key(glm::dvec3(all[i].point_m), kCell_m); });
+    const ItemsOfCells items(number_cells(keys));
+    Cells cells{std::vector<Observation>(all.size()), {0}};
+    for (std::size_t cell = 0; cell < items.size(); ++cell) cells.first.push_back(cells.first.back() + items.of(cell).size());
+    for_each_block(items.size(), [&](std::size_t cell) {
+        for (std::size_t k = 0; k < items.of(cell).size(); ++k) cells.seen[cells.first[cell] + k] = all[items.of(cell)[k]];
+    });
     return cells;
 }
 

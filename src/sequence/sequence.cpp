@@ -13,6 +13,8 @@
 
 #include <relidar/error.hpp>
 
+#include "core/parallel.hpp"
+
 namespace relidar {
 namespace {
 
@@ -241,15 +243,17 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
     constexpr double kTogether = 0.9;   // resultant of the phases: beams' own azimuths and uneven turns take little of it
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
-    std::complex<double> sum = 0.0;   // of the azimuth that the head had at time 0
     const float first_s = *std::ranges::min_element(rays.time_offset_s);
-    const std::size_t step = 1 + rays.size() / 4096;
-    double n = 0.0;
-    for (std::size_t i = 0; i < rays.size(); i += step, n += 1.0) {
-        const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
-        sum += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
-    }
-    if (std::abs(sum) < kTogether * n) return {};
+    const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
+    const auto sum = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {   // of the azimuth that the head had at time 0
+        std::complex<double> part = 0.0;
+        for (std::size_t i = begin * step; i < end * step && i < rays.size(); i += step) {
+            const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
+            part += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+        }
+        return part;
+    });
+    if (std::abs(sum) < kTogether * double(n)) return {};
     const double at_zero = std::arg(sum);
     const bool usual =
         std::abs(at_zero) < 2.0 * kPi * kUsual && std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;

@@ -50,7 +50,8 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
 CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session)
     : config_(config.train),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
-    if (folder_.wanted()) texts_ = training_texts(sequence, split, config);
+    if (folder_.wanted())
+        texts_ = std::async(std::launch::async, [&sequence, &split, &config] { return training_texts(sequence, split, config); });
 }
 
 bool CheckpointKeeper::due(int step) const {
@@ -64,7 +65,7 @@ bool CheckpointKeeper::due(int step) const {
 void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
     last_ = Clock::now();   // a full disk is tried again when the next one is due
     if (!folder_.wanted()) return;
-    folder_.save({result.iterations, texts_, {}}, [&](Checkpoint& checkpoint) {
+    folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         StateWriter write(checkpoint);
         loop.save(checkpoint);
         write_result(write, result, train_s);

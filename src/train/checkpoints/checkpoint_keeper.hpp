@@ -5,6 +5,7 @@
 #include <chrono>
 #include <filesystem>
 #include <functional>
+#include <future>
 #include <map>
 #include <string>
 
@@ -51,7 +52,7 @@ private:
     using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
     CheckpointFolder folder_;
-    std::map<std::string, std::string> texts_;   ///< of every checkpoint of this training
+    std::shared_future<std::map<std::string, std::string>> texts_;   ///< of every checkpoint of this training; hashes of a log take a while
     Clock::time_point last_ = Clock::now();
 };
 

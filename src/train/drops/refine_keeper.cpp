@@ -25,16 +25,22 @@ std::vector<Mark> marks_of(const Run& run) {
     return marks;
 }
 
+/// What a checkpoint says of what it was made from.
+std::map<std::string, std::string> texts_of(const Run& run) {
+    std::map<std::string, std::string> texts;
+    for (const ConfigKey& key : config_keys(run.config))
+        if (matters(key.key)) put(key, texts);
+    for (const Mark& mark : marks_of(run)) put(mark, texts);
+    return texts;
+}
+
 }  // namespace
 
 RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0,
               "the ray-drop network's step", session.note) {
-    if (!folder_.wanted()) return;
-    for (const ConfigKey& key : config_keys(run.config))
-        if (matters(key.key)) put(key, texts_);
-    for (const Mark& mark : marks_of(run)) put(mark, texts_);
+    if (folder_.wanted()) texts_ = std::async(std::launch::async, [&run] { return texts_of(run); });
 }
 
 void RefineKeeper::after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state) {
@@ -43,7 +49,7 @@ void RefineKeeper::after_step(const RefineProgress& progress, bool stops, const 
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
     last_ = Clock::now();   // a full disk is tried again when the next one is due
-    folder_.save({progress.step, texts_, {}}, [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
+    folder_.save({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
 }
 
 RefineState refine_state(const Checkpoint& checkpoint) {

@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <functional>
+#include <future>
 #include <map>
 #include <string>
 
@@ -26,7 +27,7 @@ private:
     using Clock = std::chrono::steady_clock;
     const double minutes_;
     CheckpointFolder folder_;
-    std::map<std::string, std::string> texts_;   ///< of every checkpoint of this training
+    std::shared_future<std::map<std::string, std::string>> texts_;   ///< of every checkpoint of this training; hashes of a log take a while
     Clock::time_point last_ = Clock::now();
 };
 

@@ -3,6 +3,9 @@
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
+#include <atomic>
+
+#include "core/parallel.hpp"
 
 namespace relidar {
 namespace {
@@ -30,8 +33,8 @@ void DropCounts::add(const Frame& frame, std::size_t ray) {
     const auto beam = sequence_.beam_number(frame.lidar, frame.scan.rays.channel[ray]);
     if (!beam) return;
     const std::size_t slot = index_.index(*beam, frame.scan.rays.direction[ray]);
-    ++rays_[slot];
-    drops_[slot] += !(frame.scan.range_m[ray] > 0.0f);
+    std::atomic_ref(rays_[slot]).fetch_add(1, std::memory_order_relaxed);
+    if (!(frame.scan.range_m[ray] > 0.0f)) std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
 }
 
 DropTable DropCounts::persistent() const {
@@ -77,10 +80,10 @@ DropTable DropCounts::shrunk() const {
 
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
     DropCounts counts(sequence);
-    for (const int position : positions) {
-        const Frame& frame = sequence.frames[std::size_t(position)];
+    run_parallel(static_cast<int>(positions.size()), [&](int k) {
+        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(k)])];
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
-    }
+    });
     return counts.persistent();
 }
 

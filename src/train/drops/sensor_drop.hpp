@@ -16,7 +16,7 @@ class DropCounts {
 public:
     /// Geometry for the LiDARs of a log, which has to outlive this: a row a beam, and azimuth bins of about three columns.
     explicit DropCounts(const Sequence& sequence);
-    /// A ray of a frame of the log.
+    /// A ray of a frame of the log. Several threads may add at a time.
     void add(const Frame& frame, std::size_t ray);
     /// Share of drops among as many bins side by side as it takes to be certain (60 rays: of 20 sweeps in one bin, or of 20 bins in one
     /// sweep): of those that hold a bin, the ones that dropped most, and never more than the bin's own. 0 where a whole turn has fewer.

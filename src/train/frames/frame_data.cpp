@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "core/parallel.hpp"
 #include "train/poses/placed_box.hpp"
 #include "train/drops/sensor_drop.hpp"
 
@@ -36,13 +37,15 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
     const Scan& scan = frame.scan;
     const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a sweep
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
-    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+    rays.resize(scan.range_m.size());
+    targets.resize(scan.range_m.size());
+    for_each_block(scan.range_m.size(), [&](std::size_t i) {
         const WorldRay w = world_ray(track, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         const bool unknown = is_blind(masks.observed_drops, sequence, frame, i) || is_unknown(boxes, w, scan.range_m[i]);
-        rays.push_back({glm::vec3(w.origin_m), glm::vec3(w.direction)});
+        rays[i] = {glm::vec3(w.origin_m), glm::vec3(w.direction)};
         const SurfaceReturn surface = surface_return(sequence, frame, i);
-        targets.push_back({surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f});
-    }
+        targets[i] = {surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f};
+    });
 }
 
 std::uint32_t most_rays(std::span<const FrameData> frames) {

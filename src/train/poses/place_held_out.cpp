@@ -34,10 +34,11 @@ public:
             renderer_.render(sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
         std::vector<SeenSurface> seen(rays.size());
+        FiringPoses firing(scan);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const std::int32_t instance = scan.instance[i];
             if (scan.weight[i] < kFewestWeight || instance < 0 || !run_.scene.instances[std::size_t(instance)].track.empty()) continue;
-            const Pose pose = scan.world_from_firing(i);
+            const Pose& pose = firing.at(i);
             const glm::vec3 point_m = sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
             seen[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
         }
