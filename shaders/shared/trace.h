@@ -37,8 +37,7 @@ struct TraceScene {
     uint columns;                                     // of the image that the batch is, traced in tiles; 0: rays as they come
 };
 
-#define RELIDAR_MOST_ROOM 512              // of a list: 22 KiB of shared memory to sort four of them
-#define RELIDAR_DEPTH_UNIT 4096.0f         // parts that a depth, -log2(1 - alpha), is counted in to sort lists
+#define RELIDAR_MOST_ROOM 512              // of a list: 16 KiB of shared memory to sort four of them
 #define RELIDAR_SORTED_TOGETHER 4u         // lists that a workgroup sorts
 #define RELIDAR_LIST_CLOSED 0x80000000u    // beside a length: the ray ends within the list
 #define RELIDAR_LIST_UNFIT 0xffffffffu     // in its place: forward/trace renders the ray
@@ -71,9 +70,7 @@ struct AppendParams {
 };
 
 struct SortHitsParams {
-    HitLists lists;                                // in and output: hits in the order of their keys, as far as the ray goes
-    float alpha_max;
-    uint opaque;                                   // sum of -log2(1 - alpha) times RELIDAR_DEPTH_UNIT behind which no hit matters
+    HitLists lists;                                // in and output: hits in the order of their keys
 };
 
 /// Ordered hits of each ray, for tests of the traversal contract.

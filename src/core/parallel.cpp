@@ -27,7 +27,7 @@ public:
             const std::scoped_lock lock(mutex_);
             jobs_.push_back(&job);
         }
-        for (std::size_t k = 0; k < n; ++k) wake_.notify_one();
+        wake();
         work();
         std::unique_lock lock(mutex_);
         jobs_.remove(&job);   // whoever has not begun finds nothing left to do
@@ -43,6 +43,12 @@ private:
     std::condition_variable wake_, ended_;
     std::list<Job*> jobs_;   // that want more threads
 
+    /// Two threads, each of which wakes two others where they are wanted: the caller begins at once, and ends a short loop alone.
+    void wake() {
+        wake_.notify_one();
+        wake_.notify_one();
+    }
+
     void serve() {
         std::unique_lock lock(mutex_);
         for (;;) {
@@ -50,7 +56,9 @@ private:
             Job& job = *jobs_.front();
             if (--job.n_wanted == 0) jobs_.pop_front();
             ++job.n_running;
+            const bool wants_more = !jobs_.empty();
             lock.unlock();
+            if (wants_more) wake();
             (*job.work)();
             lock.lock();
             if (--job.n_running == 0) ended_.notify_all();

@@ -3,7 +3,6 @@
 #include "forward/hit_lists.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <utility>
 
@@ -32,8 +31,6 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
       room_(static_cast<std::uint32_t>(room)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than their lists have room for"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {
-    const auto primitive = std::ranges::find(constants, ConstantId::PRIMITIVE, &Constant::id);
-    if (primitive != constants.end() && kind_of(static_cast<Primitive>(primitive->value)).mesh == ProxyMesh::icosahedron) reports_ = 2.0;
     make_sort(room_);
 }
 
@@ -114,11 +111,7 @@ void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams&
     params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;   // lists without memory of their own
     relidar::run(stream, append_, n, {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     count_overflows(stream);
-    const double depth = 0.02 - std::log2(double(params.scene.transmittance_min));   // rounding of log2 and of products is far less
-    relidar::run(stream, *sort_, n * static_cast<std::size_t>(device_.info().subgroup_size),
-                 {.lists = lists,
-                  .alpha_max = params.scene.alpha_max,
-                  .opaque = static_cast<std::uint32_t>(std::min(reports_ * depth * RELIDAR_DEPTH_UNIT, 4e9))});
+    relidar::run(stream, *sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
     relidar::run(stream, blend_, n, params);
 }
 

@@ -33,7 +33,6 @@ private:
     Kernel<shared::AppendParams> append_;
     Kernel<shared::ForwardParams> blend_;
     std::optional<Kernel<shared::SortHitsParams>> sort_;   ///< for lists of sort_room_
-    double reports_ = 1.0;          ///< of a hit: where a proxy is entered, and where it is left
     std::uint32_t room_, sort_room_ = 0;
     bool grows_ = true;
     Array<shared::Hit> hits_;       ///< empty where lists are in the memory of kept hits

@@ -306,6 +306,7 @@ void Device::Impl::read_limits() {
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
+    compiles_ahead = info.type != "CPU" && !compile_only;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes) largest_buffer = {info.memory_bytes, "its memory"};
@@ -329,7 +330,13 @@ Device::Impl::~Impl() {
     if (!device) return;
     transfers.reset();
     memory.reset();
-    for (const auto& [key, pipeline] : pipelines.by_key) vkDestroyPipeline(device, pipeline, nullptr);
+    for (const auto& [key, made] : pipelines.by_key) {
+        if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;   // of a kernel that was never run
+        try {
+            vkDestroyPipeline(device, made.get().pipeline, nullptr);
+        } catch (const Error&) {   // told where it was to be run
+        }
+    }
     pipeline_cache.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
     vkDestroyDevice(device, nullptr);

@@ -4,9 +4,11 @@
 
 #include <array>
 #include <atomic>
+#include <future>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <semaphore>
 #include <string>
 #include <vector>
 
@@ -14,6 +16,8 @@
 
 #include <relidar/measure/gpu.hpp>
 #include <relidar/stages/gpu.hpp>
+
+#include "core/parallel.hpp"
 
 namespace relidar::gpu {
 
@@ -78,9 +82,16 @@ std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgr
 
 /// Pipelines by kernel name, specialisation constants and what is expected of subgroups. lavapipe takes 10 ms for one even where its code
 /// is in a cache, and trainings and renderers make dozens, so kernels of a device that are alike share one, kept until it closes.
+/// A GPU's driver compiles for seconds where nothing is in a cache: there a pipeline is begun, by a thread of its own, as soon as its kernel
+/// is made.
 struct Pipelines {
+    struct Made {
+        VkResult result;
+        VkPipeline pipeline;
+    };
     std::mutex mutex;
-    std::map<std::string, VkPipeline> by_key;
+    std::map<std::string, std::shared_future<Made>> by_key;
+    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};   ///< threads that may work at a time
 };
 
 /// What relidar can do on a physical device, with every missing piece named.
@@ -113,6 +124,7 @@ struct Device::Impl {
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
     bool compile_only = false;
     ForcedWays forced;                      ///< by tests
+    bool compiles_ahead = false;            ///< pipelines are begun with their kernels; a CPU compiles when it runs them
     bool pipeline_statistics = false;       ///< VK_KHR_pipeline_executable_properties is enabled
     std::vector<PipelineStatistics> compiled;   ///< where compile_only
     std::atomic<std::uint64_t> allocated{0};   ///< by arrays

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <memory>
 #include <set>
 
 #include <fmt/format.h>
@@ -40,8 +41,8 @@ std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_
     return words;
 }
 
-VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
-                       Subgroups subgroups, VkPipeline& pipeline) {
+gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
+                                   Subgroups subgroups) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = words.size_bytes();
     module_info.pCode = words.data();
@@ -67,9 +68,10 @@ VkResult make_pipeline(Device::Impl& device, std::span<const std::uint32_t> word
         info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
     const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
-    const VkResult result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &pipeline);
+    gpu::Pipelines::Made made{VK_SUCCESS, VK_NULL_HANDLE};
+    made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
-    return result;
+    return made;
 }
 
 std::string key_of(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
@@ -78,26 +80,19 @@ std::string key_of(std::string_view name, const std::vector<Constant>& constants
     return key;
 }
 
-/// The device's pipeline of such a kernel, made where it is the first. Threads may make different ones at the same time.
-VkResult find_or_make_pipeline(Device::Impl& device, std::string_view name, std::string_view stem, const std::vector<Constant>& constants,
-                               Subgroups subgroups, VkPipeline& pipeline) {
-    const std::string key = key_of(name, constants, subgroups);
-    {
-        const std::scoped_lock lock(device.pipelines.mutex);
-        const auto found = device.pipelines.by_key.find(key);
-        if (found != device.pipelines.by_key.end()) {
-            pipeline = found->second;
-            return VK_SUCCESS;
-        }
-    }
-    VkPipeline made = VK_NULL_HANDLE;
-    const VkResult result = make_pipeline(device, module_words(device, name, stem), constants, subgroups, made);
-    if (result != VK_SUCCESS) return result;
+/// The device's pipeline of such a kernel, made where it is the first: when it is asked for (deferred), or by another thread at once.
+std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device, const KernelBase::Impl& kernel, std::launch how) {
     const std::scoped_lock lock(device.pipelines.mutex);
-    const auto [place, is_new] = device.pipelines.by_key.try_emplace(key, made);
-    if (!is_new) vkDestroyPipeline(device.device, made, nullptr);   // another thread was faster
-    pipeline = place->second;
-    return VK_SUCCESS;
+    std::shared_future<gpu::Pipelines::Made>& made = device.pipelines.by_key[key_of(kernel.module, kernel.constants, kernel.subgroups)];
+    if (!made.valid())
+        made = std::async(how, [&device, module = kernel.module, stem = kernel.name, constants = kernel.constants,
+                                subgroups = kernel.subgroups] {
+            device.pipelines.compilers.acquire();
+            const auto release = [&](void*) { device.pipelines.compilers.release(); };
+            const std::unique_ptr<void, decltype(release)> held(&device, release);
+            return make_pipeline(device, module_words(device, module, stem), constants, subgroups);
+        });
+    return made;
 }
 
 std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
@@ -135,16 +130,17 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
     find_words(name);
+    impl_->made_ = find_or_begin_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
     if (device.compile_only) compile_only();
 }
 
 VkPipeline KernelBase::Impl::pipeline() {
     if (pipeline_) return pipeline_;
-    const VkResult result = find_or_make_pipeline(*device, module, name, constants, subgroups, pipeline_);
-    if (result != VK_SUCCESS)
+    const gpu::Pipelines::Made made = made_.get();
+    if (made.result != VK_SUCCESS)
         throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module, device->info.name,
-                                      gpu::result_name(result)));
-    return pipeline_;
+                                      gpu::result_name(made.result)));
+    return pipeline_ = made.pipeline;
 }
 
 void KernelBase::compile_only() {
@@ -157,10 +153,9 @@ void KernelBase::compile_only() {
         return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size;
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
-    VkPipeline pipeline = VK_NULL_HANDLE;
-    const VkResult result = find_or_make_pipeline(device, impl_->module, impl_->name, impl_->constants, impl_->subgroups, pipeline);
-    if (result != VK_SUCCESS) s.failure = gpu::result_name(result);
-    else if (device.pipeline_statistics) gpu::read_statistics(device.device, pipeline, s);
+    const gpu::Pipelines::Made made = impl_->made_.get();
+    if (made.result != VK_SUCCESS) s.failure = gpu::result_name(made.result);
+    else if (device.pipeline_statistics) gpu::read_statistics(device.device, made.pipeline, s);
     device.compiled.push_back(s);
 }
 

@@ -20,11 +20,12 @@ struct KernelBase::Impl {
     Subgroups subgroups = Subgroups::any;
     std::uint32_t workgroup_size = 0;   ///< threads
 
-    /// Owned by the device. Made when it is asked for first, since a driver takes up to a second for one, and much of what there are
-    /// kernels for is never run. @throws DeviceError where the driver rejects it
+    /// Owned by the device, which may still be making it. @throws DeviceError where the driver rejects it
     VkPipeline pipeline();
 
 private:
+    friend class KernelBase;
+    std::shared_future<gpu::Pipelines::Made> made_;
     VkPipeline pipeline_ = VK_NULL_HANDLE;
 };
 

@@ -16,12 +16,15 @@
 namespace relidar {
 namespace {
 
+/// Whether two tables have the same values. For each scan some megabytes are compared.
 template <class Values>
 bool same_bytes(const Values& a, const Values& b) {
     if (a.size() != b.size()) return false;
+    constexpr std::size_t kPart = 1 << 14;   // values
     std::atomic<bool> same{true};
-    for_each_range(a.size(), [&](std::size_t begin, std::size_t end) {   // for each scan some megabytes
-        if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;
+    run_parallel(static_cast<int>((a.size() + kPart - 1) / kPart), [&](int part) {
+        const std::size_t begin = std::size_t(part) * kPart, n = std::min(kPart, a.size() - begin);
+        if (same && std::memcmp(&a[begin], &b[begin], n * sizeof(a[0])) != 0) same = false;
     });
     return same;
 }

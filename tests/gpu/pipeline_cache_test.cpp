@@ -154,5 +154,22 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     EXPECT_EQ(n_made(), 4u);
 }
 
+/// As on a GPU: by other threads, from the making of the kernel on. Kernels may go before their pipelines are there, and never be run.
+TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
+    Device opened(from_environment());
+    impl_of(opened).compiles_ahead = true;
+    const auto begin = [&](std::uint32_t size) {
+        return std::make_unique<Kernel<shared::ListTouchedParams>>(
+            opened, KernelName<shared::ListTouchedParams>("optimizer/list_touched"),
+            std::vector<Constant>{{ConstantId::WORKGROUP_SIZE, size}});
+    };
+    const auto used = begin(32), alike = begin(32), unused = begin(64);
+    begin(128);
+    EXPECT_EQ(impl_of(opened).pipelines.by_key.size(), 3u);
+    EXPECT_NE(used->impl().pipeline(), VK_NULL_HANDLE);
+    EXPECT_EQ(used->impl().pipeline(), alike->impl().pipeline());
+    for (const auto& [key, made] : impl_of(opened).pipelines.by_key) EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
+}
+
 }  // namespace
 }  // namespace relidar
