@@ -82,8 +82,8 @@ std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgr
 
 /// Pipelines by kernel name, specialisation constants and what is expected of subgroups. lavapipe takes 10 ms for one even where its code
 /// is in a cache, and trainings and renderers make dozens, so kernels of a device that are alike share one, kept until it closes.
-/// A GPU's driver compiles for seconds where nothing is in a cache: there a pipeline is begun, by a thread of its own, as soon as its kernel
-/// is made.
+/// A GPU's driver compiles for seconds where nothing is in a cache: there a pipeline is begun, by a thread of its own, as soon as its
+/// kernel is made.
 struct Pipelines {
     struct Made {
         VkResult result;

@@ -61,7 +61,8 @@ consteval std::string_view name_of_struct() {
 /// Workgroups have the device's size, unless the constants name one.
 class KernelBase {
 public:
-    /// @param name of an embedded kernel; the driver compiles it from now on, a CPU's when it is run first; what it rejects is told then (DeviceError)
+    /// @param name of an embedded kernel; a GPU's driver begins to compile it, a CPU's when it is run first, and what it rejects is told
+    /// then (DeviceError)
     KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {}, Subgroups subgroups = Subgroups::any);
     ~KernelBase();
     KernelBase(const KernelBase&) = delete;
