@@ -91,6 +91,7 @@ void run_parallel(int n, const std::function<void(int)>& task) {
             } catch (...) {
                 const std::scoped_lock lock(mutex);
                 if (i < failed) failure = std::current_exception(), failed = i;
+                next = n;   // all of smaller i have been begun
             }
         }
     };

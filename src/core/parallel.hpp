@@ -11,10 +11,13 @@
 namespace relidar {
 
 /// Cores that this process may use, 1 or more.
-inline std::size_t n_cores() { return std::max(1u, std::thread::hardware_concurrency()); }
+inline std::size_t n_cores() {
+    static const std::size_t n = std::max(1u, std::thread::hardware_concurrency());
+    return n;
+}
 
-/// Runs task(i) for every i in [0, n), on the calling thread and those that are idle. A task may run another such loop. What a task throws
-/// is thrown again once all have ended; of several failures the one of the smallest i, so that a message does not depend on timing.
+/// Runs task(i) for every i in [0, n), on the calling thread and those that are idle. A task may run another such loop. After a failure no
+/// other task is begun; what is thrown, once all have ended, is the failure of the smallest i, so that a message does not depend on timing.
 void run_parallel(int n, const std::function<void(int)>& task);
 
 /// Neighbouring items that a thread takes at a time: several blocks a core, and enough that taking one costs nothing.

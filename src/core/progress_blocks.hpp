@@ -13,9 +13,11 @@
 
 namespace relidar {
 
-/// run_parallel. The calling thread tells how many of the items are done before each that it takes itself; what `progress` throws ends it.
+/// run_parallel. The calling thread tells how many of the items are done, first and before each that it takes itself; what `progress`
+/// throws ends it.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
+    if (progress) progress(what, 0.0);
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
     std::atomic<bool> is_ended{false};

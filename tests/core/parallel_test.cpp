@@ -2,6 +2,7 @@
 #include "core/parallel.hpp"
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <stdexcept>
@@ -40,19 +41,22 @@ TEST(RunParallel, LoopsInLoopsAndFromSeveralThreads) {
     EXPECT_EQ(n, 4 * 8 * 8 * 3);
 }
 
-TEST(RunParallel, ThrowsTheFirstFailureOnceAllHaveEnded) {
-    for (int repeat = 0; repeat < 20; ++repeat) {
-        std::atomic<int> n{0};
+TEST(RunParallel, ThrowsTheFirstFailureAndBeginsNothingElse) {
+    for (int repeat = 0; repeat < 50; ++repeat) {
+        std::atomic<int> n_begun{0}, n_ended{0};
         try {
-            run_parallel(100, [&](int i) {
-                ++n;
-                if (i % 10 == 7) throw std::runtime_error(std::to_string(i));
+            run_parallel(100000, [&](int i) {
+                ++n_begun;
+                if (i == 7) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+                ++n_ended;
+                if (i >= 7) throw std::runtime_error(std::to_string(i));
             });
             FAIL() << "nothing was thrown";
         } catch (const std::runtime_error& error) {
             EXPECT_STREQ(error.what(), "7");
         }
-        EXPECT_EQ(n, 100);
+        EXPECT_EQ(n_begun, n_ended);
+        EXPECT_LE(n_begun, 8 + int(n_cores()));
     }
 }
 
@@ -116,9 +120,15 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
     EXPECT_EQ(n, 200);
     EXPECT_GE(last, 0.0) << "nothing was told";
     n = 0;
-    const auto stop = [](std::string_view, double) { throw std::runtime_error("enough"); };
-    EXPECT_THROW(for_each_told(1 << 20, stop, "counting", [&](std::size_t) { ++n; }), std::runtime_error);
-    EXPECT_LT(n, 1 << 20);
+    const auto stop = [](std::string_view, double done) {
+        if (done > 0.0) throw std::runtime_error("enough");
+    };
+    const auto count_slowly = [&](std::size_t) {
+        ++n;
+        std::this_thread::sleep_for(std::chrono::microseconds(100));
+    };
+    EXPECT_THROW(for_each_told(1000000, stop, "counting", count_slowly), std::runtime_error);
+    EXPECT_LT(n, 1000000);
 }
 
 TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
