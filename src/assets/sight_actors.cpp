@@ -40,13 +40,14 @@ std::vector<int> frames_to_look_at(const Run& run, const std::vector<const BoxTr
 
 void add_returns(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
                  std::map<std::string, ActorSightings>& sightings) {
+    FiringPoses firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
         const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
         const float range_m = scan.median_range_m[i];
         if (!box || !(range_m > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
         const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[i]) + double(range_m) * glm::dvec3(scan.image.direction[i]);
         const Pose box_from_world = inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
-        const Pose world_from_firing = scan.world_from_firing(i);
+        const Pose& world_from_firing = firing.at(i);
         ActorSightings& actor = sightings[box->id];
         actor.points_m.push_back(glm::vec3(box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m)));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation * glm::dvec3(scan.image.direction[i])));

@@ -26,19 +26,12 @@ inline std::size_t block_size(std::size_t n) {
     return std::clamp(n / (kBlocksOfCore * n_cores()), kLeast, kMost);
 }
 
-/// task(begin, end) for all blocks of [0, n), on all cores.
-template <class Task>
-void for_each_range(std::size_t n, const Task& task) {
-    const std::size_t size = block_size(n);
-    run_parallel(static_cast<int>((n + size - 1) / size),
-                 [&](int block) { task(std::size_t(block) * size, std::min(n, (std::size_t(block) + 1) * size)); });
-}
-
 /// task(i) for every i < n, on all cores in blocks.
 template <class Task>
 void for_each_block(std::size_t n, const Task& task) {
-    for_each_range(n, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) task(i);
+    const std::size_t size = block_size(n);
+    run_parallel(static_cast<int>((n + size - 1) / size), [&](int block) {
+        for (std::size_t i = std::size_t(block) * size; i < std::min(n, (std::size_t(block) + 1) * size); ++i) task(i);
     });
 }
 

@@ -7,23 +7,19 @@
 #include <relidar/stages/forward.hpp>
 #include <relidar/weather.hpp>
 
-#include "core/parallel.hpp"
-
 namespace relidar {
 namespace {
 
 /// Of the surface that each ray met, in the sensor's frame at the ray's firing time.
 std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
-    for_each_range(normal.size(), [&](std::size_t begin, std::size_t end) {
-        FiringPoses firing(scan);
-        for (std::size_t i = begin; i < end; ++i) {
-            if (rendering.weight[i] < kMinWeight) continue;
-            const glm::dvec3 in_sensor = glm::conjugate(firing.at(i).rotation) * glm::dvec3(rendering.normal[i]);
-            const double length = glm::length(in_sensor);
-            if (length > 0.0) normal[i] = glm::vec3(in_sensor / length);
-        }
-    });
+    FiringPoses firing(scan);
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+        if (rendering.weight[i] < kMinWeight) continue;
+        const glm::dvec3 in_sensor = glm::conjugate(firing.at(i).rotation) * glm::dvec3(rendering.normal[i]);
+        const double length = glm::length(in_sensor);
+        if (length > 0.0) normal[i] = glm::vec3(in_sensor / length);
+    }
     return normal;
 }
 

@@ -333,8 +333,9 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     std::vector<WetRay> wet(up.size());
     std::vector<std::size_t> of_ray;
     WorldRays mirrored;
+    FiringPoses firing(scan);
     for (std::size_t i = 0; i < up.size(); ++i) {
-        const Pose pose = scan.world_from_firing(i);
+        const Pose& pose = firing.at(i);
         const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
         if (!(cosine > 0.0)) continue;

@@ -72,10 +72,11 @@ std::optional<Plume> own_plume(const RenderedScan& scan, const glm::dvec3& veloc
     if (std::hypot(velocity.x, velocity.y) < kWalks_m_s) return {};
     const std::vector<glm::dvec3> up = level_ground(scan);
     std::vector<double> height_m;
+    FiringPoses firing(scan);
     for (std::size_t i = 0; i < up.size(); ++i)
         if (up[i].z > 0.0 && scan.median_range_m[i] < kGroundWithin_m) {
             const glm::dvec3 point(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
-            height_m.push_back((scan.world_from_firing(i) * point).z);
+            height_m.push_back((firing.at(i) * point).z);
         }
     if (height_m.empty()) return {};
     const auto middle = height_m.begin() + std::ptrdiff_t(height_m.size() / 2);

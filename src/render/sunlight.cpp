@@ -26,8 +26,9 @@ std::vector<float> angles_from_sun(const RenderedScan& scan, const Sun& sun, con
     sight.direction.push_back(glm::vec3(to_sun));
     if (renderer.forward(sight).weight[0] >= kHidden) return {};
     std::vector<float> angles;
+    FiringPoses firing(scan);
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
-        const glm::dvec3 direction = scan.world_from_firing(i).rotation * glm::dvec3(scan.image.direction[i]);
+        const glm::dvec3 direction = firing.at(i).rotation * glm::dvec3(scan.image.direction[i]);
         angles.push_back(static_cast<float>(std::acos(std::clamp(glm::dot(direction, to_sun), -1.0, 1.0))));
     }
     return angles;
