@@ -93,7 +93,10 @@ channel = grpc.insecure_channel(sys.argv[1])
 ours = b"relidar.v1.RenderService"
 health = channel.unary_unary("/grpc.health.v1.Health/Check")(b"\x0a" + bytes([len(ours)]) + ours, timeout=10)
 listed = channel.stream_stream("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo")(iter([b"\x3a\x00"]), timeout=10)
-sys.exit(0 if health == b"\x08\x01" and ours in next(listed) else 1)
+answer = next(listed)
+listed.cancel()   # else Python may wait for the stream for ever as it ends
+channel.close()
+sys.exit(0 if health == b"\x08\x01" and ours in answer else 1)
 PYTHON
 
 # Poses by a client and by a file: the same scans, bit by bit.
