@@ -50,13 +50,15 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
     double step_m = 2.0 * kPlaceStep_m;
     for (int i = 0; i < kMostPlaceSteps && step_m > kPlaceStep_m; ++i) {
         RigidEquations equations;
-        for (const auto& [position, rays, points] : frames) {
-            const std::vector<SeenSurface> seen = view(position, rays, track);
-            equations += sum_parallel(rays.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        for (const FrameRays& f : frames) {
+            const std::vector<SeenSurface> seen = view(f.position, f.rays, track);
+            equations += sum_parallel(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
-                for (std::size_t k = begin; k < end; ++k)
-                    if (seen[k].normal != glm::dvec3(0.0))
-                        part.add(row_of(place(track, points[k]), {seen[k].point_m, seen[k].normal}, kScale_m), share_of(points[k], pose));
+                for (std::size_t k = begin; k < end; ++k) {
+                    const ThinPoint& point = f.points[k];
+                    if (seen[k].normal == glm::dvec3(0.0)) continue;
+                    part.add(row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m), share_of(point, pose));
+                }
                 return part;
             });
         }
