@@ -7,7 +7,6 @@
 #include <numeric>
 #include <unordered_map>
 
-#include "core/parallel.hpp"
 #include "core/random.hpp"
 
 namespace relidar {

@@ -6,6 +6,8 @@
 #include <span>
 #include <vector>
 
+#include "core/parallel.hpp"
+
 namespace relidar {
 
 /// Cells in the order in which items first name them, whatever the number of cores.
@@ -15,6 +17,13 @@ struct CellNumbers {
 };
 /// @param key [items] of the cell that an item lies in
 CellNumbers number_cells(std::span<const std::uint64_t> key);
+/// @param key_of  (item) -> the key of its cell
+template <class KeyOf>
+CellNumbers number_cells(std::size_t n, const KeyOf& key_of) {
+    std::vector<std::uint64_t> keys(n);
+    for_each_block(n, [&](std::size_t i) { keys[i] = key_of(i); });
+    return number_cells(keys);
+}
 
 /// The items of each cell, ascending.
 class ItemsOfCells {

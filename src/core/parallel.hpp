@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <functional>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace relidar {
@@ -43,13 +44,13 @@ auto sum_parallel(std::size_t n, std::size_t size, const Part& part) {
     std::vector<Sum> sums((n + size - 1) / size);
     run_parallel(static_cast<int>(sums.size()),
                  [&](int i) { sums[std::size_t(i)] = part(std::size_t(i) * size, std::min(n, (std::size_t(i) + 1) * size)); });
-    Sum all{};
-    for (const Sum& sum : sums) all += sum;
-    return all;
+    if (sums.empty()) return Sum{};
+    for (std::size_t i = 1; i < sums.size(); ++i) sums[0] += sums[i];
+    return std::move(sums[0]);
 }
 
-/// Sorts on all cores: stretches, which are then merged by twos. There is one order, whatever the number of
-/// cores, where `less` tells any two elements apart or those that it does not are the same.
+/// Sorts on all cores: stretches, which are then merged by twos. The order does not depend on the number of cores where `less` tells
+/// elements apart that are not the same.
 template <class T, class Less>
 void sort_parallel(std::vector<T>& values, const Less& less) {
     constexpr std::size_t kLeast = 1 << 15;   // of a stretch

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <memory>
 #include <set>
 
 #include <fmt/format.h>
@@ -80,6 +79,16 @@ std::string key_of(std::string_view name, const std::vector<Constant>& constants
     return key;
 }
 
+/// One of the threads that may compile at a time, from when it may on.
+class Turn {
+public:
+    explicit Turn(std::counting_semaphore<>& compilers) : compilers_(compilers) { compilers_.acquire(); }
+    ~Turn() { compilers_.release(); }
+
+private:
+    std::counting_semaphore<>& compilers_;
+};
+
 /// The device's pipeline of such a kernel, made where it is the first: when it is asked for (deferred), or by another thread at once.
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device, const KernelBase::Impl& kernel, std::launch how) {
     const std::scoped_lock lock(device.pipelines.mutex);
@@ -87,9 +96,7 @@ std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& de
     if (!made.valid())
         made = std::async(how, [&device, module = kernel.module, stem = kernel.name, constants = kernel.constants,
                                 subgroups = kernel.subgroups] {
-            device.pipelines.compilers.acquire();
-            const auto release = [&](void*) { device.pipelines.compilers.release(); };
-            const std::unique_ptr<void, decltype(release)> held(&device, release);
+            const Turn turn(device.pipelines.compilers);
             return make_pipeline(device, module_words(device, module, stem), constants, subgroups);
         });
     return made;

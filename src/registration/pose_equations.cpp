@@ -150,14 +150,6 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
         block(y, k) += next_[k] * block(x, k + 1);
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
-    struct Sum {
-        Eigen::VectorXd y;
-        Sum& operator+=(const Sum& other) {
-            if (y.size() == 0) y = other.y;
-            else y += other.y;
-            return *this;
-        }
-    };
     if (n_planes_ == 0) return y;
     y -= sum_parallel(n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
              Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
@@ -168,8 +160,8 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
                      moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
                  for (std::size_t k = begin; k < end; ++k) block(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
              }
-             return Sum{std::move(part)};
-         }).y;
+             return part;
+         });
     return y;
 }
 

@@ -12,6 +12,7 @@
 #include <relidar/error.hpp>
 #include <relidar/scatter.hpp>
 
+#include "core/joined.hpp"
 #include "core/parallel.hpp"
 #include "core/random.hpp"
 #include "scatter/context.hpp"
@@ -72,9 +73,7 @@ std::vector<Place> returns_of(std::span<const MeasuredIntensities> images, std::
             if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
                 of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
     });
-    std::vector<Place> places;
-    for (const std::vector<Place>& own : of_images) places.insert(places.end(), own.begin(), own.end());
-    return places;
+    return joined(std::move(of_images));
 }
 
 Features features_of(std::span<const MeasuredIntensities> images, Place place) {

@@ -107,9 +107,7 @@ std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     std::vector<Return*> all;
     for (Returns& frame : frames)
         for (Return& r : frame.others) all.push_back(&r);
-    std::vector<std::uint64_t> keys(all.size());
-    for_each_block(all.size(), [&](std::size_t i) { keys[i] = cell_key(glm::dvec3(all[i]->point_m), kCell_m); });
-    const CellNumbers numbers = number_cells(keys);
+    const CellNumbers numbers = number_cells(all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i]->point_m), kCell_m); });
     const ItemsOfCells items(numbers);
     for_each_block(all.size(), [&](std::size_t i) { all[i]->cell = numbers.of[i]; });
     std::vector<glm::vec3> means(items.size());

@@ -25,20 +25,6 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
     return beams;
 }
 
-/// One list of several, which are given up one by one.
-template <class T>
-std::vector<T> joined(std::vector<std::vector<T>> parts) {
-    std::size_t n = 0;
-    for (const std::vector<T>& part : parts) n += part.size();
-    std::vector<T> all;
-    all.reserve(n);
-    for (std::vector<T>& part : parts) {
-        all.insert(all.end(), part.begin(), part.end());
-        part = {};
-    }
-    return all;
-}
-
 /// read(frame) of the frames at some positions; of every n-th, where all of them have more than most_rays rays.
 template <class Read>
 auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays, const Read& read) {

@@ -6,7 +6,7 @@
 
 #include "core/cell_key.hpp"
 #include "core/cell_numbers.hpp"
-#include "core/parallel.hpp"
+#include "core/joined.hpp"
 #include "core/plane_sums.hpp"
 #include "sequence/beam_returns.hpp"
 
@@ -40,9 +40,7 @@ std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
 
 /// Cells of all returns. @param seen  of all frames
 CellNumbers cells_of(const std::vector<Seen>& seen, double cell_m) {
-    std::vector<std::uint64_t> keys(seen.size());
-    for_each_block(seen.size(), [&](std::size_t i) { keys[i] = cell_key(seen[i].point_m, cell_m); });
-    return number_cells(keys);
+    return number_cells(seen.size(), [&](std::size_t i) { return cell_key(seen[i].point_m, cell_m); });
 }
 
 /// [cells of kSurface_m] Normals; zero where the returns lie on no surface.

@@ -9,7 +9,7 @@
 
 #include "core/cell_key.hpp"
 #include "core/cell_numbers.hpp"
-#include "core/parallel.hpp"
+#include "core/joined.hpp"
 #include "core/plane_sums.hpp"
 #include "sequence/beam_returns.hpp"
 
@@ -56,9 +56,7 @@ struct Cells {
 Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
     const std::vector<Observation> all =
         joined(read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); }));
-    std::vector<std::uint64_t> keys(all.size());
-    for_each_block(all.size(), [&](std::size_t i) { keys[i] = cell_key(glm::dvec3(all[i].point_m), kCell_m); });
-    const ItemsOfCells items(number_cells(keys));
+    const ItemsOfCells items(number_cells(all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i].point_m), kCell_m); }));
     Cells cells{std::vector<Observation>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell) cells.first.push_back(cells.first.back() + items.of(cell).size());
     for_each_block(items.size(), [&](std::size_t cell) {
@@ -109,32 +107,31 @@ struct Residuals {
         // of the whole offset, so that the prior holds it, not the step
         fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
-    void add(const Residuals& other) {
+    Residuals& operator+=(const Residuals& other) {
         n += other.n;
         squares += other.squares;
         for (std::size_t b = 0; b < fits.size(); ++b) {
             fits[b].weight += other.fits[b].weight;
             fits[b].sum += other.fits[b].sum;
         }
+        return *this;
     }
 };
 
 /// Residuals across the planes as they are with these offsets. Blocks of cells on all cores; their sums are added in order.
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
-    std::vector<Residuals> blocks((cells.size() + kBlock - 1) / kBlock);
-    run_parallel(static_cast<int>(blocks.size()), [&](int b) {
-        Residuals& block = blocks[std::size_t(b)];
-        block.fits.resize(offset_m.size());
-        for (std::size_t cell = std::size_t(b) * kBlock; cell < std::min(cells.size(), (std::size_t(b) + 1) * kBlock); ++cell) {
+    Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
+    all += sum_parallel(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
+        Residuals block{.fits = std::vector<OffsetFit>(offset_m.size())};
+        for (std::size_t cell = begin; cell < end; ++cell) {
             const std::span<const Observation> seen = cells.of(cell);
             const std::optional<Plane> plane = plane_of(seen, offset_m);
             if (!plane) continue;
             for (const Observation& o : seen) block.add(o, *plane, offset_m);
         }
+        return block;
     });
-    Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
-    for (const Residuals& block : blocks) all.add(block);
     return all;
 }
 

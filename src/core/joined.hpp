@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+// One list of several.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+namespace relidar {
+
+/// Lists one behind the other; each is given up as soon as it is taken.
+template <class T>
+std::vector<T> joined(std::vector<std::vector<T>> parts) {
+    std::size_t n = 0;
+    for (const std::vector<T>& part : parts) n += part.size();
+    std::vector<T> all;
+    all.reserve(n);
+    for (std::vector<T>& part : parts) {
+        all.insert(all.end(), part.begin(), part.end());
+        part = {};
+    }
+    return all;
+}
+
+}  // namespace relidar
