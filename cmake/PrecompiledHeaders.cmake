@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # relidar_precompile(<target> [<header>...] [REUSE <target>]): with RELIDAR_PRECOMPILED_HEADERS, what nearly every file of a target includes
-# (the standard library, GLM and fmt, and the headers given) is parsed once a target, or once for several that REUSE one's. Files include
-# what they use all the same: preset dev builds without.
+# (the standard library, GLM and fmt, and the headers given) is parsed once a target, or once for several that REUSE one's. For the many
+# small programs of the tests: where a whole folder is compiled together (relidar_unity()), it costs as much as it saves. Files include what
+# they use all the same: preset dev builds without.
 function(relidar_precompile target)
     # clang refuses headers compiled with other definitions than a file's; GCC takes them
     if(NOT RELIDAR_PRECOMPILED_HEADERS OR NOT CMAKE_CXX_COMPILER_ID STREQUAL "GNU")

@@ -9,7 +9,7 @@ namespace relidar {
 namespace {
 
 constexpr double kPatch_m = 0.3;
-constexpr double kHidden = 0.2;        // of the height: what the ground hides
+constexpr double kHiddenHeight = 0.2;        // of the height: what the ground hides
 /// Cosine between a ray and a side's normal below which the ray tells nothing of the side: on what is grazed returns lie streaks apart. A
 /// LiDAR on a car meets roofs of other cars no steeper than that.
 constexpr double kGrazing = 0.2, kGrazingTop = 0.02;
@@ -56,7 +56,7 @@ bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
 }
 
 bool BoxSurface::counts(const Patch& patch) const {
-    return patch.side == BoxSide::top || (patch.row + 0.5) / n_[std::size_t(patch.side)][1] > kHidden;
+    return patch.side == BoxSide::top || (patch.row + 0.5) / n_[std::size_t(patch.side)][1] > kHiddenHeight;
 }
 
 BoxSurface::Patch BoxSurface::mirror(Patch patch) const {

@@ -12,7 +12,7 @@ namespace relidar {
 namespace {
 
 constexpr int kEdge = Coverage::kBlockCells;
-constexpr double kFarthest_m = 1e6;   // keys of blocks repeat beyond 8e6 m
+constexpr double kFarthestPoint_m = 1e6;   // keys of blocks repeat beyond 8e6 m
 
 struct Place {
     glm::ivec3 block;
@@ -27,7 +27,7 @@ Place place_of(const glm::ivec3& cell) {
 std::uint64_t key_of(const glm::ivec3& block) { return cell_key(glm::dvec3(block), 1.0); }
 
 bool is_near(const glm::dvec3& point_m) {
-    return std::abs(point_m.x) < kFarthest_m && std::abs(point_m.y) < kFarthest_m && std::abs(point_m.z) < kFarthest_m;
+    return std::abs(point_m.x) < kFarthestPoint_m && std::abs(point_m.y) < kFarthestPoint_m && std::abs(point_m.z) < kFarthestPoint_m;
 }
 
 /// Calls visit(cell, length_m) for every cell that a way crosses, in their order.

@@ -31,7 +31,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct Kind {
+struct DatasetKind {
     const char* name;
     /// File or folder that tells the kind; "name*": one whose name begins so; ".ending": a file with it, or a folder of such files.
     /// Any of several, parted by blanks.
@@ -42,7 +42,7 @@ struct Kind {
     void (*check)(const fs::path&, const DatasetOptions&) = nullptr;   ///< whether that one is there; none: only reading it tells
 };
 
-constexpr Kind kKinds[] = {
+constexpr DatasetKind kKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
@@ -61,12 +61,12 @@ constexpr Kind kKinds[] = {
 
 std::vector<std::string> kind_names() {
     std::vector<std::string> names;
-    for (const Kind& kind : kKinds) names.emplace_back(kind.name);
+    for (const DatasetKind& kind : kKinds) names.emplace_back(kind.name);
     return names;
 }
 
-const Kind& find_kind(const std::string& name) {
-    for (const Kind& kind : kKinds) {
+const DatasetKind& find_kind(const std::string& name) {
+    for (const DatasetKind& kind : kKinds) {
         if (name == kind.name) return kind;
     }
     throw UsageError(fmt::format("dataset kind '{}': unknown{} (known: {})", name, did_you_mean(name, kind_names(), "'"),
@@ -85,7 +85,7 @@ bool has_marker(const fs::path& path, std::string_view marker) {
     return std::any_of(files.begin(), files.end(), matches);
 }
 
-bool is_kind(const fs::path& path, const Kind& kind) {
+bool is_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
         if (has_marker(path, left.substr(0, end))) return true;
@@ -156,10 +156,10 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
 }
 
 /// The reader of a log, of which a part may be named.
-const Kind& reader_of(const std::string& dataset, const std::string& sequence) {
+const DatasetKind& reader_of(const std::string& dataset, const std::string& sequence) {
     const auto [kind, path] = parted(dataset);
     const std::string name = kind.empty() ? recognise_dataset(path) : kind;
-    const Kind& reader = find_kind(name);
+    const DatasetKind& reader = find_kind(name);
     if (!sequence.empty() && !reader.holds_drives)
         throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(sequence),
                                      reader.describe));
@@ -187,7 +187,7 @@ void find_sweeps(Sequence& sequence) {
 
 bool is_dataset(const fs::path& path) {
     try {
-        return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const Kind& kind) { return is_kind(path, kind); });
+        return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const DatasetKind& kind) { return is_kind(path, kind); });
     } catch (const DataError&) {
         return false;   // what cannot be read
     }
@@ -197,12 +197,12 @@ std::string recognise_dataset(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_regular_file(path, failed)) check_folder(path, "a dataset");
     std::string known;
-    for (const Kind& kind : kKinds) {
+    for (const DatasetKind& kind : kKinds) {
         if (is_kind(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     check_bare_folder(path);
-    for (const Kind& kind : kKinds) {
+    for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty()) throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));
     }
@@ -217,7 +217,7 @@ std::string absolute_dataset(const std::string& dataset) {
 }
 
 void check_dataset(const std::string& dataset, const std::string& sequence) {
-    const Kind& reader = reader_of(dataset, sequence);
+    const DatasetKind& reader = reader_of(dataset, sequence);
     const fs::path path = parted(dataset).second;
     if (!path_exists(path)) throw DataError(fmt::format("{}: no such file or folder, expected a dataset", path.string()));
     DatasetOptions options;

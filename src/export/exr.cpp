@@ -41,7 +41,7 @@ private:
     std::size_t position_ = 0;
 };
 
-void check(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
+void check_image(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
         throw DataError(fmt::format("EXR image: {} x {} pixels, {} channels, expected some of each", rows, columns, channels.size()));
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
@@ -55,7 +55,7 @@ void check(int rows, int columns, const std::map<std::string, std::vector<float>
 void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels,
                const FileNotes& notes) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
-    check(rows, columns, channels);
+    check_image(rows, columns, channels);
     MemoryStream stream;
     try {
         imf::Header header(columns, rows);

@@ -33,9 +33,9 @@ constexpr std::size_t kAlwaysFits = 16 << 20;                      // bytes of a
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};   // that OpenEXR unpacks, by compression
 
 /// The bytes of a header in turn.
-class Header {
+class ExrHeader {
 public:
-    explicit Header(const std::string& file) : file_(file) {}
+    explicit ExrHeader(const std::string& file) : file_(file) {}
 
     std::int32_t number() {
         std::int32_t value = 0;
@@ -91,7 +91,7 @@ void read_compression(std::string_view bytes, Promise& promise) {
 
 void read_channels(std::string_view bytes, Promise& promise) {
     const std::string list(bytes);
-    Header items(list);
+    ExrHeader items(list);
     for (std::string name = items.name(); !name.empty(); name = items.name()) {
         items.bytes(8);   // type and linearity, which OpenEXR checks
         const std::int32_t x = items.number(), y = items.number();
@@ -121,7 +121,7 @@ void check_layout(const std::string& name, const std::string& type, std::string_
     }
     if (type == "stringvector") {
         const std::string list(bytes);
-        for (Header items(list); !items.at_end();) {
+        for (ExrHeader items(list); !items.at_end();) {
             const std::int32_t size = items.number();
             if (size < 0) throw DataError(fmt::format("attribute '{}' has a text of {} bytes", excerpt(name), size));
             items.bytes(std::size_t(size));
@@ -129,7 +129,7 @@ void check_layout(const std::string& name, const std::string& type, std::string_
     }
 }
 
-void check_kind(Header& header) {
+void check_kind(ExrHeader& header) {
     if (header.number() != std::int32_t(kExrMagic)) throw DataError("it does not begin as an OpenEXR file");
     const auto version = std::uint32_t(header.number());
     if ((version & kVersionBits) > 2) throw DataError(fmt::format("version {} of the format, expected 2", version & kVersionBits));
@@ -139,7 +139,7 @@ void check_kind(Header& header) {
 }
 
 Promise read_header(const std::string& file) {
-    Header header(file);
+    ExrHeader header(file);
     check_kind(header);
     Promise promise;
     std::set<std::string> seen;

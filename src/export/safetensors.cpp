@@ -116,7 +116,7 @@ struct Range {
 };
 
 /// Array description without its bytes, and where they lie.
-std::pair<NamedArray, Range> parse_entry(const std::string& name, const Json& entry, std::size_t n_data) {
+std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}': no string 'dtype'", name));
     NamedArray array{name, numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
@@ -140,7 +140,7 @@ std::map<std::string, std::string> parse_metadata(const Json& entry) {
     return result;
 }
 
-std::vector<NamedArray> parse(const std::vector<std::byte>& file, std::map<std::string, std::string>* metadata) {
+std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file, std::map<std::string, std::string>* metadata) {
     const Header header = parse_header(file);
     const std::size_t n_data = file.size() - header.data_start;
     std::vector<std::pair<NamedArray, Range>> entries;
@@ -148,7 +148,7 @@ std::vector<NamedArray> parse(const std::vector<std::byte>& file, std::map<std::
     for (const std::string& name : header.names) {
         const Json& entry = header.json.at(name);
         if (name == kMetadata) found = parse_metadata(entry);
-        else entries.push_back(parse_entry(name, entry, n_data));
+        else entries.push_back(parse_tensor(name, entry, n_data));
     }
     std::stable_sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
         return std::pair(a.second.begin, a.second.end) < std::pair(b.second.begin, b.second.end);
@@ -187,7 +187,7 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
-        return parse(file, metadata);
+        return parse_tensors(file, metadata);
     } catch (const std::exception& error) {
         throw DataError(fmt::format("reading safetensors '{}': {}", path.string(), error.what()));
     }

@@ -71,7 +71,7 @@ glm::vec3 normal_of(const glm::vec4& wxyz) {
     return {2.0f * (q.y * q.w + q.x * q.z), 2.0f * (q.z * q.w - q.x * q.y), 1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
-float value_of(const Property& p, const Surfels& s, std::size_t i, std::size_t model) {
+float property_value(const Property& p, const Surfels& s, std::size_t i, std::size_t model) {
     switch (p.kind) {
         case Property::parameter: return p.group->values(s)[i * p.group->floats() + p.index];
         case Property::normal: return normal_of(s.rotation[i])[static_cast<int>(p.index)];
@@ -122,7 +122,7 @@ void add_field(Layout& layout, const std::string& type, const std::string& name)
     layout.stride += size_of_type(type);
 }
 
-Layout parse_header(const std::string& header) {
+Layout parse_ply_header(const std::string& header) {
     Layout layout;
     bool has_vertex = false, has_format = false;
     std::istringstream lines(header);
@@ -208,12 +208,12 @@ std::size_t find_end_of_header(const std::string& start) {
     return at;
 }
 
-Scene parse(const std::vector<std::byte>& file, const Scene& scene_layout, ParameterSet of) {
+Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layout, ParameterSet of) {
     const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxPlyHeader));
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
-    const Layout layout = parse_header(start.substr(0, end));
+    const Layout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
     const Columns columns = find_columns(layout, of);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
@@ -245,7 +245,7 @@ void write_records(export_detail::OutputFile& file, const Surfels& surfels, cons
                    std::size_t number) {
     std::vector<float> record(list.size());
     for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
-        for (std::size_t k = 0; k < list.size(); ++k) record[k] = value_of(list[k], surfels, i, number);
+        for (std::size_t k = 0; k < list.size(); ++k) record[k] = property_value(list[k], surfels, i, number);
         file.write(record.data(), record.size() * sizeof(float));
     }
 }
@@ -291,7 +291,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
-        return parse(file, layout, {primitive, std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; })});
+        return parse_surfels(file, layout, {primitive, std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; })});
     } catch (const DataError& error) {
         throw DataError(fmt::format("reading PLY '{}': {}", path.string(), error.what()));
     }

@@ -12,12 +12,11 @@
 #include <string>
 #include <vector>
 
-#include <volk.h>
-
 #include <relidar/measure/gpu.hpp>
 #include <relidar/stages/gpu.hpp>
 
 #include "core/parallel.hpp"
+#include "gpu/vulkan.hpp"
 
 namespace relidar::gpu {
 

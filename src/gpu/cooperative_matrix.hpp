@@ -2,7 +2,7 @@
 #pragma once
 // VK_KHR_cooperative_matrix as its specification numbers and lays it out, for Vulkan headers and a volk that are older than it: those of
 // Debian 12. Where the headers know the extension, the two are compared when this is compiled.
-#include <volk.h>
+#include "gpu/vulkan.hpp"
 
 #include <cstddef>
 #include <cstdint>

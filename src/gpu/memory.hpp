@@ -13,7 +13,7 @@
 #include <optional>
 #include <vector>
 
-#include <volk.h>
+#include "gpu/vulkan.hpp"
 
 namespace relidar::gpu {
 

@@ -6,7 +6,7 @@
 #include <filesystem>
 #include <string>
 
-#include <volk.h>
+#include "gpu/vulkan.hpp"
 
 namespace relidar::gpu {
 

@@ -26,7 +26,7 @@ constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a 
 // at most, where the device alone knows how many rows there are; on a CPU few, so that each of its threads has as much to do
 constexpr std::size_t kListThreads = 1 << 17, kListThreadsOfCpu = 1 << 12;
 
-std::vector<Constant> constants(bool per_float) {
+std::vector<Constant> adam_constants(bool per_float) {
     return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
 
@@ -70,7 +70,7 @@ struct Adam::Impl {
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", of),
           moment2(device, moment1.n, "second moment", of),
           max_log_scale(device, 0, "bounds of scales"),
-          kernel(device, "optimizer/adam", constants(per_float)) {
+          kernel(device, "optimizer/adam", adam_constants(per_float)) {
         if (options.only_touched) list.emplace(device);
     }
 };
@@ -150,7 +150,7 @@ struct ArrayAdam::Impl {
         : options(o),
           moment1(device, n, "first moment"),
           moment2(device, n, "second moment"),
-          kernel(device, "optimizer/adam", constants(true)) {}
+          kernel(device, "optimizer/adam", adam_constants(true)) {}
 };
 
 ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options) : impl_(new Impl(device, n, options)) {

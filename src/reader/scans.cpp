@@ -19,7 +19,7 @@ constexpr int kMostTicks = 1 << 16;      // of a sweep: a step of 0.005 degrees
 constexpr double kLeastRange_m = 1e-3;   // nearer than this there is no direction
 
 /// Index of the point in each cell [ring][firing], kEmpty = dropped.
-struct Cells {
+struct ImageCells {
     std::size_t n_firings;
     std::vector<int> point;
 
@@ -91,7 +91,7 @@ public:
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
     }
-    std::vector<Cells> by_return;
+    std::vector<ImageCells> by_return;
     std::vector<int> firing_of;  ///< [points] kEmpty where it is beyond the range
 
 private:
@@ -102,7 +102,7 @@ private:
 
     float range_of(int point) const { return glm::length(points_.point_m[static_cast<std::size_t>(point)]); }
 
-    Cells& cells_of(std::size_t number) {
+    ImageCells& cells_of(std::size_t number) {
         while (by_return.size() <= number)
             by_return.push_back({sweep_.firings.size(), std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
         return by_return[number];
@@ -120,7 +120,7 @@ private:
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
         const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
         firing_of.back() = static_cast<int>(firing);
-        Cells& cells = cells_of(number);
+        ImageCells& cells = cells_of(number);
         int point = static_cast<int>(i);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;  // a second return belongs to its ray
@@ -226,7 +226,7 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
             scan.rays.time_offset_s[at] = static_cast<float>(times[firing]);
             scan.rays.channel[at] = static_cast<std::uint16_t>(ring);
             set_dropped(scan, at, beam, sweep.lattice.azimuth_of(sweep.firings[firing]));
-            for (Cells& cells : assigned.by_return) {
+            for (ImageCells& cells : assigned.by_return) {
                 const int i = cells.at(ring, firing);
                 if (i == kEmpty) continue;
                 if (number_of(points, std::size_t(i)) == 0)

@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-constexpr float kHidden = 0.5f;   // accumulated alpha of what is before the sun
+constexpr float kHidesSun = 0.5f;   // accumulated alpha of what is before the sun
 
 }  // namespace
 
@@ -24,7 +24,7 @@ std::vector<float> angles_from_sun(const RenderedScan& scan, const Sun& sun, con
     WorldRays sight;
     sight.origin.push_back(glm::vec3(scan.world_from_sensor.translation - world_offset_m));
     sight.direction.push_back(glm::vec3(to_sun));
-    if (renderer.forward(sight).weight[0] >= kHidden) return {};
+    if (renderer.forward(sight).weight[0] >= kHidesSun) return {};
     std::vector<float> angles;
     FiringPoses firing(scan);
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {

@@ -231,7 +231,7 @@ std::string points(const RecordedCloud& cloud, const std::string& frame) {
 }
 
 /// A foxglove.FrameTransforms of one.
-std::string transform(std::uint64_t time_ns, const std::string& parent, const std::string& child, const Pose& parent_from_child) {
+std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child, const Pose& parent_from_child) {
     std::string all, bytes;
     pbf_writer transforms(all), writer(bytes);
     writer.add_message(1, timestamp(time_ns));
@@ -293,7 +293,7 @@ std::string descriptors() {
 std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
     std::vector<RecordedMessage> messages;
     for (const RecordedPose& pose : moment.poses)
-        messages.push_back({pose.time_ns, transform(pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle)});
+        messages.push_back({pose.time_ns, frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle)});
     return messages;
 }
 
@@ -301,7 +301,7 @@ std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
 std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)
-        bytes += transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+        bytes += frame_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
     return {{moment.first_ns, bytes}};
 }
 

@@ -52,7 +52,7 @@ std::uint8_t bin(const std::vector<float>& cuts, float value) {
 }
 
 /// A return of the images.
-struct Place {
+struct ReturnPlace {
     std::uint32_t image, ray;
 };
 
@@ -61,12 +61,12 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
 }
 
 /// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are more.
-std::vector<Place> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
+std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
     const double share = double(most) / double(std::max<std::size_t>(n, 1));
-    std::vector<std::vector<Place>> of_images(images.size());
+    std::vector<std::vector<ReturnPlace>> of_images(images.size());
     run_parallel(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
@@ -76,13 +76,13 @@ std::vector<Place> returns_of(std::span<const MeasuredIntensities> images, std::
     return joined(std::move(of_images));
 }
 
-Features features_of(std::span<const MeasuredIntensities> images, Place place) {
+Features features_of(std::span<const MeasuredIntensities> images, ReturnPlace place) {
     const MeasuredIntensities& image = images[place.image];
     const int columns = image.rendered.columns, ray = int(place.ray);
     return Context(image.rendered, image.measured).of(ray / columns, ray % columns);
 }
 
-Returns read_returns(std::span<const MeasuredIntensities> images, const std::vector<Place>& places) {
+Returns read_returns(std::span<const MeasuredIntensities> images, const std::vector<ReturnPlace>& places) {
     Returns result;
     const std::size_t stride = places.size() / kQuantileReturns + 1;
     std::vector<Features> some((places.size() + stride - 1) / stride);
@@ -92,7 +92,7 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
         for (const Features& features : some) values.push_back(features[std::size_t(f)]);
         result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
     });
-    for (const Place& place : places) result.value.push_back(images[place.image].measured[place.ray]);
+    for (const ReturnPlace& place : places) result.value.push_back(images[place.image].measured[place.ray]);
     const std::vector<float> classes = quantiles(result.value, kClasses);
     result.bins.resize(places.size());
     result.of_class.resize(places.size());
@@ -280,7 +280,7 @@ float IntensityScatter::quantised(float intensity) const {
 
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
     check_sizes(images);
-    const std::vector<Place> places = returns_of(images, kMostReturns);
+    const std::vector<ReturnPlace> places = returns_of(images, kMostReturns);
     IntensityScatter result;
     if (places.size() < kFewestReturns) return result;
     const Returns returns = read_returns(images, places);

@@ -100,7 +100,7 @@ std::optional<StrideRange> stride_range(ObjectKind kind) {
 namespace {
 
 constexpr double kTurns = 2.0;        // at the least that a stride has to be seen
-constexpr double kNear_m = 0.3;       // farther is not looked
+constexpr double kNearSurface_m = 0.3;       // farther is not looked
 
 /// How far some samples are from the nearest points of each frame.
 struct FrameGaps {
@@ -127,7 +127,7 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     gaps.distance_m.resize(gaps.frame.size());
     run_parallel(int(gaps.frame.size()), [&](int k) {
         for (const std::unique_ptr<Index>& frame : frames)
-            gaps.distance_m[std::size_t(k)].push_back(float(frame->distance_m(samples[std::size_t(k) * step].position, kNear_m)));
+            gaps.distance_m[std::size_t(k)].push_back(float(frame->distance_m(samples[std::size_t(k) * step].position, kNearSurface_m)));
     });
     std::vector<double> spread;
     for (const std::vector<float>& distances : gaps.distance_m) {

@@ -219,7 +219,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
 }
 
 /// Clusters of all processes' frames.
-Clusters joined(const ProcessGroup& group, const Clusters& own) {
+Clusters joined_clusters(const ProcessGroup& group, const Clusters& own) {
     if (group.size == 1) return own;
     struct Head {
         double time_s;
@@ -269,7 +269,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
         Clusters found = clusters_of(sequence, stretch, visibility);
         std::move(found.begin(), found.end(), std::back_inserter(own));
     }
-    return joined(group, own);
+    return joined_clusters(group, own);
 }
 
 }  // namespace relidar

@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kPlaceNoise_m = 0.1;    // of where a frame sees the near end of something
 constexpr double kJerk = 0.2;            // q, m^2/s^5: with places every 0.1 s the path follows what takes longer than 0.4 s
-constexpr double kFar_m = 0.3;           // from the path, where a place counts half
+constexpr double kFarFromPath_m = 0.3;           // from the path, where a place counts half
 constexpr int kPathRounds = 3;
 constexpr double kChord_m = 1.5;         // to either side: noise of 3 cm at its ends is less than a degree
 constexpr double kTurnsBack = 0.3;       // of that: where a path returns its chord says nothing
@@ -88,7 +88,7 @@ std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std:
     for (int round = 0; round < kPathRounds; ++round) {
         path = smooth_once(time_s, place_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
-            const double off = glm::length(glm::dvec2(place_m[k] - path[k].position_m)) / kFar_m;
+            const double off = glm::length(glm::dvec2(place_m[k] - path[k].position_m)) / kFarFromPath_m;
             weights[k] = 1.0 / (1.0 + off * off);
         }
     }

@@ -23,7 +23,7 @@ struct FieldRule {
     const char* name;
     double low, high, missing;   ///< values allowed, and the one where the table has no such column
 };
-constexpr double kFarthest_m = 10'000.0;
+constexpr double kFarthestLimit_m = 10'000.0;
 // Not constexpr: clang 14 makes no std::string at compile time, and a SpinningSensor has one.
 const std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0, 0.0},
                                                   {"azimuth_offset_deg", -180.0, 180.0, 0.0},
@@ -31,8 +31,8 @@ const std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0,
                                                   {"origin_up_m", -10.0, 10.0, 0.0},
                                                   {"origin_left_m", -10.0, 10.0, 0.0},
                                                   {"firing_offset_us", 0.0, 1e6, 0.0},
-                                                  {"min_range_m", 0.0, kFarthest_m, SpinningSensor{}.min_range_m},
-                                                  {"max_range_m", 0.0, kFarthest_m, SpinningSensor{}.max_range_m},
+                                                  {"min_range_m", 0.0, kFarthestLimit_m, SpinningSensor{}.min_range_m},
+                                                  {"max_range_m", 0.0, kFarthestLimit_m, SpinningSensor{}.max_range_m},
                                                   {"channel", 0.0, 65535.0, 0.0}}};
 
 using Values = std::array<double, kFieldCount>;

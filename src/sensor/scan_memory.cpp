@@ -37,7 +37,7 @@ std::size_t whole_pages(std::size_t bytes) {
     return (bytes + page - 1) / page * page;
 }
 
-[[noreturn]] void fail(const fs::path& folder, std::size_t bytes, int error) {
+[[noreturn]] void fail_to_make_room(const fs::path& folder, std::size_t bytes, int error) {
     throw DataError(fmt::format("making room for scans in '{}', which do not fit into memory: {} (found no room for {} bytes more, "
                                 "expected TMPDIR to name a folder with enough; dataset.memory_mib keeps more of them in memory)",
                                 folder.string(), std::generic_category().message(error), bytes));
@@ -49,13 +49,13 @@ public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
         std::string name = (folder_ / "relidar-scans-XXXXXX").string();
         file_ = ::mkostemp(name.data(), O_CLOEXEC);
-        if (file_ < 0) fail(folder_, 0, errno);
+        if (file_ < 0) fail_to_make_room(folder_, 0, errno);
         ::unlink(name.c_str());
         void* begin = ::mmap(nullptr, kReserved, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
         if (begin == MAP_FAILED) {
             const int error = errno;
             ::close(file_);
-            fail(folder_, 0, error);
+            fail_to_make_room(folder_, 0, error);
         }
         begin_ = static_cast<std::byte*>(begin);
     }
@@ -72,7 +72,7 @@ public:
         const auto room = std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = room == free_.end() ? end_ : room->first;
         // reserved on the disk now: a page that finds the disk full when it is written ends the process
-        if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0) fail(folder_, size, error);
+        if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0) fail_to_make_room(folder_, size, error);
         if (room == free_.end()) end_ += size;
         else {
             if (room->second > size) free_.emplace(offset + size, room->second - size);

@@ -35,7 +35,7 @@ float median_of(std::vector<float>& values) {
 }
 
 /// Firings that are not known (NAN) take what lies between their neighbours. @return whether any is known
-bool fill_gaps(std::vector<float>& shift_rad) {
+bool fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);
     if (last == shift_rad.end()) return false;
@@ -64,7 +64,7 @@ std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& se
         shift_rad[firing] = median_of(seen[firing]);
         for (const float shift : seen[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    if (!fill_gaps(shift_rad) || median_of(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
+    if (!fill_shift_gaps(shift_rad) || median_of(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
     return shift_rad;
 }

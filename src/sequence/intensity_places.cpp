@@ -17,16 +17,16 @@ constexpr double kPlace_m = 0.1;            // small enough to be one surface, l
 constexpr double kSurface_m = 0.4;          // cells whose planes say how the place lies
 constexpr double kMinPoints = 8.0;
 constexpr double kMaxThickness = 0.15;      // of a surface over its narrower extent, standard deviations
-constexpr std::size_t kMostReturns = 6000000;
+constexpr std::size_t kMostCompared = 6000000;
 
-struct Seen {
+struct SeenPlace {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
     PlaceReturn given;   ///< place and cosine are still to be found
 };
 
-std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
-    std::vector<Seen> result;
+std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) {
+    std::vector<SeenPlace> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         const auto beam = beam_that_saw(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
@@ -39,12 +39,12 @@ std::vector<Seen> returns_of(const Sequence& sequence, const Frame& frame) {
 }
 
 /// Cells of all returns. @param seen  of all frames
-CellNumbers cells_of(const std::vector<Seen>& seen, double cell_m) {
+CellNumbers cells_of(const std::vector<SeenPlace>& seen, double cell_m) {
     return number_cells(seen.size(), [&](std::size_t i) { return cell_key(seen[i].point_m, cell_m); });
 }
 
 /// [cells of kSurface_m] Normals; zero where the returns lie on no surface.
-std::vector<glm::vec3> normals_of(const std::vector<Seen>& seen, const CellNumbers& cells) {
+std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const CellNumbers& cells) {
     const ItemsOfCells items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
     for_each_block(cells.n_cells, [&](std::size_t cell) {
@@ -60,8 +60,8 @@ std::vector<glm::vec3> normals_of(const std::vector<Seen>& seen, const CellNumbe
 }  // namespace
 
 PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<Seen> seen =
-        joined(read_frames(sequence, positions, kMostReturns, [&](const Frame& frame) { return returns_of(sequence, frame); }));
+    std::vector<SeenPlace> seen =
+        joined(read_frames(sequence, positions, kMostCompared, [&](const Frame& frame) { return returns_of(sequence, frame); }));
     {
         const CellNumbers cells = cells_of(seen, kSurface_m);
         const std::vector<glm::vec3> normals = normals_of(seen, cells);

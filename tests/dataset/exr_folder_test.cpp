@@ -28,7 +28,7 @@ using Channels = std::map<std::string, std::vector<float>>;
 
 constexpr const char* kHead = R"({"format": "relidar log", "version": 1, "rate_hz": 10})";
 
-fs::path fresh(const std::string& name) {
+fs::path fresh_exr_folder(const std::string& name) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_exr_folder" / name;
     fs::remove_all(folder);
     fs::create_directories(folder / "scans");
@@ -37,7 +37,7 @@ fs::path fresh(const std::string& name) {
 
 /// A folder of one frame, to which its image is still to be written.
 fs::path one_frame(const std::string& name, const std::string& head = kHead) {
-    const fs::path folder = fresh(name);
+    const fs::path folder = fresh_exr_folder(name);
     test::write_text(folder / "sequence.json", head);
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     return folder;
@@ -62,7 +62,7 @@ struct StreetOfImages {
     Sequence truth = make_synthetic_street({.n_frames = 3, .rows = 32, .columns = 500});
     fs::path folder;
 
-    StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep) : folder(fresh(name)) {
+    StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep) : folder(fresh_exr_folder(name)) {
         for (Frame& frame : truth.frames) {
             Scan& scan = frame.scan;
             scan.second_returns.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});

@@ -21,7 +21,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-fs::path shared_folder() {
+fs::path shared_data() {
     const char* shared = std::getenv("RELIDAR_SHARED");
     return (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data/ouster";
 }
@@ -107,7 +107,7 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
 
 TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
     for (const char* name : {"OS-1-128_v2.3.0_1024x10_lb_n3", "OS-2-128-U1_v2.3.0_1024x10"}) {
-        const fs::path file = shared_folder() / (std::string(name) + ".npz");
+        const fs::path file = shared_data() / (std::string(name) + ".npz");
         if (!fs::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
         const OusterScans scans(file);
         DatasetOptions options;
@@ -128,7 +128,7 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
 }
 
 TEST(OusterFolder, BeamsAreFoundInThePoints) {
-    const fs::path file = shared_folder() / "OS-1-128_v2.3.0_1024x10_lb_n3.npz";
+    const fs::path file = shared_data() / "OS-1-128_v2.3.0_1024x10_lb_n3.npz";
     if (!fs::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
     const OusterScans scans(file);
     DatasetOptions options;

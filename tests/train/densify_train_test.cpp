@@ -13,7 +13,7 @@ namespace {
 
 class DensifyTrain : public test::DeviceTest {};
 
-Sequence street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
+Sequence growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
 /// One surfel where the `small` configuration of the other tests has about eight, every second ray.
 Config sparse_config() {
@@ -48,7 +48,7 @@ double final_loss(const TrainResult& result) {
 }
 
 TEST_F(DensifyTrain, GrowthLowersTheLoss) {
-    const Sequence sequence = street();
+    const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
     std::map<DensifyStrategy, double> loss;
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive, DensifyStrategy::mcmc}) {
@@ -72,7 +72,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
 
 /// Actors grow in their own model.
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
-    const Sequence sequence = street();
+    const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
     Config config = sparse_config();
     config.init.actor_classes = "Car";
@@ -97,7 +97,7 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
 
 /// A device with little more memory than training without growth needs: growth ends early, training does not.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
-    const Sequence sequence = street();
+    const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
     Config config = sparse_config();
     config.train.iterations = 40;

@@ -28,7 +28,7 @@ namespace fs = std::filesystem;
 constexpr int kIterations = 40;
 constexpr int kStoppedAfter = 17;   // between two lines of the log, and within an epoch of ten frames
 
-Config small_config() {
+Config resumed_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
@@ -118,7 +118,7 @@ TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
 }
 
 TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
-    const Config config = small_config();
+    const Config config = resumed_config();
     const TrainResult whole = run(config);
     EXPECT_TRUE(list_checkpoints(folder).empty()) << "a short run leaves none";
     const TrainResult first = run(config, nullptr, kStoppedAfter);
@@ -149,7 +149,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
     for (const auto& [strategy, primitive] :
          {std::pair{none, Primitive::surfel}, {adaptive, Primitive::surfel}, {mcmc, Primitive::surfel}, {adaptive, Primitive::gaussian}}) {
-        Config config = small_config();
+        Config config = resumed_config();
         config.image.primitive = primitive;
         config.train.deterministic = true;
         config.densify.strategy = strategy;
@@ -179,7 +179,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
     const Sequence given = street;
-    Config config = small_config();
+    Config config = resumed_config();
     config.train.deterministic = true;
     config.train.refine_poses = "sensor,actors";
     config.init.actor_min_points = 10;
@@ -222,7 +222,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
 
 /// What is saved is what is restored: a loop with other values takes all of them over, bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
-    Config config = small_config();
+    Config config = resumed_config();
     config.train.refine_poses = "sensor,actors";
     config.init.actor_min_points = 10;
     Config other = config;
@@ -246,7 +246,7 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
 }
 
 TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
-    Config config = small_config();
+    Config config = resumed_config();
     config.train.checkpoint_every = 15;
     const TrainResult whole = run(config);
     ASSERT_EQ(list_checkpoints(folder).size(), 2u) << "30 and the last one";
@@ -264,17 +264,17 @@ TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
 }
 
 TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
-    run(small_config(), nullptr, 1);
+    run(resumed_config(), nullptr, 1);
     const Checkpoint start = *newest();
     const auto setting = [&](const char* key, const char* value) {
-        Config config = small_config();
+        Config config = resumed_config();
         set_key(config, key, value);
         return error_message<UsageError>([&] { check_resumable(start, street, split, config); });
     };
     EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"), std::string::npos);
     EXPECT_NE(setting("train.seed", "2").find("setting train.seed: found 2, expected 1"), std::string::npos);
     EXPECT_NE(setting("train.iterations", "0").find("setting train.iterations: found 0"), std::string::npos);
-    Config free = small_config();
+    Config free = resumed_config();
     for (const auto& [key, value] : {std::pair{"train.log_every", "3"},
                                      {"train.checkpoint_every", "5"},
                                      {"train.iterations", "99"},
@@ -284,7 +284,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     EXPECT_NO_THROW(check_resumable(start, street, split, free));
 
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
-        const std::string message = data_error([&] { check_resumable(start, other, frames, small_config()); });
+        const std::string message = data_error([&] { check_resumable(start, other, frames, resumed_config()); });
         EXPECT_NE(message.find(std::string("the log's ") + part), std::string::npos) << message;
     };
     log("training frames", street, split_frames(street, 5));
@@ -299,11 +299,11 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other.boxes[0].size_m.x += 0.1;
     log("boxes", other, split);
     TrainSession session{folder, &start, {}, {}};
-    EXPECT_THROW(train(device(), other, split, small_config(), [](const TrainProgress&) { return true; }, session), DataError);
+    EXPECT_THROW(train(device(), other, split, resumed_config(), [](const TrainProgress&) { return true; }, session), DataError);
 }
 
 TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
-    Config config = small_config();
+    Config config = resumed_config();
     run(config, nullptr, 5);
     const Checkpoint start = *newest();
     config.train.checkpoint_every = 10;
@@ -322,7 +322,7 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
 
 /// A frame whose intensities are not numbers: the first time it is drawn ends training.
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
-    const Config config = small_config();
+    const Config config = resumed_config();
     const Scene initial = initialise_scene(street, split.train, config.init);
     const std::size_t poisoned = 6;   // of the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
@@ -345,7 +345,7 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
 }
 
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
-    Config config = small_config();
+    Config config = resumed_config();
     config.train.checkpoint_every = 1;
     config.train.scale_rate = 1e39;   // beyond float
     const std::string message = data_error([&] { run(config); });
@@ -355,7 +355,7 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
 
 /// Whatever ends training, a lost device or memory exhausted: the last checkpoint is whole, and training goes on from it.
 TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
-    Config config = small_config();
+    Config config = resumed_config();
     config.train.checkpoint_every = 5;
     int calls = 0;
     const TrainSession session{

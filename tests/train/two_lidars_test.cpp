@@ -11,7 +11,7 @@ namespace {
 
 class TwoLidars : public test::DeviceTest {};
 
-Config small_config() {
+Config two_lidar_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.rays_per_iteration = 0;
@@ -31,7 +31,7 @@ double held_out_error(Device& device, const Scene& scene, const Config& config, 
 TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     Sequence street = test::two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
     const Split split = split_frames(street, 10);
-    Config config = small_config();
+    Config config = two_lidar_config();
     std::string told;
     prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
     EXPECT_NE(told.find("scans registered"), std::string::npos) << told;

@@ -25,7 +25,7 @@ struct HeldRenderer {
     std::size_t n_rays = 0;            ///< of the last forward pass
 };
 
-std::unique_ptr<HeldRenderer> make(const Scene& scene, const std::optional<Config>& config, bool poses, bool rays, SharedDevice device) {
+std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config, bool poses, bool rays, SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive;
@@ -154,7 +154,7 @@ void add_differentiable_renderer(py::module_& module) {
         "place(), forward(), backward(), then upload() and place() again where parameters have changed. Scales, opacities and channels "
         "are\n"
         "stored before their activation: scale = exp(log_scale), opacity = sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
-        .def(py::init(&make), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(), py::arg("poses") = false,
+        .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(), py::arg("poses") = false,
              py::arg("rays") = false, py::arg("device") = py::none(),
              "scene: is copied to the device\n"
              "config: image.*, trace.* and train.deterministic say how rays are rendered and gradients summed; None: preset \"default\"\n"

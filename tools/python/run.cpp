@@ -101,7 +101,7 @@ std::vector<std::string> track_names(const Run& run) {
     return names;
 }
 
-std::unique_ptr<LoadedRun> load(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
+std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
     Run run = load_run(folder, warn);
     set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
@@ -148,7 +148,7 @@ constexpr const char* kRenderHelp =
 
 /// What a run does.
 void add_calls(py::class_<LoadedRun>& type) {
-    type.def_static("load", &load, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(), py::arg("device") = py::none(),
+    type.def_static("load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(), py::arg("device") = py::none(),
                     "Reads a run folder.\n\n"
                     "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
                     "device: to render on; None: the default one\n\n"

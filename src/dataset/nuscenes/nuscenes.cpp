@@ -25,7 +25,7 @@ using namespace nuscenes;
 
 constexpr double kBeside = 0.6;         // steps: a LiDAR's sweep from that of the LiDAR that numbers the frames
 constexpr double kBeyondLabels = 0.5;   // steps: a box from its first and last label, whose times are near those of sweeps
-constexpr double kBrightest = 255.0;
+constexpr double kMostIntensity = 255.0;
 constexpr double kTurnOfLyft_s = 0.1;   // assumed: sweeps are 5 a second, and such LiDARs turn ten times
 constexpr double kStampsApart_s = 1e-3; // of LiDARs that sweep together, worth a note where points have no times
 
@@ -262,7 +262,7 @@ private:
         folder::Head head;
         head.name = sequence_.name;
         if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};   // the last is 1 everywhere
-        head.units.intensity_max = kBrightest;
+        head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;
         head.units.absolute_times = true;
         head.units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);

@@ -18,7 +18,7 @@
 namespace relidar::cli {
 namespace {
 
-constexpr int kMostScans = 1'000'000;
+constexpr int kMostInOneGo = 1'000'000;
 
 /// The log's own way, and moments on it.
 class Drive {
@@ -52,8 +52,8 @@ double thread_ms() {
 }  // namespace
 
 ScanTimes measure_scans(Device& device, const ScanBench& bench) {
-    if (bench.n_scans < 1 || bench.n_scans > kMostScans)
-        throw UsageError(fmt::format("--scans: found {}, expected 1 to {}", bench.n_scans, kMostScans));
+    if (bench.n_scans < 1 || bench.n_scans > kMostInOneGo)
+        throw UsageError(fmt::format("--scans: found {}, expected 1 to {}", bench.n_scans, kMostInOneGo));
     const Run run = load_run(bench.run);
     const SensorChoice sensor = choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence);
     ScanRenderer renderer(device, run);

@@ -17,7 +17,7 @@ namespace relidar::cli {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::json;
+using ParsedJson = nlohmann::json;
 using Results = std::vector<const TableResult*>;
 
 struct Column {
@@ -174,18 +174,18 @@ std::string csv_text(const std::string& text) {
     return quoted + "\"";
 }
 
-Json read_json(const fs::path& file) {
+ParsedJson read_json(const fs::path& file) {
     std::ifstream in(file, std::ios::binary);
-    return Json::parse(in, nullptr, false);
+    return ParsedJson::parse(in, nullptr, false);
 }
 
-double number_at(const Json& json, const char* group, const char* key) {
-    const Json* from = !*group ? &json : json.contains(group) ? &json[group] : nullptr;
+double number_at(const ParsedJson& json, const char* group, const char* key) {
+    const ParsedJson* from = !*group ? &json : json.contains(group) ? &json[group] : nullptr;
     return from && from->contains(key) && (*from)[key].is_number() ? (*from)[key].get<double>() : 0.0;
 }
 
 /// What a part should have and the run's scene.json has not. @param n_test  frames that were scored
-std::string lack_of(const PublishedPart& part, const Json& scene, double n_test) {
+std::string lack_of(const PublishedPart& part, const ParsedJson& scene, double n_test) {
     const double n_frames = number_at(scene, "counts", "frames");
     std::string lacks;
     if (n_frames < part.n_frames || n_test < part.n_test_frames)
@@ -197,7 +197,7 @@ std::string lack_of(const PublishedPart& part, const Json& scene, double n_test)
 
 /// Takes the numbers of a row that is done. @param seconds  of all commands of its job
 void take_scores(TableResult& result, const fs::path& run, double seconds) {
-    const Json scores = read_json(result.entry->scores), training = read_json(run / "metrics.json"), scene = read_json(run / "scene.json");
+    const ParsedJson scores = read_json(result.entry->scores), training = read_json(run / "metrics.json"), scene = read_json(run / "scene.json");
     if (!scores.is_object() || !training.is_object() || !scene.is_object() || !scores.contains("mean")) {
         result.state = result.entry->scores.string() + ": no scores in it";
         return;
