@@ -291,7 +291,8 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
-        return parse_surfels(file, layout, {primitive, std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; })});
+        const bool walks = std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; });
+        return parse_surfels(file, layout, {primitive, walks});
     } catch (const DataError& error) {
         throw DataError(fmt::format("reading PLY '{}': {}", path.string(), error.what()));
     }

@@ -25,7 +25,8 @@ struct HeldRenderer {
     std::size_t n_rays = 0;            ///< of the last forward pass
 };
 
-std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config, bool poses, bool rays, SharedDevice device) {
+std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config, bool poses, bool rays,
+                                            SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive;

@@ -197,7 +197,8 @@ std::string lack_of(const PublishedPart& part, const ParsedJson& scene, double n
 
 /// Takes the numbers of a row that is done. @param seconds  of all commands of its job
 void take_scores(TableResult& result, const fs::path& run, double seconds) {
-    const ParsedJson scores = read_json(result.entry->scores), training = read_json(run / "metrics.json"), scene = read_json(run / "scene.json");
+    const ParsedJson scores = read_json(result.entry->scores), training = read_json(run / "metrics.json"),
+                     scene = read_json(run / "scene.json");
     if (!scores.is_object() || !training.is_object() || !scene.is_object() || !scores.contains("mean")) {
         result.state = result.entry->scores.string() + ": no scores in it";
         return;
