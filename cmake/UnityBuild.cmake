@@ -37,8 +37,8 @@ function(relidar_unity target)
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-subobject-linkage>)
 endfunction()
 
-# So much code at once makes much garbage, which g++ collects again and again: a sixth of its time. Where each core has 2 GiB, it begins with
-# that later.
+# So much code at once makes much garbage, which g++ collects again and again: a sixth of its time. Where each core has 2 GiB, it begins
+# with that later.
 if(RELIDAR_UNITY AND CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
     cmake_host_system_information(RESULT relidar_memory_mib QUERY TOTAL_PHYSICAL_MEMORY)
     cmake_host_system_information(RESULT relidar_cores QUERY NUMBER_OF_LOGICAL_CORES)
