@@ -78,10 +78,18 @@ void fill_second_returns(RenderedScan& merged) {
 /// Rays in the rig's frame when each was fired, by where sensor and rig were then: between poses a sensor moves along a chord and so does
 /// the rig, which is not quite the same. @param first_ring  number of the scan's ring 0 in the merged one
 void append_rays(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ring) {
+    RenderedScan rig;   // as if it had fired the scan's rays
+    rig.image.rows = scan.image.rows;
+    rig.image.columns = scan.image.columns;
+    rig.time_offset_s = scan.time_offset_s;
+    rig.time_s = merged.time_s;
+    rig.track = merged.track;
+    rig.world_from_sensor = merged.world_from_sensor;
+    FiringPoses world_from_rig(rig), world_from_firing(scan);
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);
         merged.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
-        const Pose rig_from_firing = inverse(merged.world_from_firing(merged.time_offset_s.size() - 1)) * scan.world_from_firing(i);
+        const Pose rig_from_firing = inverse(world_from_rig.at(i)) * world_from_firing.at(i);
         merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
         merged.image.direction.emplace_back(glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
     }

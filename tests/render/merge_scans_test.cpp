@@ -6,6 +6,8 @@
 
 #include <relidar/error.hpp>
 
+#include "render/channel_pairs.hpp"
+
 namespace relidar {
 namespace {
 
@@ -36,6 +38,27 @@ const std::vector<glm::vec3>& normals_of(const RenderedScan& scan) { return *fin
 
 glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
     return scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
+}
+
+/// The same rays in two rows. The second row's last one is fired later than the rest of its column.
+RenderedScan in_two_rows(RenderedScan scan) {
+    const auto twice = []<class T>(std::vector<T>& values) {
+        const std::vector<T> once = values;
+        values.insert(values.end(), once.begin(), once.end());
+    };
+    for_each_basic_pair(RenderedScan(scan), scan, [&](const ChannelInfo&, const auto&, auto& values) { twice(values); });
+    twice(scan.image.origin), twice(scan.image.direction), twice(scan.time_offset_s), twice(scan.ring);
+    twice(std::get<std::vector<glm::vec3>>(scan.channels[0].values));
+    scan.image.rows = 2;
+    scan.time_offset_s.back() += 0.01f;
+    return scan;
+}
+
+TEST(MergeScans, PointsOfRowsStayWhereTheyAre) {
+    const Pose mounting{glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}};
+    const RenderedScan scan = in_two_rows(scan_of(mounting, 10.0f)), merged = merge_scans({scan}, {mounting});
+    ASSERT_EQ(merged.image.range_m.size(), 4u);
+    for (std::size_t i = 0; i < 4; ++i) EXPECT_LT(glm::length(world_point(merged, i) - world_point(scan, i)), 1e-4) << i;
 }
 
 TEST(MergeScans, PointsStayWhereTheyAre) {
