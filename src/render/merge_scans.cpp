@@ -45,8 +45,36 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
     std::visit(add, own.second);
 }
 
+/// The rig, as if it had fired a scan's rays.
+RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
+    RenderedScan rig;
+    rig.image.rows = scan.image.rows;
+    rig.image.columns = scan.image.columns;
+    rig.time_offset_s = scan.time_offset_s;
+    rig.time_s = merged.time_s;
+    rig.track = merged.track;
+    rig.world_from_sensor = merged.world_from_sensor;
+    return rig;
+}
+
+/// Where a sensor was in the rig's frame when it fired a ray, by where both were then: between poses a sensor moves along a chord and so
+/// does the rig, which is not quite the same.
+class RigPoses {
+public:
+    /// @param scan  of the sensor, outlives this
+    RigPoses(const RenderedScan& merged, const RenderedScan& scan)
+        : rig_(rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
+    RigPoses(const RigPoses&) = delete;
+    RigPoses& operator=(const RigPoses&) = delete;
+    Pose rig_from_firing(std::size_t ray) { return inverse(world_from_rig_.at(ray)) * world_from_firing_.at(ray); }
+
+private:
+    const RenderedScan rig_;
+    FiringPoses world_from_rig_, world_from_firing_;
+};
+
 /// @param first_ray  of the scan in the merged one, where the rays are already
-void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ray) {
+void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
         const ChannelInfo& info = channel.info;   // clang 14 captures no structured bindings
@@ -54,11 +82,8 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, std::size_t
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
-                for (std::size_t i = 0; own && info.turns && i < n; ++i) {
-                    const glm::dquat turn =
-                        glm::conjugate(merged.world_from_firing(first_ray + i).rotation) * scan.world_from_firing(i).rotation;
-                    all[first_ray + i] = glm::vec3(turn * glm::dvec3((*own)[i]));
-                }
+                for (std::size_t i = 0; own && info.turns && i < n; ++i)
+                    all[first_ray + i] = glm::vec3(poses.rig_from_firing(i).rotation * glm::dvec3((*own)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& own : scan.channels)
@@ -75,21 +100,12 @@ void fill_second_returns(RenderedScan& merged) {
             std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(channel.info)); }, channel.second);
 }
 
-/// Rays in the rig's frame when each was fired, by where sensor and rig were then: between poses a sensor moves along a chord and so does
-/// the rig, which is not quite the same. @param first_ring  number of the scan's ring 0 in the merged one
-void append_rays(RenderedScan& merged, const RenderedScan& scan, std::size_t first_ring) {
-    RenderedScan rig;   // as if it had fired the scan's rays
-    rig.image.rows = scan.image.rows;
-    rig.image.columns = scan.image.columns;
-    rig.time_offset_s = scan.time_offset_s;
-    rig.time_s = merged.time_s;
-    rig.track = merged.track;
-    rig.world_from_sensor = merged.world_from_sensor;
-    FiringPoses world_from_rig(rig), world_from_firing(scan);
+/// Rays in the rig's frame when each was fired. @param first_ring  number of the scan's ring 0 in the merged one
+void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);
         merged.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
-        const Pose rig_from_firing = inverse(world_from_rig.at(i)) * world_from_firing.at(i);
+        const Pose rig_from_firing = poses.rig_from_firing(i);
         merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
         merged.image.direction.emplace_back(glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
     }
@@ -111,11 +127,12 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     for (const RenderedScan& scan : scans) {
         check_channels(scan.channels, scan.image.range_m.size(), "a scan of a rig");
         add_channels(merged, scan);
-        append_rays(merged, scan, rings);
+        RigPoses poses(merged, scan);
+        append_rays(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         if (rings > 65536) throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
         const std::size_t first_ray = merged.image.range_m.size();
-        append_channels(merged, scan, first_ray);
+        append_channels(merged, scan, poses, first_ray);
         for_each_basic_pair(scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
         if (scan.unseen_share) {
             unseen_rays += *scan.unseen_share * double(scan.instance.size());
