@@ -107,10 +107,12 @@ Sphere sphere_around(std::span<const Shape> shapes) {
     return around;
 }
 
+}  // namespace
+
 /// Follows one ray to what it meets first.
-class RayWalk {
+class StreetCaster::Walk {
 public:
-    RayWalk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
+    Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
     /// Whether nothing in a sphere can be what the ray meets first.
     bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
@@ -129,9 +131,10 @@ public:
     }
 
     /// @param o, d ray in the frame that holds the shape's centre
-    void shape(const Shape& shape, const glm::dvec3& origin, const glm::dvec3& direction) {
-        if (passes_by(sphere_around(shape), origin, direction)) return;
-        const double c = std::cos(shape.yaw_rad), s = -std::sin(shape.yaw_rad);
+    void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
+        if (passes_by(solid.around, origin, direction)) return;
+        const Shape& shape = solid.shape;
+        const double c = solid.cos_yaw, s = -solid.sin_yaw;
         const glm::dvec3 o = turned(origin - shape.centre, c, s), d = turned(direction, c, s);
         const Meeting m = shape.kind == Shape::Kind::box ? meet_box(shape.half, o, d) : meet_cylinder(shape.half.x, shape.half.z, o, d);
         if (!(m.t <= nearest_m_)) return;
@@ -159,8 +162,6 @@ private:
     std::optional<Hit> hit_;
 };
 
-}  // namespace
-
 Pose MovingCar::world_from_box(double t_s) const {
     if (!track.pose.empty()) return track.at(t_s);
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
@@ -178,40 +179,64 @@ double MovingCar::walked_m(double t_s) const {
     return walked;
 }
 
-StreetCaster::StreetCaster(Street street) : street_(std::move(street)) {
+std::vector<StreetCaster::Solid> StreetCaster::solids_of(const std::vector<Shape>& shapes) {
+    std::vector<Solid> solids;
+    for (const Shape& shape : shapes) solids.push_back({shape, sphere_around(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
+    return solids;
+}
+
+StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
     constexpr double kWide_m = 4.0;   // a car, a bush, a stretch of fence
-    const std::span<const Shape> shapes = street_.shapes;
+    const std::span<const Shape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
         while (end < shapes.size() && sphere_around(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m) ++end;
         clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
     }
-    for (const MovingCar& car : street_.cars) {
-        double& reach_m = car_reach_m_.emplace_back(0.0);
-        for (const Shape& s : car.shapes) reach_m = std::max(reach_m, glm::length(s.centre) + sphere_around(s).radius_m);
-        for (const Limb& l : car.limbs) reach_m = std::max(reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
+    for (MovingCar& car : street.cars) {
+        Car& own = cars_.emplace_back(Car{std::move(car), {}});
+        own.solids = solids_of(own.car.shapes);
+        for (const Solid& s : own.solids) own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
+        for (const Limb& l : own.car.limbs) own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
     }
 }
 
-std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m) const {
-    RayWalk walk(ray, max_range_m);
+void StreetCaster::place_cars(double t_s, CarPlaces& places) const {
+    if (places.time_s == t_s) return;
+    places.time_s = t_s;
+    places.world_from_box.clear();
+    places.box_from_world.clear();
+    for (const Car& car : cars_) {
+        places.world_from_box.push_back(car.car.world_from_box(t_s));
+        places.box_from_world.push_back(inverse(places.world_from_box.back()));
+    }
+}
+
+std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const {
+    Walk walk(ray, max_range_m);
     walk.ground();
-    std::size_t shape = 0;
+    std::size_t solid = 0;
     for (const Cluster& cluster : clusters_) {
         if (!walk.passes_by(cluster.around, ray.origin_m, ray.direction))
-            for (; shape < cluster.end; ++shape) walk.shape(street_.shapes[shape], ray.origin_m, ray.direction);
-        shape = cluster.end;
+            for (; solid < cluster.end; ++solid) walk.solid(solids_[solid], ray.origin_m, ray.direction);
+        solid = cluster.end;
     }
-    for (std::size_t i = 0; i < street_.cars.size(); ++i) {
-        const MovingCar& car = street_.cars[i];
-        const Pose world_from_box = car.world_from_box(t_s), box_from_world = inverse(world_from_box);
-        if (walk.passes_by({world_from_box.translation, car_reach_m_[i]}, ray.origin_m, ray.direction)) continue;
+    place_cars(t_s, places);
+    for (std::size_t i = 0; i < cars_.size(); ++i) {
+        const Car& car = cars_[i];
+        if (walk.passes_by({places.world_from_box[i].translation, car.reach_m}, ray.origin_m, ray.direction)) continue;
+        const Pose& box_from_world = places.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
-        for (const Shape& s : car.shapes) walk.shape(s, origin, direction);
-        if (car.limbs.empty()) continue;
-        const double stride_rad = 2.0 * kPi * car.walked_m(t_s) / car.stride_m;
-        for (const Limb& l : car.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
+        for (const Solid& s : car.solids) walk.solid(s, origin, direction);
+        if (car.car.limbs.empty()) continue;
+        const double stride_rad = 2.0 * kPi * car.car.walked_m(t_s) / car.car.stride_m;
+        for (const Limb& l : car.car.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }
     return walk.hit();
+}
+
+std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m) const {
+    CarPlaces places;
+    return cast(ray, t_s, max_range_m, places);
 }
 
 }  // namespace relidar::street

@@ -79,22 +79,45 @@ struct Hit {
     double reflectance;
 };
 
+/// Where the cars of a street are at a moment.
+struct CarPlaces {
+    std::optional<double> time_s;
+    std::vector<Pose> world_from_box, box_from_world;   ///< [cars]
+};
+
 /// Casts rays into a street.
 class StreetCaster {
 public:
     explicit StreetCaster(Street street);
     /// First surface along a ray at a moment, at most max_range_m away.
+    /// @param places  of an earlier ray of this caster; found anew where that had another moment
+    std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const;
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m) const;
 
 private:
+    /// A shape with what each ray asks of it.
+    struct Solid {
+        Shape shape;
+        Sphere around;
+        double cos_yaw, sin_yaw;
+    };
+    struct Car {
+        MovingCar car;
+        std::vector<Solid> solids;
+        double reach_m = 0.0;   ///< from the centre of its box to the farthest of its shapes
+    };
     /// Neighbours in the list of shapes that lie close together, such as the leaves of a bush: most rays pass them all by.
     struct Cluster {
         Sphere around;
         std::size_t end;   ///< of its shapes; the first is the end of the cluster before
     };
-    Street street_;
+    class Walk;
+    std::vector<Solid> solids_;
     std::vector<Cluster> clusters_;
-    std::vector<double> car_reach_m_;   ///< [cars] from the centre of its box to the farthest of its shapes
+    std::vector<Car> cars_;
+
+    static std::vector<Solid> solids_of(const std::vector<Shape>& shapes);
+    void place_cars(double t_s, CarPlaces& places) const;
 };
 
 }  // namespace relidar::street

@@ -79,11 +79,13 @@ template <class Receive>
 void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s, const RayTable& rays,
                const Receive& receive) {
     const street::StreetCaster street(street_near(whole, track.at(time_s).translation + offset_m, time_s));
+    const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
+    std::vector<street::CarPlaces> places(columns);   // rays of a column are often fired together
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = world_ray(track, time_s, rays, ray, true);
         in_street.origin_m += offset_m;
         const double t_s = time_s + static_cast<double>(rays.time_offset_s[ray]);
-        if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m)) receive(ray, *hit);
+        if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m, places[ray % columns])) receive(ray, *hit);
     }
 }
 
