@@ -20,6 +20,7 @@ Run trained_run(Device& device) {
     run.split = split_frames(run.sequence, 4);
     run.config = make_preset("quick");
     run.config.train.iterations = 60;
+    run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
     run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
     run.config.train.refine_poses = "sensor";

@@ -47,6 +47,7 @@ Run trained(Device& device, Sequence street) {
     run.split = split_frames(run.sequence, 5);
     run.config = make_preset("quick");
     run.config.train.iterations = 80;
+    run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
     run.config.init.flatness = 1.0;   // the network is tested: in so few steps it learns less beside discs that face the sensor
     // neither the table of what the sensor never sees nor harmonics, which know from where a surface is seen, are to know a part of it

@@ -47,6 +47,7 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
 Config rig_config(int iterations) {
     Config config = make_preset("quick");
     config.train.iterations = iterations;
+    config.train.rays_per_iteration = 8192;
     config.train.refine_poses = "none";
     config.init.scale_factor = 0.6;
     return config;

@@ -198,6 +198,7 @@ TEST_F(Train, ActorsBeatMasking) {
         Config config = small_config();
         config.init.actor_classes = classes;
         config.init.actor_min_points = 20;
+        config.train.rays_per_iteration = 8192;
         config.init.scale_factor = 0.8;   // a few hundred points a car: at 0.4 there are holes between them
         const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
         EXPECT_EQ(result.scene.models.size(), classes.empty() ? 1u : 3u);
