@@ -95,13 +95,11 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
 }
 
 /// Share of the rays of a sensor that the street returns from the ground, 5 to 25 m away, and an untrained scene does not.
-double missed_ground(Device& device, const Sequence& log, const SyntheticOptions& options, double max_gap_m) {
-    Sequence street = log;
+double missed_ground(Device& device, const Sequence& street, const SyntheticOptions& options, double max_gap_m) {
     const int middle = int(street.frames.size()) / 2;
     const Split split = split_frames(street, middle);   // the middle and the last
     Config config = rig_config(0);
     config.init.max_gap_m = max_gap_m;
-    prepare_log(street, split, config, {});
     const TrainResult result = train(device, street, split, config, {});
     ScanRenderer renderer(device, result.scene, config, street);
     const double time_s = street.frames[std::size_t(middle)].time_s;
@@ -123,7 +121,8 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
-    const Sequence log = make_synthetic_street(options);
+    Sequence log = make_synthetic_street(options);
+    prepare_log(log, split_frames(log, int(log.frames.size()) / 2), rig_config(0), {});
     const double with = missed_ground(device(), log, options, 2.0), without = missed_ground(device(), log, options, 0.0);
     std::cout << "ground missed: " << with << ", by round discs " << without << "\n";
     EXPECT_LT(with, 0.1);
