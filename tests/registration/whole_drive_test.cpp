@@ -55,9 +55,7 @@ class WholeDriveExact : public WholeDrive {};   // RegisterScans.LongStreetStays
 
 TEST_P(WholeDriveExact, Stays) { expect_found(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact"); }
 
-class WholeDriveAlone : public WholeDrive {};
-
-TEST_P(WholeDriveAlone, NeedsNoPoses) {
+TEST_P(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     const Registration found = registered(none, false, split_frames(drive(), 10));
@@ -67,8 +65,7 @@ TEST_P(WholeDriveAlone, NeedsNoPoses) {
         << "the middle pose stays";
 }
 
-INSTANTIATE_TEST_SUITE_P(Sweeps, WholeDrive, testing::Values(300));
-INSTANTIATE_TEST_SUITE_P(Sweeps, WholeDriveAlone, testing::Values(400));   // closer together
+INSTANTIATE_TEST_SUITE_P(Sweeps, WholeDrive, testing::Values(300, 400));
 INSTANTIATE_TEST_SUITE_P(Sweeps, WholeDriveExact, testing::Values(300));
 
 }  // namespace
