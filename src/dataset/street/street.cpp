@@ -194,20 +194,21 @@ StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
     }
     for (MovingCar& car : street.cars) {
         Car& own = cars_.emplace_back(Car{std::move(car), {}});
-        own.solids = solids_of(own.car.shapes);
+        own.solids = solids_of(own.moving.shapes);
         for (const Solid& s : own.solids) own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
-        for (const Limb& l : own.car.limbs) own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
+        for (const Limb& l : own.moving.limbs) own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
     }
 }
 
 void StreetCaster::place_cars(double t_s, CarPlaces& places) const {
     if (places.time_s == t_s) return;
     places.time_s = t_s;
-    places.world_from_box.clear();
+    places.centre_m.clear();
     places.box_from_world.clear();
     for (const Car& car : cars_) {
-        places.world_from_box.push_back(car.car.world_from_box(t_s));
-        places.box_from_world.push_back(inverse(places.world_from_box.back()));
+        const Pose world_from_box = car.moving.world_from_box(t_s);
+        places.centre_m.push_back(world_from_box.translation);
+        places.box_from_world.push_back(inverse(world_from_box));
     }
 }
 
@@ -223,13 +224,13 @@ std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double ma
     place_cars(t_s, places);
     for (std::size_t i = 0; i < cars_.size(); ++i) {
         const Car& car = cars_[i];
-        if (walk.passes_by({places.world_from_box[i].translation, car.reach_m}, ray.origin_m, ray.direction)) continue;
+        if (walk.passes_by({places.centre_m[i], car.reach_m}, ray.origin_m, ray.direction)) continue;
         const Pose& box_from_world = places.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
         for (const Solid& s : car.solids) walk.solid(s, origin, direction);
-        if (car.car.limbs.empty()) continue;
-        const double stride_rad = 2.0 * kPi * car.car.walked_m(t_s) / car.car.stride_m;
-        for (const Limb& l : car.car.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
+        if (car.moving.limbs.empty()) continue;
+        const double stride_rad = 2.0 * kPi * car.moving.walked_m(t_s) / car.moving.stride_m;
+        for (const Limb& l : car.moving.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }
     return walk.hit();
 }

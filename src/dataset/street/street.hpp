@@ -82,7 +82,8 @@ struct Hit {
 /// Where the cars of a street are at a moment.
 struct CarPlaces {
     std::optional<double> time_s;
-    std::vector<Pose> world_from_box, box_from_world;   ///< [cars]
+    std::vector<glm::dvec3> centre_m;     ///< [cars] of their boxes
+    std::vector<Pose> box_from_world;     ///< [cars]
 };
 
 /// Casts rays into a street.
@@ -90,7 +91,7 @@ class StreetCaster {
 public:
     explicit StreetCaster(Street street);
     /// First surface along a ray at a moment, at most max_range_m away.
-    /// @param places  of an earlier ray of this caster; found anew where that had another moment
+    /// @param places  what an earlier ray of this caster left, or empty; found anew where that ray had another moment
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const;
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m) const;
 
@@ -102,7 +103,7 @@ private:
         double cos_yaw, sin_yaw;
     };
     struct Car {
-        MovingCar car;
+        MovingCar moving;
         std::vector<Solid> solids;
         double reach_m = 0.0;   ///< from the centre of its box to the farthest of its shapes
     };
