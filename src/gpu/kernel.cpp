@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <map>
 #include <set>
 
 #include <fmt/format.h>
@@ -30,8 +31,11 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
 constexpr std::array<std::string_view, 2> kReconverging{"accel/bvh_cluster", "backward/trace"};
 
 /// The module as this device is to have it.
-std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem) {
-    std::vector<std::uint32_t> words = gpu::with_read_only_parameters(find_words(name));
+std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem,
+                                        const std::vector<Constant>& constants) {
+    std::map<std::uint32_t, std::uint32_t> values;
+    for (const Constant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
+    std::vector<std::uint32_t> words = gpu::with_read_only_parameters(gpu::with_branches_taken(find_words(name), values));
     if (device.info.driver.starts_with("llvmpipe")) words = gpu::with_parameters_first(words);
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
         if (device.optional.maximal_reconvergence) return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
@@ -97,7 +101,7 @@ std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& de
         made = std::async(how, [&device, module = kernel.module, stem = kernel.name, constants = kernel.constants,
                                 subgroups = kernel.subgroups] {
             const Turn turn(device.pipelines.compilers);
-            return make_pipeline(device, module_words(device, module, stem), constants, subgroups);
+            return make_pipeline(device, module_words(device, module, stem, constants), constants, subgroups);
         });
     return made;
 }

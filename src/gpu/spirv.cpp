@@ -10,7 +10,7 @@ namespace relidar::gpu {
 
 namespace {
 
-constexpr std::uint32_t kOpDecorate = 71, kOpMemberDecorate = 72, kSpecId = 1, kOffset = 35, kNonWritable = 24;
+constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
 std::vector<std::uint32_t> extension_instruction(std::string_view name) {

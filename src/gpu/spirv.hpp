@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <set>
 #include <span>
 #include <string_view>
@@ -32,6 +33,12 @@ std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32
 /// The module with its parameters read into private variables where it begins. For Mesa's lavapipe: behind a branch or in a loop it loads
 /// what has one address for all lanes lane by lane, which was two fifths of Adam's time. A GPU chooses better when to read them.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
+
+/// The module with the branches taken that its specialisation constants decide: what is behind the others stays, and nothing leads there.
+/// A driver finds that out too, but only when it has put all functions into one; to make forward/trace takes Mesa's lavapipe half the
+/// time so. @param constants  their values by id; others are as the module has them
+std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
+                                               const std::map<std::uint32_t, std::uint32_t>& constants);
 
 /// Ids of the module's specialisation constants.
 std::set<std::uint32_t> constant_ids(std::span<const std::uint32_t> words);

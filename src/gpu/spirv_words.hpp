@@ -10,7 +10,7 @@
 namespace relidar::gpu {
 
 inline constexpr std::size_t kHeaderWords = 5;
-inline constexpr std::uint32_t kOpName = 5;
+inline constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
 
 using Instruction = std::span<const std::uint32_t>;
 

@@ -151,5 +151,51 @@ TEST(SpirvParameters, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_parameters_first(gpu::with_read_only_parameters(words)); });
 }
 
+/// Values other than the module's own for all constants but the workgroup's size.
+std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
+    const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
+    std::map<std::uint32_t, std::uint32_t> constants;
+    for (const std::uint32_t id : gpu::constant_ids(words)) constants[id] = id == id_of(ConstantId::CHUNK) ? 16u : 1u;
+    constants.erase(id_of(ConstantId::WORKGROUP_SIZE));
+    return constants;
+}
+
+TEST(SpirvBranches, AreAcceptedBySpirvVal) {
+    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_branches_taken(words, {}); });
+    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_branches_taken(words, other_constants(words)); });
+}
+
+/// What spirv-opt makes of a module when it is given the constants and removes what they rule out.
+std::string optimised(std::span<const std::uint32_t> words, const std::map<std::uint32_t, std::uint32_t>& constants) {
+    const fs::path file = fs::temp_directory_path() / ("relidar-branches-" + std::to_string(::getpid()) + ".spv");
+    std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
+    std::string values;
+    for (const auto& [id, value] : constants) values += std::to_string(id) + ":" + std::to_string(value) + " ";
+    const std::string command = "spirv-opt --set-spec-const-default-value='" + values + "' --freeze-spec-const " +
+                                "--fold-spec-const-op-composite --eliminate-dead-branches --eliminate-dead-functions " +
+                                "--eliminate-dead-const --compact-ids " + file.string() + " -o " + file.string() + ".out";
+    EXPECT_EQ(std::system(command.c_str()), 0) << command;
+    std::ifstream in(file.string() + ".out", std::ios::binary);
+    const std::string result((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+    fs::remove(file);
+    fs::remove(file.string() + ".out");
+    return result;
+}
+
+/// The same module is left of one whose branches were taken as of one that spirv-opt takes them in.
+TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
+    if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
+    std::size_t n_shorter = 0;
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        if (kernel.name.find("_matrix") != std::string_view::npos) continue;   // Debian 12's spirv-opt knows no cooperative matrices
+        const std::map<std::uint32_t, std::uint32_t> constants = other_constants(kernel.words);
+        if (constants.empty()) continue;
+        const Words taken = gpu::with_branches_taken(kernel.words, constants);
+        EXPECT_TRUE(optimised(taken, constants) == optimised(kernel.words, constants)) << kernel.name;
+        n_shorter += taken.size() < kernel.words.size();
+    }
+    EXPECT_GT(n_shorter, 20u);
+}
+
 }  // namespace
 }  // namespace relidar

@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: Apache-2.0
+// Branches that specialisation constants decide. Values are followed through what glslang makes of conditions: comparisons, arithmetic and
+// logic of constants of 32 bits. What is not known here, and what cannot go without moving blocks, is left to the driver.
+#include <algorithm>
+#include <map>
+#include <optional>
+
+#include "gpu/spirv.hpp"
+#include "gpu/spirv_words.hpp"
+
+namespace relidar::gpu {
+
+namespace {
+
+constexpr std::uint32_t kOpTypeBool = 20, kOpTypeInt = 21, kOpConstantTrue = 41, kOpConstantFalse = 42, kOpConstant = 43;
+constexpr std::uint32_t kOpSpecConstant = 50, kOpSpecConstantOp = 52;
+constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168;
+constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248, kOpBranch = 249,
+                        kOpBranchConditional = 250, kOpSwitch = 251;
+
+/// What is known of a module's integers and booleans (0 or 1).
+class Values {
+public:
+    explicit Values(const std::map<std::uint32_t, std::uint32_t>& constants) : constants_(constants) {}
+
+    std::optional<std::uint32_t> at(std::uint32_t id) const {
+        const auto found = known_.find(id);
+        return found == known_.end() ? std::nullopt : std::optional(found->second);
+    }
+
+    /// Takes an instruction of the module, in order.
+    void take(std::uint32_t opcode, Instruction instruction) {
+        switch (opcode) {
+            case kOpTypeBool: types_.insert(instruction[1]); break;
+            case kOpTypeInt:
+                if (instruction[2] == 32) types_.insert(instruction[1]);
+                break;
+            case kOpDecorate:
+                if (instruction[2] == kSpecId) spec_ids_[instruction[1]] = instruction[3];
+                break;
+            case kOpConstantTrue: known_[instruction[2]] = 1; break;
+            case kOpConstantFalse: known_[instruction[2]] = 0; break;
+            case kOpConstant:
+            case kOpSpecConstant:
+                if (types_.contains(instruction[1])) known_[instruction[2]] = value_of(instruction);
+                break;
+            case kOpSpecConstantOp: know(instruction, instruction[3], instruction.subspan(4)); break;
+            case kOpLogicalOr:
+            case kOpLogicalAnd:
+            case kOpLogicalNot: know(instruction, opcode, instruction.subspan(3)); break;
+            default: break;
+        }
+    }
+
+private:
+    const std::map<std::uint32_t, std::uint32_t>& constants_;
+    std::set<std::uint32_t> types_;
+    std::map<std::uint32_t, std::uint32_t> spec_ids_, known_;
+
+    std::uint32_t value_of(Instruction constant) const {
+        const auto spec_id = spec_ids_.find(constant[2]);
+        const auto given = spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
+        return given == constants_.end() ? constant[3] : given->second;
+    }
+
+    void know(Instruction instruction, std::uint32_t operation, Instruction operands) {
+        if (!types_.contains(instruction[1])) return;
+        if (const std::optional<std::uint32_t> value = result(operation, operands)) known_[instruction[2]] = *value;
+    }
+
+    std::optional<std::uint32_t> result(std::uint32_t operation, Instruction operands) const {
+        const std::optional<std::uint32_t> a = at(operands[0]), b = operands.size() > 1 ? at(operands[1]) : a;
+        if (operation == kOpLogicalOr && (a == 1u || b == 1u)) return 1;
+        if (operation == kOpLogicalAnd && (a == 0u || b == 0u)) return 0;
+        if (!a || !b) return std::nullopt;
+        switch (operation) {
+            case 128: return *a + *b;   // OpIAdd
+            case 130: return *a - *b;   // OpISub
+            case 132: return *a * *b;   // OpIMul
+            case 134: return *b == 0 ? std::nullopt : std::optional(*a / *b);   // OpUDiv
+            case kOpLogicalOr: return *a | *b;
+            case kOpLogicalAnd: return *a & *b;
+            case kOpLogicalNot: return 1u - *a;
+            case 170: return *a == *b;   // OpIEqual
+            case 171: return *a != *b;   // OpINotEqual
+            case 199: return *a & *b;   // OpBitwiseAnd
+            default: return std::nullopt;
+        }
+    }
+};
+
+/// Where the blocks of a module lead.
+class Blocks {
+public:
+    explicit Blocks(std::span<const std::uint32_t> words) {
+        std::uint32_t label = 0;
+        for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+            switch (opcode) {
+                case kOpLabel: label = instruction[1]; break;
+                case kOpPhi: with_phi_.insert(label); break;
+                case kOpLoopMerge:
+                    for (const std::size_t k : {1u, 2u}) header_of_[instruction[k]] = label;
+                    break;
+                case kOpBranch: next_[label] = {instruction[1]}; break;
+                case kOpBranchConditional: next_[label] = {instruction[2], instruction[3]}; break;
+                case kOpSwitch:
+                    for (std::size_t k = 2; k < instruction.size(); k += 2) next_[label].push_back(instruction[k]);
+                    break;
+                default: break;
+            }
+        });
+    }
+
+    /// Whether the branch from a block to `left` can go and the module is still valid: a phi names all blocks that lead to it, and blocks
+    /// that nothing leads to must not end or go on with a loop around them. @param merge  where both ways of the branch come together
+    bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
+        if (left == merge) return !with_phi_.contains(merge);
+        std::set<std::uint32_t> behind = {left};
+        for (std::vector<std::uint32_t> open = {left}; !open.empty();) {
+            const auto next = next_.find(open.back());
+            open.pop_back();
+            if (next == next_.end()) continue;   // returns
+            for (const std::uint32_t block : next->second)
+                if (block != merge && behind.insert(block).second) open.push_back(block);
+        }
+        return !behind.contains(from) && std::all_of(behind.begin(), behind.end(), [&](std::uint32_t block) {
+            const auto header = header_of_.find(block);
+            return header == header_of_.end() || behind.contains(header->second);
+        });
+    }
+
+private:
+    std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
+    std::map<std::uint32_t, std::uint32_t> header_of_;   // of the loop that a block ends or goes on with
+    std::set<std::uint32_t> with_phi_;
+};
+
+}  // namespace
+
+std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
+                                               const std::map<std::uint32_t, std::uint32_t>& constants) {
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
+    Values values(constants);
+    const Blocks blocks(words);
+    std::uint32_t block = 0;
+    Instruction merge;   // of the branch that comes next
+    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+        values.take(opcode, instruction);
+        if (opcode == kOpLabel) block = instruction[1];
+        if (opcode == kOpSelectionMerge) {
+            merge = instruction;
+            return;
+        }
+        std::optional<std::uint32_t> condition;
+        if (opcode == kOpBranchConditional && !merge.empty()) condition = values.at(instruction[1]);
+        if (condition && blocks.can_be_left(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
+            result.insert(result.end(), {2u << 16 | kOpBranch, instruction[*condition != 0 ? 2 : 3]});
+        } else {
+            append(result, merge);
+            append(result, instruction);
+        }
+        merge = {};
+    });
+    return result;
+}
+
+}  // namespace relidar::gpu
