@@ -19,7 +19,7 @@ using test::Outputs;
 using test::Passes;
 using test::random_upstream;
 
-/// Every way the gradients of hits are found and summed.
+/// A way in which the gradients of hits are found and summed.
 struct Way {
     const char* name;
     BackwardOptions options;
@@ -29,28 +29,35 @@ struct Way {
 };
 constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .coalesced_atomics = false}},
                           {"gather", {.reduction = Reduction::gather}},
+                          {"lists, some too short, some kept hits", {.reduction = Reduction::gather}, 5, HitOrder::lists, 8},
                           {"coalesced atomics", {.reduction = Reduction::atomics, .coalesced_atomics = true}},
                           {"atomics, kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 64},
                           {"atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 5},
                           {"coalesced atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = true}, 5},
                           {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
                           {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
-                          {"lists, some too short, some kept hits", {.reduction = Reduction::gather}, 5, HitOrder::lists, 8},
                           {"gather without room for all", {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
+constexpr std::size_t kFewWays = 3;   ///< the first ones: both sums, all ways of finding hits
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
 /// How a scene is rendered, what of it has a gradient, and how well that must agree.
 struct How {
     Proxy proxy = Proxy::boxes;
-    int chunk = 16;
-    bool brute_force = false;
+    bool every_way = false;       ///< not the first kFewWays alone: for a scene of each layout of gradients
+    bool brute_force = false;     ///< the first two ways: others of finding hits change nothing there
     double tolerance = test::kKernelGradient;
     Outputs outputs = Outputs::image;
+    std::optional<int> chunk = {};   ///< else that of the other tests
 };
 
 class DeviceGradient : public test::DeviceTest {
 protected:
+    static std::span<const Way> ways_of(const How& how) {
+        if (how.brute_force) return std::span(kWays).first(2);
+        return how.every_way ? std::span(kWays) : std::span(kWays).first(kFewWays);
+    }
+
     void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, const How& how, const std::string& title) {
         reference::Settings settings;
         settings.image = image;
@@ -59,21 +66,20 @@ protected:
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed, how.outputs);
+        TraceOptions trace = test::trace_of(image);
+        if (how.chunk) trace.chunk = *how.chunk;
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
         std::vector<reference::RayGradient> d_rays;
         for (std::size_t i = 0; i < scene.rays.size(); ++i)
-            d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], how.chunk, upstream[i], expected));
+            d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], trace.chunk, upstream[i], expected));
 
-        // other ways of finding hits change nothing there
-        for (const Way& way : std::span(kWays).first(how.brute_force ? 2 : std::size(kWays))) {
+        trace.geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood;
+        if (how.outputs == Outputs::likelihood || how.outputs == Outputs::all) trace.likelihood = kKernel;
+        for (const Way& way : ways_of(how)) {
             const Forced forced(device(), {.brute_force = how.brute_force});
-            const TraceOptions trace{
-                .chunk = how.chunk,
-                .order = way.order,
-                .list_room = way.list_room,
-                .geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood,
-                .likelihood = how.outputs == Outputs::likelihood || how.outputs == Outputs::all ? kKernel : std::nullopt};
+            trace.order = way.order;
+            trace.list_room = way.list_room;
             Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept},
                           way.options);
             passes.run();
@@ -104,13 +110,13 @@ protected:
 };
 
 TEST_F(DeviceGradient, ShAlongRayWithInstances) {
-    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, {Proxy::triangles, 4},
-                     "triangles, SH along the ray, 3 instances, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, {.proxy = Proxy::triangles, .every_way = true},
+                     "triangles, SH along the ray, 3 instances");
 }
 
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
-    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60}, {},
-                     "boxes, SH along sensor -> mean, 2 instances, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60},
+                     {.every_way = true}, "boxes, SH along sensor -> mean, 2 instances");
 }
 
 TEST_F(DeviceGradient, ViewOriginAndLongLists) {
@@ -122,7 +128,7 @@ TEST_F(DeviceGradient, ViewOriginAndLongLists) {
                       .rays = 40,
                       .opacity_low = 0.02,
                       .opacity_high = 0.2},
-                     {}, "transparent, long lists, chunk 16");
+                     {.every_way = true}, "transparent, long lists");
 }
 
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
@@ -133,8 +139,8 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     // wall carries it on to rows that are themselves small. Single precision holds no fourth digit there.
     const double tolerance = 10.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance},
-                     "brute force, opaque, chunk 16");
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.chunk = 2, .brute_force = true, .tolerance = tolerance},
+                     "brute force, opaque");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance, .chunk = 2},
                      "brute force, opaque, chunk 2");
 }
 
@@ -145,11 +151,11 @@ TEST_F(DeviceGradient, Gaussians) {
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
     // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest, 0.03 m, in every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .tolerance = tolerance},
-                     "3D Gaussians, icosahedra, SH along the ray, 3 instances, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .tolerance = tolerance},
+                     "3D Gaussians, icosahedra, SH along the ray, 3 instances");
     options.seed = 37, options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.tolerance = tolerance},
-                     "3D Gaussians, boxes, SH along sensor -> mean, 2 instances, chunk 16");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.every_way = true, .tolerance = tolerance},
+                     "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
 /// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing moves them. The first two scenes again.
@@ -157,7 +163,7 @@ TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
     options.rays = 60;
-    expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, {Proxy::triangles, 4},
+    expect_agreement({.sh_direction = ShDirection::ray, .single_drop_logit = true}, options, {},
                      "one drop logit, SH along the ray");
     options.seed = 32;
     options.actor_instances = 1;
@@ -169,19 +175,19 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 TEST_F(DeviceGradient, Geometry) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .chunk = 4, .outputs = Outputs::all},
-                     "image and geometry, SH along the ray, chunk 4");
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.proxy = Proxy::triangles, .every_way = true, .outputs = Outputs::all}, "image and geometry, SH along the ray");
     options.actor_instances = 1, options.seed = 62;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::normal}, "blended normal alone");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::normal, .chunk = 4}, "blended normal alone");
     options.seed = 63;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::distortion}, "distortion alone");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::distortion, .chunk = 4}, "distortion alone");
     options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
     options.opacity_low = 0.02, options.opacity_high = 0.2;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::all},
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::all},
                      "image and geometry, transparent, long lists");
     options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.chunk = 2, .brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all},
+                     {.brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all, .chunk = 2},
                      "image and geometry, opaque with clamps");
 }
 
@@ -191,11 +197,11 @@ TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.proxy = Proxy::triangles, .chunk = 4, .tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
-                     "likelihood, SH along the ray, chunk 4");
+                     {.tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
+                     "likelihood, SH along the ray");
     options.seed = 65, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
     options.opacity_low = 0.02, options.opacity_high = 0.2;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.chunk = 5, .outputs = Outputs::likelihood},
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.outputs = Outputs::likelihood},
                      "likelihood, transparent, long lists");
     options = {.seed = 66, .background_surfels = 24, .actor_surfels = 8, .actor_instances = 1, .rays = 30,
                .primitive = Primitive::gaussian};
@@ -215,7 +221,7 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3),
-                  {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}});
+                  {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)});
     passes.run();
     const Surfels d = passes.gradients().surfels.download();
     const Surfels start = passes.renderer.download().surfels;

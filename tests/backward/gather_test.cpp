@@ -47,16 +47,16 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
         settings.image.primitive = primitive;
         const test::RandomScene scene = crowded(settings);
         const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
-        Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
-                      {.reduction = Reduction::gather});
+        RendererOptions options{.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)};
+        Passes passes(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
         passes.run();
         const std::vector<float> first = all_gradients(passes.gradients());
         for (int i = 0; i < 3; ++i) {
             passes.run();
             EXPECT_EQ(all_gradients(passes.gradients()), first);
         }
-        Passes triangles(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::triangles}, .trace = {.chunk = 16}},
-                         {.reduction = Reduction::gather});
+        options.accel.proxy = Proxy::triangles;
+        Passes triangles(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
         triangles.run();
         EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
     }
@@ -70,11 +70,11 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         test::RandomScene scene = crowded(settings);
         std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
         for (int i = 1; i < 100; ++i) upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
-        Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+        Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
                     {.reduction = Reduction::gather});
         many.run();
         scene.rays.resize(20);
-        Passes once(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+        Passes once(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
                     {.reduction = Reduction::atomics});
         once.run();
         test::GradientTable table;
@@ -111,12 +111,12 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
-    Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+    Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
                 {.reduction = Reduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
-    Passes once(device(), settings.image, few, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = 16}},
+    Passes once(device(), settings.image, few, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
                 {.reduction = Reduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());

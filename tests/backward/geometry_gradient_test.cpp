@@ -138,7 +138,8 @@ struct WallProblem {
 };
 
 TraceOptions trace_options(const LossWeights& w) {
-    TraceOptions options{.chunk = 3, .geometry = w.uses_geometry()};
+    TraceOptions options = test::trace_of({});
+    options.geometry = w.uses_geometry();
     if (w.likelihood > 0.0f) options.likelihood = RangeKernel{w.likelihood_scale_m};
     return options;
 }
@@ -348,7 +349,9 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}}};
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].distortion = 1.0;
-        test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = {.geometry = true}});
+        TraceOptions trace = test::trace_of({});
+        trace.geometry = true;
+        test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = trace});
         passes.run();
         const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
         // t = n.(mean - o) / n.d: a product and a division; the weights: a sigmoid, and exp(0), of both
@@ -384,8 +387,9 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, t[1]}};
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].likelihood = 1.0;
-        test::Passes passes(device(), {}, scene, upstream,
-                            {.accel = {.proxy = Proxy::boxes}, .trace = {.likelihood = RangeKernel{0.1f}}});
+        TraceOptions trace = test::trace_of({});
+        trace.likelihood = RangeKernel{0.1f};
+        test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = trace});
         passes.run();
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float

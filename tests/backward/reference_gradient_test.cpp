@@ -35,8 +35,9 @@ struct Problem {
             for (PixelGradient& g : upstream) g.normal = glm::dvec3(0.0);   // it has none
     }
 
+    /// All hits in one chunk, which is quicker: the derivatives take short ones, and that the size does not matter is tested below.
     double term(const BruteForce& brute, std::size_t i) const {
-        const Pixel p = render(scene.world, brute, settings, scene.rays[i], chunk);
+        const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
         return inner_product(upstream[i], p);
     }
     BruteForce brute() const { return {scene.world, settings.image, Precision::double_record}; }
@@ -63,8 +64,24 @@ struct Row {
     std::vector<double> expected, actual;
 };
 
-/// All parameters of one surfel. @param p  a copy, whose parameters are moved
-std::vector<Row> surfel_rows(Problem p, const Gradients& gradients, std::size_t i) {
+/// A problem of the rays that meet a surfel. The others keep their margins to it (random_scene.hpp): no difference reaches them.
+Problem seen_by(Problem p, std::size_t surfel) {
+    const BruteForce provider = p.brute();
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
+        const std::vector<Hit> hits = all_hits(provider, p.scene.rays[i], p.chunk);
+        if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; })) continue;
+        p.scene.rays[kept] = p.scene.rays[i];
+        p.upstream[kept++] = p.upstream[i];
+    }
+    p.scene.rays.resize(kept);
+    p.upstream.resize(kept);
+    return p;
+}
+
+/// All parameters of one surfel.
+std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std::size_t i) {
+    Problem p = seen_by(all, i);
     std::vector<Row> rows;
     const auto terms = [&] { return p.terms(); };
     const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n, double step = test::kDifferenceStep) {
