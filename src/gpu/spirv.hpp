@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is read from a SPIR-V module, and added to it, when it is loaded. Execution modes: whether a device has them is known only then, and
-// glslang may not know their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far
+// What is read from a SPIR-V module, and changed in it, when it is loaded. Execution modes: whether a device has them is known only then,
+// and glslang may not know their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far
 // (shaders/common/kernel.glsl).
 #pragma once
 
@@ -34,9 +34,9 @@ std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32
 /// what has one address for all lanes lane by lane, which was two fifths of Adam's time. A GPU chooses better when to read them.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
 
-/// The module with the branches taken that its specialisation constants decide: what is behind the others stays, and nothing leads there.
-/// A driver finds that out too, but only when it has put all functions into one; to make forward/trace takes Mesa's lavapipe half the
-/// time so. @param constants  their values by id; others are as the module has them
+/// The module with branches that its specialisation constants decide made unconditional. The blocks that are not reached stay where they
+/// are. A driver drops them too, but only after it has put all functions into one: Mesa's lavapipe makes forward/trace in half the time
+/// when they are unreachable from the start. @param constants  values by id; those not given are as the module has them
 std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
                                                const std::map<std::uint32_t, std::uint32_t>& constants);
 

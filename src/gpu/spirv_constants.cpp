@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Branches that specialisation constants decide. Values are followed through what glslang makes of conditions: comparisons, arithmetic and
-// logic of constants of 32 bits. What is not known here, and what cannot go without moving blocks, is left to the driver.
+// Branches that specialisation constants decide. Values are followed through what the kernels' conditions are made of: constants of 32
+// bits, whether two are equal, and logic. Other conditions are left to the driver, as are branches that cannot go without moving blocks.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::uint32_t kOpTypeBool = 20, kOpTypeInt = 21, kOpConstantTrue = 41, kOpConstantFalse = 42, kOpConstant = 43;
 constexpr std::uint32_t kOpSpecConstant = 50, kOpSpecConstantOp = 52;
-constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168;
+constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170, kOpINotEqual = 171;
 constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248, kOpBranch = 249,
                         kOpBranchConditional = 250, kOpSwitch = 251;
 
@@ -74,16 +74,11 @@ private:
         if (operation == kOpLogicalAnd && (a == 0u || b == 0u)) return 0;
         if (!a || !b) return std::nullopt;
         switch (operation) {
-            case 128: return *a + *b;   // OpIAdd
-            case 130: return *a - *b;   // OpISub
-            case 132: return *a * *b;   // OpIMul
-            case 134: return *b == 0 ? std::nullopt : std::optional(*a / *b);   // OpUDiv
             case kOpLogicalOr: return *a | *b;
             case kOpLogicalAnd: return *a & *b;
             case kOpLogicalNot: return 1u - *a;
-            case 170: return *a == *b;   // OpIEqual
-            case 171: return *a != *b;   // OpINotEqual
-            case 199: return *a & *b;   // OpBitwiseAnd
+            case kOpIEqual: return *a == *b;
+            case kOpINotEqual: return *a != *b;
             default: return std::nullopt;
         }
     }

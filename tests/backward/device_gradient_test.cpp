@@ -66,7 +66,9 @@ protected:
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed, how.outputs);
-        TraceOptions trace = test::trace_of(image);
+        RendererOptions renderer = test::options_of(image);
+        renderer.accel.proxy = how.proxy;
+        TraceOptions& trace = renderer.trace;
         if (how.chunk) trace.chunk = *how.chunk;
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
@@ -80,8 +82,8 @@ protected:
             const Forced forced(device(), {.brute_force = how.brute_force});
             trace.order = way.order;
             trace.list_room = way.list_room;
-            Passes passes(device(), settings.image, scene, upstream, {.accel = {.proxy = how.proxy}, .trace = trace, .keep_hits = way.kept},
-                          way.options);
+            renderer.keep_hits = way.kept;
+            Passes passes(device(), settings.image, scene, upstream, renderer, way.options);
             passes.run();
             const test::GatheredHits hits = test::take_gathered_hits(passes);
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
@@ -220,8 +222,7 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     options.seed = 35;
     options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3),
-                  {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)});
+    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), test::options_of(settings.image));
     passes.run();
     const Surfels d = passes.gradients().surfels.download();
     const Surfels start = passes.renderer.download().surfels;

@@ -47,7 +47,7 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
         settings.image.primitive = primitive;
         const test::RandomScene scene = crowded(settings);
         const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
-        RendererOptions options{.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)};
+        RendererOptions options = test::options_of(settings.image);
         Passes passes(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
         passes.run();
         const std::vector<float> first = all_gradients(passes.gradients());
@@ -70,12 +70,10 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         test::RandomScene scene = crowded(settings);
         std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
         for (int i = 1; i < 100; ++i) upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
-        Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
-                    {.reduction = Reduction::gather});
+        Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
         many.run();
         scene.rays.resize(20);
-        Passes once(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
-                    {.reduction = Reduction::atomics});
+        Passes once(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::atomics});
         once.run();
         test::GradientTable table;
         const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual, std::size_t n) {
@@ -111,13 +109,11 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
-    Passes many(device(), settings.image, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
-                {.reduction = Reduction::gather});
+    Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
-    Passes once(device(), settings.image, few, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)},
-                {.reduction = Reduction::gather});
+    Passes once(device(), settings.image, few, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
     many.renderer.record_forward({&many.rays, 0, 1, 20});

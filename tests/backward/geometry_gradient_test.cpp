@@ -137,10 +137,11 @@ struct WallProblem {
     }
 };
 
-TraceOptions trace_options(const LossWeights& w) {
-    TraceOptions options = test::trace_of({});
-    options.geometry = w.uses_geometry();
-    if (w.likelihood > 0.0f) options.likelihood = RangeKernel{w.likelihood_scale_m};
+RendererOptions options_of(const LossWeights& w, std::uint32_t keep_hits) {
+    RendererOptions options = test::options_of({});
+    options.trace.geometry = w.uses_geometry();
+    if (w.likelihood > 0.0f) options.trace.likelihood = RangeKernel{w.likelihood_scale_m};
+    options.keep_hits = keep_hits;
     return options;
 }
 
@@ -152,7 +153,7 @@ struct DevicePasses : test::Passes {
 
     DevicePasses(Device& d, const WallProblem& p, std::uint32_t keep_hits, const BackwardOptions& options)
         : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()),
-                 {.accel = {.proxy = Proxy::boxes}, .trace = trace_options(p.weights), .keep_hits = keep_hits}, options),
+                 options_of(p.weights, keep_hits), options),
           losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
           loss_terms(d, std::vector<float>(kLossTerms, 0.0f), "terms") {
         std::vector<DeviceTarget> t;
@@ -349,9 +350,9 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}}};
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].distortion = 1.0;
-        TraceOptions trace = test::trace_of({});
-        trace.geometry = true;
-        test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = trace});
+        RendererOptions options = test::options_of({});
+        options.trace.geometry = true;
+        test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
         const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
         // t = n.(mean - o) / n.d: a product and a division; the weights: a sigmoid, and exp(0), of both
@@ -387,9 +388,9 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, t[1]}};
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].likelihood = 1.0;
-        TraceOptions trace = test::trace_of({});
-        trace.likelihood = RangeKernel{0.1f};
-        test::Passes passes(device(), {}, scene, upstream, {.accel = {.proxy = Proxy::boxes}, .trace = trace});
+        RendererOptions options = test::options_of({});
+        options.trace.likelihood = RangeKernel{0.1f};
+        test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float

@@ -78,8 +78,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         reference::Gradients expected(scene.world);
         test::GradientTable table;
-        Passes passes(device(), settings.image, scene, upstream,
-                      {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(settings.image)});
+        Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image));
         passes.run();
         const std::vector<shared::RenderedRay> rendered = passes.renderer.rendered().rendered->download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
@@ -144,7 +143,7 @@ TEST_F(ManyActors, Train) {
         test::RandomScene scene = many_actors(own, kAcross * kAcross * kAcross);
         add_rays(scene, 300, nullptr);
         Passes passes(device(), image_of(own), scene, std::vector<reference::PixelGradient>(scene.rays.size()),
-                      {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(image_of(own))});
+                      test::options_of(image_of(own)));
         const std::vector<float> losses = train(passes);
         const char* what = own ? "1000 models" : "1000 instances of a model";
         std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()), double(losses.back()));
@@ -165,7 +164,7 @@ TEST_F(ManyActors, AreLaunchedTogether) {
         test::RandomScene scene = many_actors(true, n_actors);
         add_rays(scene, 10, nullptr);
         Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()),
-                      {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(image_of(true))});
+                      test::options_of(image_of(true)));
         passes.run();   // builds the tree, whose number of launches is the logarithm of its size
         Stream& stream = passes.renderer.stream();
         stream.reset_times();

@@ -21,9 +21,11 @@ inline glm::dquat turn_by(const glm::dvec3& w) {
     return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
 }
 
-/// With harmonics along the ray in chunks of 4 hits, along the surfel in chunks of 16: each kernel is made for one size of chunk, not for
-/// every size that a test might like, as making them takes most of these tests' time.
-inline TraceOptions trace_of(const ImageModel& model) { return {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}; }
+/// Boxes, and chunks of 4 hits where harmonics are along the ray, of 16 where they are along the surfel. Making kernels takes most of these
+/// tests' time, so the tests share one size for each.
+inline RendererOptions options_of(const ImageModel& model) {
+    return {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
+}
 
 inline RendererOptions with_room(RendererOptions options, std::size_t n_rays) {
     options.n_rays = static_cast<std::uint32_t>(n_rays);

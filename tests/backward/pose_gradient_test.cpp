@@ -80,8 +80,7 @@ protected:
         reference::Gradients expected(p.scene.world);
         for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
             reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
-        Passes passes(device(), p.settings.image, p.scene, p.upstream,
-                      {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(p.settings.image)});
+        Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
         passes.run();
         const std::vector<float> poses = passes.gradients().poses.download();
         GradientTable table;
@@ -196,8 +195,7 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     test::RandomSceneOptions options;
     options.seed = 44, options.actor_instances = 3;
     PoseProblem p(ShDirection::ray, options);
-    Passes passes(device(), p.settings.image, p.scene, p.upstream,
-                  {.accel = {.proxy = Proxy::boxes}, .trace = test::trace_of(p.settings.image)});
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
     std::vector<InstancePose> placed = passes.renderer.scene().poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;

@@ -123,12 +123,16 @@ TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     EXPECT_LT(n_later, n_before / 100) << "of " << n_before;
 }
 
+void write_module(const fs::path& file, std::span<const std::uint32_t> words) {
+    std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
+}
+
 void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& change) {
     if (std::system("command -v spirv-val > /dev/null") != 0) GTEST_SKIP() << "no spirv-val";
     const fs::path file = fs::temp_directory_path() / ("relidar-modules-" + std::to_string(::getpid()) + ".spv");
     const std::string command = "spirv-val --target-env vulkan1.3 --scalar-block-layout " + file.string() + " 2>&1";
     const auto complaint = [&](std::span<const std::uint32_t> words) {
-        std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
+        write_module(file, words);
         std::string text;
         FILE* const output = ::popen(command.c_str(), "r");
         for (int c; (c = std::fgetc(output)) != EOF;) text += char(c);
@@ -168,7 +172,7 @@ TEST(SpirvBranches, AreAcceptedBySpirvVal) {
 /// What spirv-opt makes of a module when it is given the constants and removes what they rule out.
 std::string optimised(std::span<const std::uint32_t> words, const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file = fs::temp_directory_path() / ("relidar-branches-" + std::to_string(::getpid()) + ".spv");
-    std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
+    write_module(file, words);
     std::string values;
     for (const auto& [id, value] : constants) values += std::to_string(id) + ":" + std::to_string(value) + " ";
     const std::string command = "spirv-opt --set-spec-const-default-value='" + values + "' --freeze-spec-const " +
@@ -182,7 +186,7 @@ std::string optimised(std::span<const std::uint32_t> words, const std::map<std::
     return result;
 }
 
-/// The same module is left of one whose branches were taken as of one that spirv-opt takes them in.
+/// spirv-opt takes the branches that are left and removes what nothing reaches: then a kernel is the same whether ours were taken or not.
 TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;
