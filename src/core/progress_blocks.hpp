@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// run_parallel. The calling thread tells how many of the items are done, first and before each that it takes itself; what `progress`
-/// throws ends it.
+/// run_parallel. The calling thread tells how many of the items are done: first, before each that it takes itself, and 1 at the end, since
+/// other threads may take all of the last ones. What `progress` throws ends it.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     if (progress) progress(what, 0.0);
@@ -32,6 +32,7 @@ void for_each_told(std::size_t n, const Progress& progress, std::string_view wha
         task(std::size_t(i));
         ++done;
     });
+    if (progress) progress(what, 1.0);
 }
 
 /// As for_each_told, in blocks.
