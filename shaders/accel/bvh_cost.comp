@@ -9,7 +9,7 @@
 #include "../common/workgroup_scan.glsl"
 #include "bvh_forest.glsl"
 RELIDAR_PARAMS(BvhCostParams);
-shared float sums[32];
+shared float sums[64];   // of subgroups
 
 float leaf_cost(uint node, uint first_surfel) {
     uint first_leaf = params.wide.nodes.at[node].first_leaf;

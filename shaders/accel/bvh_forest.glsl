@@ -36,15 +36,6 @@ void store_shared_box(Floats boxes, uint i, Box value) {
     }
 }
 
-/// Counts an arrival at a node after everything written before has become visible.
-/// @return whether it is the last of `expected`: then everything the others wrote is visible
-bool arrives_last(Uints arrivals, uint node, uint expected) {
-    memoryBarrierBuffer();
-    uint before = atomicAdd(SharedUints(uvec2(arrivals)).at[node], 1u);
-    memoryBarrierBuffer();
-    return before + 1u == expected;
-}
-
 const float SURFEL_COST = 0.3;   // of a surfel test, in visits of a node: 64 B and a plane against 80 B and eight boxes
 
 /// Half the surface; edges are cut at 1e18 m, so that it is always a number.

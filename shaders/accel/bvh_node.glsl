@@ -27,34 +27,56 @@ uint quantised(float origin, uint e, float low, float high) {
     return q_low | q_high << 8;
 }
 
+/// What the boxes of a node's children are rounded to.
+struct NodeGrid {
+    vec3 origin;
+    uvec3 exponents;
+};
+
+/// @param whole  box of the node
+NodeGrid grid_of(Box whole) {
+    Box frame = is_empty(whole) ? Box(vec3(0.0), vec3(0.0)) : whole;
+    return NodeGrid(frame.low, uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y),
+                                     exponent_for(frame.low.z, frame.high.z)));
+}
+
+/// A child's steps along each axis as quantised() gives them; inverted where it is empty.
+uvec3 steps_of(NodeGrid grid, Box child) {
+    if (is_empty(child)) return uvec3(255u);
+    return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
+                 quantised(grid.origin.y, grid.exponents.y, child.low.y, child.high.y),
+                 quantised(grid.origin.z, grid.exponents.z, child.low.z, child.high.z));
+}
+
+void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
+    nodes.at[node].origin = grid.origin;
+    nodes.at[node].exponents = grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
+}
+
+/// Stores the low and the high sides of four children, a byte each.
+void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
+    nodes.at[node].low_x[word] = low.x;
+    nodes.at[node].low_y[word] = low.y;
+    nodes.at[node].low_z[word] = low.z;
+    nodes.at[node].high_x[word] = high.x;
+    nodes.at[node].high_y[word] = high.y;
+    nodes.at[node].high_z[word] = high.z;
+}
+
 /// Writes origin, exponents (the inner mask stays as given) and child boxes.
 /// @return the node's own box
 Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
     Box whole = empty_box();
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) whole = joined(whole, children[s]);
-    Box frame = is_empty(whole) ? Box(vec3(0.0), vec3(0.0)) : whole;
-    uvec3 e =
-        uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y), exponent_for(frame.low.z, frame.high.z));
+    NodeGrid grid = grid_of(whole);
     uvec3 low[2] = uvec3[](uvec3(0u), uvec3(0u)), high[2] = uvec3[](uvec3(0u), uvec3(0u));
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
-        Box b = children[s];
-        uvec3 q = uvec3(255u);   // inverted
-        if (!is_empty(b))
-            q = uvec3(quantised(frame.low.x, e.x, b.low.x, b.high.x), quantised(frame.low.y, e.y, b.low.y, b.high.y),
-                      quantised(frame.low.z, e.z, b.low.z, b.high.z));
-        low[s / 4u] |= (q & 255u) << (8u * (s % 4u));
-        high[s / 4u] |= (q >> 8) << (8u * (s % 4u));
+        uvec3 steps = steps_of(grid, children[s]);
+        low[s / 4u] |= (steps & 255u) << (8u * (s % 4u));
+        high[s / 4u] |= (steps >> 8) << (8u * (s % 4u));
     }
-    nodes.at[node].origin = frame.low;
-    nodes.at[node].exponents = e.x | e.y << 8 | e.z << 16 | inner_mask << 24;
-    for (uint w = 0u; w < 2u; ++w) {
-        nodes.at[node].low_x[w] = low[w].x;
-        nodes.at[node].low_y[w] = low[w].y;
-        nodes.at[node].low_z[w] = low[w].z;
-        nodes.at[node].high_x[w] = high[w].x;
-        nodes.at[node].high_y[w] = high[w].y;
-        nodes.at[node].high_z[w] = high[w].z;
-    }
+    store_grid(nodes, node, grid, inner_mask);
+    for (uint word = 0u; word < 2u; ++word) store_word(nodes, node, word, low[word], high[word]);
     return whole;
 }
 #endif

@@ -37,15 +37,16 @@ uvec2 peers_of(bool valid, uint digit) {
 }
 
 /// Ranks the subgroup's run among the keys of its row: keys of the same digit before each. Counts them.
-/// @param run first key of this lane  @param n keys in all  @param row of counters
-void rank_run(uint run, uint n, uint row) {
+/// Every subgroup must call it, for on lavapipe the barrier of one waits for all.
+/// @param run first key of this lane  @param n keys in all  @param row of counters  @param in_turn whether there is a run
+void rank_run(uint run, uint n, uint row, bool in_turn) {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
-        bool valid = i < n;
+        bool valid = in_turn && i < n;
         uint digit = valid ? digit_of(i) : 0u;
         uvec2 peers = peers_of(valid, digit), before = peers & gl_SubgroupLtMask.xy;
         uint smaller = bitCount(before.x) + bitCount(before.y);
-        rank[r] = half_word(counters[row + digit / 2u], digit) + smaller;
+        if (in_turn) rank[r] = half_word(counters[row + digit / 2u], digit) + smaller;
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         if (valid && smaller == 0u) atomicAdd(counters[row + digit / 2u], (bitCount(peers.x) + bitCount(peers.y)) << (16u * (digit & 1u)));
@@ -76,7 +77,7 @@ void main() {
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
     for (uint turn = 0u; turn < sharing; ++turn) {
-        if (gl_SubgroupID % sharing == turn) rank_run(run, n, row);
+        rank_run(run, n, row, gl_SubgroupID % sharing == turn);
         barrier();
     }
     sum_counters(n_rows);

@@ -9,7 +9,7 @@
 
 RELIDAR_SHARED_BEGIN
 
-#define RELIDAR_BVH_WORKGROUP 256u    // threads of the kernels that share memory; 32 subgroups at most
+#define RELIDAR_BVH_WORKGROUP 256u    // threads of the kernels that share memory; 64 subgroups at most
 #define RELIDAR_BVH_TILE 4096u        // elements of one workgroup of these kernels: 16 a thread
 #define RELIDAR_BVH_MORTON_BITS 13u   // an axis
 #define RELIDAR_BVH_LEAF 0x80000000u  // a child of a binary node is a sorted position

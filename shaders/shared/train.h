@@ -6,8 +6,10 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// Some columns of a frame, whole and one beside the other, as an image of their own: column k is first_column + k column_stride of the
-/// frame, which wraps around.
+#define RELIDAR_COLUMN_GROUP 4u   // as wide as the eight rays of a tile that a processor traces together (traversal/ray.glsl)
+
+/// Some columns of a frame, whole and one beside the other, as an image of their own: groups of RELIDAR_COLUMN_GROUP neighbours, each
+/// column_stride times its width behind the one before (train/columns.glsl), from first_column on. The frame wraps around.
 struct GatherColumnsParams {
     Rays rays;               // input [rows,columns]
     Targets targets;         // input [rows,columns]

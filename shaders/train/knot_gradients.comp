@@ -7,6 +7,7 @@
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
 #include "../shared/train.h"
+#include "columns.glsl"
 #include "knots.glsl"
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
@@ -14,7 +15,8 @@ shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 /// Where the batch's ray k is among the rays of the frame.
 uint frame_ray(uint k) {
     if (params.columns == 0u) return params.first_ray + k * params.ray_stride;
-    return k / params.n_columns * params.columns + (params.first_column + k % params.n_columns * params.column_stride) % params.columns;
+    return k / params.n_columns * params.columns +
+           frame_column(k % params.n_columns, params.first_column, params.column_stride, params.columns);
 }
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }

@@ -120,7 +120,7 @@ const RemovedKey kRemoved[] = {
     {"trace.rebuild_every", nullptr, kConstant},
     {"trace.rebuild_growth", nullptr, kConstant},
     {"trace.walk", nullptr, kDevice},
-    {"train.batch", batch_now, "steps see windows of columns where a loss compares neighbours, else every n-th column"},
+    {"train.batch", batch_now, "steps see windows of columns where a loss compares neighbours, else groups of columns from all around"},
     {"train.box_rate_m", RELIDAR_FOLLOWS(number_text(10.0 * c.train.pose_rate_m)), "it is ten times train.pose_rate_m"},
     {"train.box_rate_rad", RELIDAR_FOLLOWS(number_text(c.train.pose_rate_m)), "it is train.pose_rate_m, in radians"},
     {"train.checkpoint_keep", nullptr, "the newest two are kept"},

@@ -72,7 +72,8 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     uniform.pNext = &maximal;
 #endif
     vkGetPhysicalDeviceFeatures2(physical, &features);
-    optional.subgroup_size = control.subgroupSizeControl && (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
+    optional.subgroup_size = sizes.minSubgroupSize != sizes.maxSubgroupSize && control.subgroupSizeControl &&
+                             (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
     optional.halves = halves.storageBuffer16BitAccess;
     optional.subgroup_uniform_control_flow =

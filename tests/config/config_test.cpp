@@ -120,6 +120,9 @@ TEST_F(ConfigFile, FilesOfEarlierVersionsSayWhatPresetsSay) {
         if (preset.preset == "quick") {
             preset.refine.epochs = 6;   // 12 since its network sees a part of each frame
             preset.image.sh_degree = 1, preset.train.intensity_factor = 0.25;   // 2 and 0.5 since intensities are means
+            preset.train.iterations = 600, preset.train.sh_degree_interval = 200;   // a tenth more since a step meets fewer surfels,
+            preset.train.opacity_rate = 0.1, preset.train.scale_rate = 4e-2;   // and rates to match
+            preset.train.rotation_rate = 3e-3, preset.train.sh_rate = 6e-2;
         }
         if (preset.loss.intensity_delta > 0.0f) preset.loss.intensity = 0.1f;   // 0.3 since it is Huber's loss
         expect_equal(config, preset);

@@ -24,7 +24,7 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// Columns first + k * stride of an image, k < n.
+/// n columns of an image, as far apart as every stride-th column.
 struct Columns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;   ///< 0 = the batch is no choice of columns
@@ -45,7 +45,8 @@ Columns window(const FrameData& frame, const TrainConfig& config) {
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// Every n-th ray by columns, so that neighbours of the batch are near each other in both directions whatever the number of columns.
+/// One of n rays by groups of columns, so that neighbours of the batch are near each other in both directions, however many columns there
+/// are.
 Columns every_nth(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
