@@ -87,9 +87,10 @@ void refit_upwards(bool has_node, uint node) {
             inner_mask = params.wide.nodes.at[node].exponents >> 24;
         }
         has_node = arrives_last(has_node, node, bitCount(inner_mask));
-        if (!has_node) continue;
-        if (lane() == 0u) params.wide.arrivals.at[node] = 0u;   // for the next launch
-        link = params.wide.links.at[node];
+        if (has_node) {
+            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;   // for the next launch
+            link = params.wide.links.at[node];
+        }
     }
 }
 
