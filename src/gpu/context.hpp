@@ -61,7 +61,7 @@ std::array<int, 3> choose_matrix_size(const std::vector<std::array<int, 3>>& siz
 
 /// What makes kernels right or safer on devices where it is not so anyway.
 struct OptionalFeatures {
-    bool subgroup_size = false;    ///< of sizes that vary a kernel can ask for DeviceInfo::subgroup_size lanes
+    bool subgroup_size = false;    ///< sizes vary, and a kernel can ask for DeviceInfo::subgroup_size lanes
     bool full_subgroups = false;   ///< and that no lane is missing
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;

@@ -31,7 +31,7 @@ constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rm
 struct DemoOptions {
     std::string out = "demo";
     std::string seed = "1";
-    std::string iterations = "250";   // of the 660 of preset quick: a minute in all on two cores
+    std::string iterations = "250";   // of the 660 of preset quick: one to two minutes in all on two cores
     std::vector<std::string> sets;
     DeviceChoice device;
     bool quiet = false;
