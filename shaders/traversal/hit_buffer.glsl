@@ -73,7 +73,8 @@ float left_before_farthest(float alpha_max) { return hits_transmittance / (1.0 -
 
 /// Drops the farthest hits while those before them already end the ray (T under T_min whatever comes behind).
 void cut_by_transmittance(float alpha_max) {
-    while (hits_transmittance < least_transmittance && n_hits > 1u) {
+    if (!(hits_transmittance < least_transmittance)) return;
+    while (n_hits > 1u) {
         float left = left_before_farthest(alpha_max);
         if (!(left < least_transmittance)) return;
         uint place = drop_farthest(left);

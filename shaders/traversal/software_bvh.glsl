@@ -5,8 +5,10 @@
 // test its surfels all at once. Together, every ray still keeps its own stack and its own distances, and takes the union of what its
 // subgroup wants. Rays take the same entry at a time, that of the first of them, and one whose stack has come to differ waits for its turn:
 // so nothing is missing however a driver lets lanes part and meet, and what is loaded has the same address in all lanes, as a broadcast
-// tells the compiler, which then loads it once. A CPU's compiler does not, so there lanes load for each other (kSharesLoads): its lanes are
-// those of one vector, and cannot part.
+// tells the compiler, which then loads it once. A CPU's compiler does not, so there lanes load for each other (kSharesLoads,
+// shared_load.glsl): its lanes are those of one vector, and cannot part. Where all are there at the start they have the same stack until
+// the end. Its compiler also runs through a loop once more, without a lane, to find out that none goes on: loops of few turns test at
+// their end.
 //
 // No hit is lost:
 // - The slab test uses the very ray that intersect() uses (entered_origin, entered_direction). t is the ray's parameter, the same in the
@@ -21,10 +23,12 @@
 // What it costs on a GPU: a node is 80 bytes and about 150 operations for eight boxes; a surfel 64 bytes and 40 operations.
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_SOFTWARE_BVH_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_SOFTWARE_BVH_GLSL
+#extension GL_KHR_shader_subgroup_basic : enable
 #extension GL_KHR_shader_subgroup_vote : enable
 #extension GL_KHR_shader_subgroup_ballot : enable
 #extension GL_KHR_shader_subgroup_arithmetic : enable
 #extension GL_KHR_shader_subgroup_shuffle : enable
+#include "shared_load.glsl"
 RELIDAR_CONSTANT(uint, TOGETHER, 0u);
 const uint kSharesLoads = 2u;
 RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
@@ -119,7 +123,9 @@ void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WID
 void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] = subgroupBroadcastFirst(t[slot]);
-    for (uint left = inner & opened; left != 0u;) {
+    uint left = inner & opened;
+    if (left == 0u) return;
+    do {
         uint farthest = uint(findLSB(left));
         float farthest_key = -1.0, own = kNever;
         [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot)
@@ -130,7 +136,7 @@ void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDA
             }
         left &= ~(1u << farthest);
         push_entry(first + bitCount(inner & ((1u << farthest) - 1u)), (met & (1u << farthest)) != 0u ? own : kNever);
-    }
+    } while (left != 0u);
 }
 
 /// @return a bit for every entry of `order`, from the node's first on, that lies in an opened leaf slot
@@ -151,33 +157,27 @@ uint take_lowest(inout uint entries) {
     return lowest;
 }
 
-/// What the lane `from` holds, as far as intersect() reads it.
-SurfelRecord shuffled(SurfelRecord r, uint from) {
-    SurfelRecord s;
-    s.mean = subgroupShuffle(r.mean, from);
-    s.opacity = subgroupShuffle(r.opacity, from);
-    s.axis_u = subgroupShuffle(r.axis_u, from);
-    s.axis_v = subgroupShuffle(r.axis_v, from);
-    s.normal = subgroupShuffle(r.normal, from);
-    return s;
-}
+/// Whether the lanes of this subgroup load for each other: some may be missing at the end of a batch, or have ended before the others.
+bool shares_loads() { return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize; }
 
-/// Offers opened entries to all rays that take this turn. Each of their lanes loads another one, so that a record is loaded once for all of
-/// them and misses of the cache overlap; then the records are passed round. Lanes that part in between would pass round nothing.
+/// Offers opened entries to the rays of a whole subgroup. @param entries  the same in all lanes
 void offer_together(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf, uint entries) {
-    uvec4 lanes = subgroupBallot(true);
-    uint rank = subgroupBallotExclusiveBitCount(lanes);
-    while (entries != 0u) {
-        uint own = entries;
-        for (uint k = min(rank, uint(bitCount(entries)) - 1u); k > 0u; --k) own &= own - 1u;
-        uint surfel = first_surfel + scene.bvh.order.at[first_leaf + uint(findLSB(own))];
-        SurfelRecord record = scene.records.at[surfel];
-        for (uvec4 left = lanes; entries != 0u && subgroupBallotBitCount(left) != 0u; entries &= entries - 1u) {
-            uint lane = subgroupBallotFindLSB(left);
-            left[lane >> 5u] &= left[lane >> 5u] - 1u;
-            offer_record(scene, after, instance, subgroupShuffle(surfel, lane), shuffled(record, lane));
+    if (entries == 0u) return;
+    do {   // as many entries as there are lanes
+        uint first = uint(findLSB(entries)) / gl_SubgroupSize * gl_SubgroupSize, end = min(first + gl_SubgroupSize, 32u);
+        uint own = first + gl_SubgroupInvocationID, own_surfel = 0u;
+        float own_x = 0.0;
+        if (own < end && (entries & (1u << own)) != 0u) {
+            own_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
+            own_x = scene.records.at[own_surfel].mean.x;   // each lane another record: misses of the cache overlap
         }
-    }
+        do {
+            uint lane = take_lowest(entries) - first, surfel = subgroupShuffle(own_surfel, lane);
+            SurfelRecord record = load_record(scene.records, surfel);
+            record.mean.x = subgroupShuffle(own_x, lane);
+            offer_record(scene, after, instance, surfel, record);
+        } while (entries != 0u && uint(findLSB(entries)) < end);
+    } while (entries != 0u);
 }
 
 /// Offers opened entries to a ray that walks on its own. The record of the next one is on its way while one is tested.
@@ -201,11 +201,13 @@ void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
 }
 
 /// Opens a node: leaves are offered, inner slots go on the stack.
-/// @param tree  instance whose model the node belongs to; none: the top tree @return surfels tested
-uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inout BoxRay walked) {
+/// @param tree  instance whose model the node belongs to; none: the top tree @param whole  shares_loads() @return surfels tested
+uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool whole, inout BoxRay walked) {
     bool in_model = tree != RELIDAR_BVH_NO_NODE;
     BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
-    BvhNode node = nodes.at[index];
+    BvhNode node;
+    if (whole) node = load_node(nodes, index);
+    else node = nodes.at[index];
     float t[RELIDAR_BVH_WIDTH];
     uint met = meet_boxes(node, walked, t);
     uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
@@ -219,7 +221,7 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, inou
     }
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
-    if (TOGETHER == kSharesLoads) {
+    if (whole) {
         offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
     } else if (TOGETHER != 0u) {
         while (entries != 0u) offer_surfel(scene, after, tree, first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
@@ -236,6 +238,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     walked.end = kNever;
     uint instance = RELIDAR_BVH_NO_NODE;   // whose model is being walked; none: the top tree
     uint n_nodes = 0u, n_tested = 0u;
+    bool whole = shares_loads();
     enter_tree(scene, ray, instance, walked);
     stack_size = 0u;
     stack_full = false;
@@ -261,7 +264,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         if (tree != instance) enter_tree(scene, ray, tree, walked);
         instance = tree;
         ++n_nodes;
-        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, walked);
+        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, whole, walked);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {
