@@ -124,7 +124,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.scene = loop.download();
     result.poses = loop.refined_poses();
     begin_stage(session.stages, "drops");
-    if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(sequence);
+    if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
     begin_stage(session.stages, "coverage");
     result.coverage = find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle, split.train,
                                     config.dataset.max_range_m);

@@ -293,34 +293,36 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
             fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
 }
 
-DropTable TrainLoop::estimate_sensor_drop(const Sequence& sequence) {
+DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
     constexpr std::uint32_t kRays = 20000;     // of a frame at once: hundreds a bin over a log
     constexpr std::size_t kRaysPerBin = 20;    // of a short log all rays, if need be
+    Config some_rays = config_;
+    some_rays.train.rays_per_iteration = kRays;
+    some_rays.loss.intensity_ssim = some_rays.loss.normal = 0.0f;   // no windows: rays from all directions
+    BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
     const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());   // of a frame
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
         const FrameData& frame = k == 0 ? place(k, config_.train.iterations) : bring(k, false);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
-        const std::uint32_t stride = std::max(1u, frame.n_rays / kRays),
-                            first = static_cast<std::uint32_t>(sampler_.random().next() % stride),
-                            passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, stride));
+        const std::uint32_t first = batches.draw_first(frame, sampler_.random()),
+                            most = std::max(1u, frame.n_rays / kRays),
+                            passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, most));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
-            count_drops(counts, sequence, frame, (first + pass) % stride, stride);
+            count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }
     return counts.shrunk();
 }
 
-void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, std::uint32_t first,
-                            std::uint32_t stride) {
+void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, const SampledBatch& batch) {
     constexpr float kSolid = 0.9f;   // a ray must meet this much of a surface; a blind one, for which none was trained, any of one
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
     const DropTable& observed = frames_.unknown().observed_drops;
-    const RayBatch rays = frame.batch(first, stride);
-    renderer_.record_forward(rays);
+    renderer_.record_forward(batch.rays);
     stream_.finish();
-    const Rendering r = to_rendering(renderer_.rendered().rendered->download(rays.n_rays));
-    for (std::uint32_t j = 0; j < rays.n_rays; ++j) {
-        const std::size_t ray = first + std::size_t(j) * stride;
+    const Rendering r = to_rendering(renderer_.rendered().rendered->download(batch.rays.n_rays));
+    for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
+        const std::size_t ray = batch.ray_of_frame(j);
         if (r.hit_logit[j] > r.drop_logit[j] && (r.weight[j] > kSolid || is_blind(observed, sequence, sweep, ray))) counts.add(sweep, ray);
     }
 }

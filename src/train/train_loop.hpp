@@ -73,7 +73,7 @@ public:
     /// Takes it back. The loop must have been made for the checkpoint's scene and log. @throws DataError for what does not fit
     void restore(const Checkpoint& checkpoint);
     /// Sensor-level ray-drop, from rays for which the scene as it is now expects a return. Blocks.
-    DropTable estimate_sensor_drop(const Sequence& sequence);
+    DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
     /// Poses as they are now, where they are refined.
     std::optional<RefinedPoses> refined_poses() const { return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt; }
     /// The scene as it is now. Blocks.
@@ -137,8 +137,8 @@ private:
     void check_room(const IterationReports::Report& report);
     /// Has the forward pass keep more hits of a ray where too many rays of a report had more, so that almost none is searched twice.
     void keep_more_hits(const IterationReports::Report& report);
-    /// Counts every `stride`-th ray of a frame, from `first` on, for which the scene expects a return.
-    void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, std::uint32_t first, std::uint32_t stride);
+    /// Counts the rays of a batch of a frame for which the scene expects a return.
+    void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, const SampledBatch& batch);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
 };
 

@@ -100,6 +100,27 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     for (std::uint32_t c = 0; c < kColumns; ++c) EXPECT_NEAR(drawn[c], expected, 85.0) << "column " << c;
 }
 
+TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
+    for (const bool image : {true, false}) {
+        const std::vector<FrameData> frames = numbered_frame(device(), 3, 60, image);
+        BatchSampler sampler(device(), config_for("rays", 36), frames);   // every 5th
+        Stream stream(device());
+        std::vector<int> taken(180, 0);
+        for (std::uint32_t k = 0; k < 5; ++k) {
+            const SampledBatch batch = sampler.take(stream, frames[0], 3, k);
+            stream.finish();
+            const std::vector<DeviceRay> rays = batch.rays.rays->download();
+            for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
+                const std::size_t ray = batch.ray_of_frame(j);
+                ASSERT_LT(ray, taken.size());
+                ++taken[ray];
+                EXPECT_EQ(rays[batch.rays.first + j * batch.rays.stride].origin.x, float(ray));
+            }
+        }
+        EXPECT_THAT(taken, testing::Each(1)) << image;
+    }
+}
+
 TEST_F(Batch, StridesBeyondTheColumnsTakeOne) {
     const std::vector<FrameData> frames = numbered_frame(device(), 8, 5, true);
     Stream stream(device());

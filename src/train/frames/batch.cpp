@@ -88,13 +88,32 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
+std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
+    if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
+    const std::uint32_t row = k / window.n_columns, column = k % window.n_columns, within = column % RELIDAR_COLUMN_GROUP;
+    return std::size_t(row) * window.columns + (window.first + (column - within) * window.stride + within) % window.columns;
+}
+
+std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) const {
+    const Columns columns = columns_of_batch(frame, impl_->config, impl_->windows);
+    std::uint32_t choices = impl_->windows ? 1u : stride_over_rays(frame, impl_->config);
+    if (columns.n > 0) {
+        const ImageShape image = frame_image(frame);
+        choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;   // only a window must not jump
+    }
+    return static_cast<std::uint32_t>(random.next() % choices);
+}
+
 SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random& random) {
+    return take(stream, frame, draw_first(frame, random), 0);
+}
+
+SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k) {
     Impl& b = *impl_;
     const Columns columns = columns_of_batch(frame, b.config, b.windows);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
-        const bool wraps = image.circular || columns.stride > 1;   // only a window must not jump
-        const std::uint32_t first = static_cast<std::uint32_t>(random.next() % (wraps ? image.columns : image.columns - columns.n + 1));
+        if (columns.stride > 1) first = (first + k * RELIDAR_COLUMN_GROUP) % image.columns;
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
             {.rays = frame.rays().address(),
@@ -112,7 +131,7 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
                 {image.columns, first, columns.stride, columns.n}};
     }
     const std::uint32_t stride = b.windows ? 1u : stride_over_rays(frame, b.config);
-    const std::uint32_t first = static_cast<std::uint32_t>(random.next() % stride);
+    first = (first + k) % stride;
     const RayBatch rays = frame.batch(first, stride);
     return {rays,
             {&frame.targets(), first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,

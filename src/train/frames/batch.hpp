@@ -28,6 +28,9 @@ struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;
     ColumnWindow window{};
+
+    /// Which ray of the frame ray k of the batch is.
+    std::size_t ray_of_frame(std::uint32_t k) const;
 };
 
 /// Samples about train.rays_per_iteration rays of a frame: all of them (0); every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns,
@@ -41,6 +44,11 @@ public:
     ~BatchSampler();
     /// Records what is needed to have the batch on the device; valid until the next call.
     SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
+    /// The same for several batches of a frame, which share its rays out, but for a few columns where a ring closes; windows do not.
+    /// @param first  where the first of them begins, from draw_first() @param k  which one
+    SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
+    /// Draws the column, or ray, that a batch begins at.
+    std::uint32_t draw_first(const FrameData& frame, Random& random) const;
 
 private:
     struct Impl;
