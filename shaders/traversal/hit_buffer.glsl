@@ -73,7 +73,7 @@ float left_before_farthest(float alpha_max) { return hits_transmittance / (1.0 -
 
 /// Drops the farthest hits while those before them already end the ray (T under T_min whatever comes behind).
 void cut_by_transmittance(float alpha_max) {
-    if (!(hits_transmittance < least_transmittance)) return;
+    if (!(hits_transmittance < least_transmittance)) return;   // mostly; a CPU would run through the loop once
     while (n_hits > 1u) {
         float left = left_before_farthest(alpha_max);
         if (!(left < least_transmittance)) return;

@@ -305,9 +305,8 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
         const FrameData& frame = k == 0 ? place(k, config_.train.iterations) : bring(k, false);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
-        const std::uint32_t first = batches.draw_first(frame, sampler_.random()),
-                            most = std::max(1u, frame.n_rays / kRays),
-                            passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, most));
+        const std::uint32_t first = batches.draw_first(frame, sampler_.random());
+        const auto passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, batches.n_batches(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
             count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }

@@ -88,15 +88,21 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
+/// The columns are those of frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
     if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
     const std::uint32_t row = k / window.n_columns, column = k % window.n_columns, within = column % RELIDAR_COLUMN_GROUP;
     return std::size_t(row) * window.columns + (window.first + (column - within) * window.stride + within) % window.columns;
 }
 
+std::uint32_t BatchSampler::n_batches(const FrameData& frame) const {
+    const Columns columns = columns_of_batch(frame, impl_->config, impl_->windows);
+    return columns.n > 0 || impl_->windows ? columns.stride : stride_over_rays(frame, impl_->config);
+}
+
 std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) const {
     const Columns columns = columns_of_batch(frame, impl_->config, impl_->windows);
-    std::uint32_t choices = impl_->windows ? 1u : stride_over_rays(frame, impl_->config);
+    std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;   // only a window must not jump
@@ -130,7 +136,7 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
                 {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}},
                 {image.columns, first, columns.stride, columns.n}};
     }
-    const std::uint32_t stride = b.windows ? 1u : stride_over_rays(frame, b.config);
+    const std::uint32_t stride = n_batches(frame);
     first = (first + k) % stride;
     const RayBatch rays = frame.batch(first, stride);
     return {rays,

@@ -49,6 +49,8 @@ public:
     SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
     /// Draws the column, or ray, that a batch begins at.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
+    /// How many batches share the rays of a frame out; 1 of windows.
+    std::uint32_t n_batches(const FrameData& frame) const;
 
 private:
     struct Impl;
