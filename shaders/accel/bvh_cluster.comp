@@ -27,7 +27,9 @@ struct Cluster {
     uint root;    // node or leaf
     uint spare;   // position of its subtree that numbers no node yet
 };
-shared Cluster clusters[ROOM];
+// Clusters by fields: lanes that read the same field of neighbours then read other banks.
+shared vec3 low_of[ROOM], high_of[ROOM];
+shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
 shared ivec4 task;   // first position, last of the left range, last position; model that is whole with it, or -1
 
@@ -46,6 +48,17 @@ int common_prefix(int i, int first, int last) {
     return 95 - findMSB(uint(i ^ (i + 1)));
 }
 
+Box box_of(uint i) { return Box(low_of[i], high_of[i]); }
+
+Cluster cluster_of(uint i) { return Cluster(box_of(i), root_of[i], spare_of[i]); }
+
+void put_cluster(uint i, Cluster c) {
+    low_of[i] = c.box.low;
+    high_of[i] = c.box.high;
+    root_of[i] = c.root;
+    spare_of[i] = c.spare;
+}
+
 Cluster load_cluster(uint root) {
     if (is_leaf(root)) {
         uint position = root & ~RELIDAR_BVH_LEAF;
@@ -62,7 +75,7 @@ uint load_clusters(int from, int to, uint n) {
         uint k = start + gl_SubgroupInvocationID;
         uint root = k < n_range ? roots.at[from + k] : RELIDAR_BVH_NO_NODE;
         uint end = subgroupMin(root == RELIDAR_BVH_NO_NODE ? k : n_range);
-        if (k < end) clusters[n + k] = load_cluster(root);
+        if (k < end) put_cluster(n + k, load_cluster(root));
         if (end < start + gl_SubgroupSize) return n + min(end, n_range);
     }
     return n + n_range;
@@ -70,11 +83,11 @@ uint load_clusters(int from, int to, uint n) {
 
 /// The one of a cluster's neighbours with which it has the smallest box; of equal pairs the first, so that one pair is mutual.
 uint nearest_to(uint i, uint n) {
-    Box own = clusters[i].box;
+    Box own = box_of(i);
     float least = BOX_HUGE;
     uint found = i;
     for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
-        float area = half_area(joined(own, clusters[j].box));
+        float area = half_area(joined(own, box_of(j)));
         if (j == i || !(area < least)) continue;
         least = area;
         found = j;
@@ -103,11 +116,11 @@ uint merge_mutual(uint n) {
         uint j = i < n ? nearest[i] : 0u;
         bool mutual = i < n && nearest[j] == i, kept = i < n && !(mutual && j < i);
         Cluster c;
-        if (kept) c = clusters[i];
-        if (kept && mutual) c = merged(c, clusters[j]);
+        if (kept) c = cluster_of(i);
+        if (kept && mutual) c = merged(c, cluster_of(j));
         synchronise();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        if (kept) clusters[n_kept + uint(bitCount(before.x) + bitCount(before.y))] = c;   // at or before i: read already
+        if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);   // at or before i: read already
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
     memoryBarrierBuffer();   // nodes are read by merges above
@@ -123,11 +136,11 @@ void join_ranges() {
     bool whole = task.w >= 0;
     while (n > (whole ? 1u : KEPT)) n = merge_mutual(n);
     if (whole) {
-        if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = clusters[0].root;
+        if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = root_of[0];
         return;
     }
     SharedUints roots = SharedUints(uvec2(params.clusters));
-    for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = clusters[k].root;
+    for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = root_of[k];
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 

@@ -59,13 +59,21 @@ Blended start_blending(TraceScene scene, uint ray_index) {
     return b;
 }
 
-/// Blends the next hit. @return whether the ray has ended before it: then it is not blended
-bool blend_hit(TraceScene scene, Ray ray, Hit hit, inout Blended b) {
-    float alpha = min(hit.alpha, scene.alpha_max);
-    float next = b.ray.transmittance * (1.0 - alpha);
-    if (next < scene.transmittance_min) return true;
-    float w = alpha * b.ray.transmittance;
-    vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
+    return hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+}
+
+/// Light that is left behind the next hit, of that which is left before it.
+float left_behind(TraceScene scene, Hit hit, float transmittance) { return transmittance * (1.0 - min(hit.alpha, scene.alpha_max)); }
+
+/// Whether a ray has ended before its next hit, which is not blended then.
+bool ends_before(TraceScene scene, Hit hit, float transmittance) {
+    return left_behind(scene, hit, transmittance) < scene.transmittance_min;
+}
+
+/// Blends the next hit. @param c  its channels
+void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 c, inout Blended b) {
+    float next = left_behind(scene, hit, b.ray.transmittance), w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
     if (GEOMETRY != 0u) {
         if (b.ray.n_hits == 0u) b.first_t = hit.t;
         add_geometry(scene, ray, hit, w, b.ray.weight, hit.t - b.first_t, b.geometry);
@@ -82,7 +90,6 @@ bool blend_hit(TraceScene scene, Ray ray, Hit hit, inout Blended b) {
     if (crosses || b.ray.n_hits == 0u) b.ray.instance = hit.instance;
     b.ray.transmittance = next;
     ++b.ray.n_hits;
-    return false;
 }
 
 /// Keeps hit k of the thread's ray, in the order of blending.

@@ -1,79 +1,65 @@
 // SPDX-License-Identifier: Apache-2.0
-// Puts the hits of each list in the order of their keys (t, instance, surfel). Each hit goes to the place that is the number of hits before
-// it: for some dozens of hits counting is cheaper than exchanging them, and its steps do not wait for each other. A subgroup sorts a list;
-// its lanes hold the hits, and their distances lie in shared memory.
+// Puts the hits of each list in the order of their keys (t, instance, surfel). A subgroup sorts a list by a bitonic network in its
+// registers: a lane holds 1 to 16 neighbours of the order, as the length of the list asks for. Only distances and places go through the
+// network; hits are read by their places, once these are in order.
 // In and output: lists.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #include "../common/kernel.glsl"
 #include "../shared/trace.h"
 #include "../traversal/keys.glsl"
 RELIDAR_PARAMS(SortHitsParams);
 
-RELIDAR_CONSTANT(uint, ROOM, 64u);
 RELIDAR_CONSTANT(uint, LANES, 32u);
 
-const uint LISTS = RELIDAR_SORTED_TOGETHER;   // subgroups of a workgroup, which are full
-const uint PITCH = (ROOM + 3u) & ~3u;
-const uint HELD = (ROOM + LANES - 1u) / LANES;   // hits of a lane
-shared float t_of[LISTS * PITCH];
-shared uint n_at[LISTS * PITCH];   // hits that go to a place: more than one where distances are equal
+Hit hit_of(uint list, uint place) { return params.lists.hits.at[list_entry(params.lists.room, list, place)]; }
 
-/// Hits of the list that are at the same distance and before this one by the rest of their keys; of hits that were reported twice one is.
-uint equal_before(uint list, uint first, uint n, uint own, Hit hit) {
-    uint n_before = 0u;
-    Key key = Key(hit.t, hit.instance, hit.surfel);
-    for (uint j = 0u; j < n; ++j) {
-        if (t_of[first + j] != hit.t || j == own) continue;
-        Hit other = params.lists.hits.at[list_entry(params.lists.room, list, j)];
-        Key other_key = Key(other.t, other.instance, other.surfel);
-        if (before(other_key, key) || (other_key == key && j < own)) ++n_before;
-    }
-    return n_before;
+/// Whether the hit in one place comes before that in another at the same distance; where one was reported twice, as it was found. Places
+/// behind the end of the list hold nothing.
+bool tied_before(uint list, uint n, uint a, uint b) {
+    if (a >= n || b >= n) return a < b;
+    Hit hit_a = hit_of(list, a), hit_b = hit_of(list, b);
+    Key key_a = Key(hit_a.t, hit_a.instance, hit_a.surfel), key_b = Key(hit_b.t, hit_b.instance, hit_b.surfel);
+    return before(key_a, key_b) || (key_a == key_b && a < b);
 }
 
+// A compiler may put an array that is indexed in a loop into memory, and then a sort takes six times as long. So loops over the hits of a
+// lane are written out, and there is a sort for each number of them.
+#define EACH_OF_1(X, h) X((h))
+#define EACH_OF_2(X, h) EACH_OF_1(X, h) EACH_OF_1(X, h + 1u)
+#define EACH_OF_4(X, h) EACH_OF_2(X, h) EACH_OF_2(X, h + 2u)
+#define EACH_OF_8(X, h) EACH_OF_4(X, h) EACH_OF_4(X, h + 4u)
+#define EACH_OF_16(X, h) EACH_OF_8(X, h) EACH_OF_8(X, h + 8u)
+
+#define HELD 1
+#define EACH(X) EACH_OF_1(X, 0u)
+#define SORT sort_1
+#include "sort_held.glsl"
+#define HELD 2
+#define EACH(X) EACH_OF_2(X, 0u)
+#define SORT sort_2
+#include "sort_held.glsl"
+#define HELD 4
+#define EACH(X) EACH_OF_4(X, 0u)
+#define SORT sort_4
+#include "sort_held.glsl"
+#define HELD 8
+#define EACH(X) EACH_OF_8(X, 0u)
+#define SORT sort_8
+#include "sort_held.glsl"
+#define HELD 16   // RELIDAR_MOST_HELD in shared/trace.h
+#define EACH(X) EACH_OF_16(X, 0u)
+#define SORT sort_16
+#include "sort_held.glsl"
+
 void main() {
-    uint list = workgroup_index() * LISTS + gl_SubgroupID, first = gl_SubgroupID * PITCH, lane = gl_SubgroupInvocationID;
+    uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;   // subgroups are full
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u, n = length & ~RELIDAR_LIST_CLOSED;
-    if (length == RELIDAR_LIST_UNFIT || n < 2u) n = 0u;   // and no return: lavapipe takes a barrier of a subgroup for one of the workgroup
-    Hit held[HELD];
-    uint place[HELD];
-    [[unroll]] for (uint h = 0u; h < HELD; ++h) {
-        uint k = h * LANES + lane;
-        held[h].t = 1e38;
-        if (k < n) {
-            held[h] = params.lists.hits.at[list_entry(params.lists.room, list, k)];
-            n_at[first + k] = 0u;
-        }
-        if (k < ((n + 3u) & ~3u)) t_of[first + k] = held[h].t;   // by fours: what follows the hits is no hit
-    }
-    subgroupBarrier();
-    bool is_shared = false;
-    [[unroll]] for (uint h = 0u; h < HELD; h += 2u) {   // two at a time: what is read of the others serves both
-        const uint next = min(h + 1u, HELD - 1u);
-        if (h * LANES < n) {
-            uint n_nearer = 0u, next_nearer = 0u;
-            float t = held[h].t, next_t = held[next].t;
-            for (uint j = first; j < first + n; j += 4u) {
-                vec4 four = vec4(t_of[j], t_of[j + 1u], t_of[j + 2u], t_of[j + 3u]);
-                [[unroll]] for (uint c = 0u; c < 4u; ++c) {
-                    n_nearer += four[c] < t ? 1u : 0u;
-                    next_nearer += four[c] < next_t ? 1u : 0u;
-                }
-            }
-            place[h] = n_nearer;
-            place[next] = next == h ? n_nearer : next_nearer;
-            if (h * LANES + lane < n && atomicAdd(n_at[first + n_nearer], 1u) > 0u) is_shared = true;
-            if (next != h && next * LANES + lane < n && atomicAdd(n_at[first + next_nearer], 1u) > 0u) is_shared = true;
-        }
-    }
-    subgroupBarrier();
-    if (subgroupAny(is_shared)) {
-        [[unroll]] for (uint h = 0u; h < HELD; ++h)
-            if (h * LANES + lane < n && n_at[first + place[h]] > 1u) place[h] += equal_before(list, first, n, h * LANES + lane, held[h]);
-    }
-    subgroupBarrier();
-    [[unroll]] for (uint h = 0u; h < HELD; ++h)
-        if (h * LANES + lane < n) params.lists.hits.at[list_entry(params.lists.room, list, place[h])] = held[h];
+    if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();   // for lavapipe one barrier a subgroup is one of the whole workgroup
+    else if (n <= LANES) sort_1(list, n);
+    else if (n <= 2u * LANES) sort_2(list, n);
+    else if (n <= 4u * LANES) sort_4(list, n);
+    else if (n <= 8u * LANES || 8u * LANES >= RELIDAR_MOST_ROOM) sort_8(list, n);
+    else sort_16(list, n);
 }

@@ -19,11 +19,12 @@ void render(TraceScene scene, Ray ray, uint ray_index) {
     bool ended = false;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
         next_hits(scene, ray, after, least_of_rest(scene, b.ray.transmittance));
-        for (uint i = 0u; i < n_hits && !ended; ++i) {
+        for (uint i = 0u; i < n_hits; ++i) {
             Hit hit = hit_at(i);
-            uint k = b.ray.n_hits;
-            ended = blend_hit(scene, ray, hit, b);
-            if (!ended) keep_hit(k, hit);
+            ended = ends_before(scene, hit, b.ray.transmittance);
+            if (ended) break;
+            keep_hit(b.ray.n_hits, hit);
+            blend_hit(scene, ray, hit, channels_of(scene, ray, hit), b);
         }
         if (!hits_closed) ended = true;
         else after = hit_key(n_hits - 1u);

@@ -28,7 +28,7 @@ struct BackwardParams {
     RELIDAR_OF(Uints, FirstHits) first_hit;          // input [n_rays] slot of each ray's first hit (gather)
     HitRecords hits;                                 // output [capacity] (gather)
     RELIDAR_OF(Uints, HitRows) rows;                 // output [capacity] (gather)
-    Hits kept;                                       // input [ceil(n/4),n_kept,4] of n threads, as the forward pass blended them
+    Hits kept;                                       // input [ceil(n/2),n_kept,2] of n threads, as the forward pass blended them
     RenderedGeometries geometry;                     // input [n_rays], where the kernel is built for it
     GeometryGradients d_geometry;                    // input [n_rays], likewise
     uint n_kept;                                     // what a ray has behind them is searched again

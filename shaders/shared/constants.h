@@ -27,7 +27,6 @@
     X(MODE, 19u)               /* 1: the heaviest surface of each ray too */                                                 \
     X(TILE_M, 20u)             /* matrix units multiply TILE_M x TILE_K halves */                                            \
     X(TILE_N, 21u)             /* by TILE_K x TILE_N halves */                                                               \
-    X(TILE_K, 22u)             /* and add TILE_M x TILE_N floats */                                                          \
-    X(ROOM, 23u)               /* hits that a list has room for */
+    X(TILE_K, 22u)             /* and add TILE_M x TILE_N floats */
 
 #endif

@@ -37,14 +37,15 @@ struct TraceScene {
     uint columns;                                     // of the image that the batch is, traced in tiles; 0: rays as they come
 };
 
-#define RELIDAR_MOST_ROOM 512              // of a list: 16 KiB of shared memory to sort four of them
+#define RELIDAR_MOST_ROOM 512              // of a list
+#define RELIDAR_MOST_HELD 16               // hits of a list that a lane holds to sort it: so its room is no more than 16 a lane
 #define RELIDAR_SORTED_TOGETHER 4u         // lists that a workgroup sorts
 #define RELIDAR_LIST_CLOSED 0x80000000u    // beside a length: the ray ends within the list
 #define RELIDAR_LIST_UNFIT 0xffffffffu     // in its place: forward/trace renders the ray
 
 /// A list of hits for each thread that traces.
 struct HitLists {
-    Hits hits;                           // [ceil(n/4),room,4]
+    Hits hits;                           // [ceil(n/2),room,2]
     RELIDAR_OF(Uints, ListLengths) lengths;   // [n]
     uint n;
     uint room;                           // hits of a list
@@ -55,7 +56,7 @@ struct ForwardParams {
     TraceScene scene;
     HitLists lists;                                // forward/trace: where there are any, only rays whose list is unfit are traced
     RenderedRays rendered;                         // output [n_rays]
-    Hits kept;                                     // output [ceil(n/4),n_kept,4] of n threads, their rays' first hits
+    Hits kept;                                     // output [ceil(n/2),n_kept,2] of n threads, their rays' first hits
     RELIDAR_OF(Uints, OverfullCount) n_overfull;   // accumulated [1] rays with more hits than are kept; not touched where n_kept is 0
     RenderedGeometries geometry;                   // output [n_rays], where the kernel is built for it
     uint n_kept;

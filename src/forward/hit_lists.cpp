@@ -11,13 +11,23 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kMostRoom = RELIDAR_MOST_ROOM;
 constexpr std::size_t kMostLists = std::size_t(1) << 24;   // threads that sort them are counted in 32 bits
 
 /// What all lists may take: an eighth of the device's memory; where it is not known, as much as a small GPU's.
 std::size_t most_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
+}
+
+/// Hits that a list may have room for.
+std::uint32_t most_room(const Device& device) {
+    return std::min<std::uint32_t>(RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
+}
+
+Kernel<shared::SortHitsParams> sort_kernel(Device& device) {
+    const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
+    return {device, KernelName<shared::SortHitsParams>("forward/sort_hits"),
+            {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}}, Subgroups::full};
 }
 
 std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists * room * sizeof(shared::Hit); }
@@ -28,21 +38,11 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
     : device_(device),
       append_(device, "forward/append", variant, constants),
       blend_(device, "forward/blend", constants),
-      room_(static_cast<std::uint32_t>(room)),
+      sort_(sort_kernel(device)),
+      most_room_(most_room(device)),
+      room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than their lists have room for"),
-      overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {
-    make_sort(room_);
-}
-
-void HitLists::make_sort(std::uint32_t room) {
-    const auto lanes = static_cast<std::uint32_t>(device_.info().subgroup_size);
-    sort_.emplace(device_, KernelName<shared::SortHitsParams>("forward/sort_hits"),
-                  std::vector<Constant>{{ConstantId::ROOM, room},
-                                        {ConstantId::LANES, lanes},
-                                        {ConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
-                  Subgroups::full);
-    sort_room_ = room;
-}
+      overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {}
 
 /// As many lists, with as much of the room as there is memory for; without any, none.
 void HitLists::make_hits(std::size_t n_lists) {
@@ -67,7 +67,7 @@ bool HitLists::wants_more_room(Stream& stream) {
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait(stream), sizeof count);
     const std::uint32_t n_overflows = count - std::exchange(overflows_before_, count);
-    return grows_ && room_ < kMostRoom && n_overflows > 0;
+    return grows_ && room_ < most_room_ && n_overflows > 0;
 }
 
 /// Finds memory for lists: that of the hits which are kept for the backward pass, where a list's room is no more than that.
@@ -75,11 +75,11 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
     if (wants_more_room(stream)) {
-        room_ = std::min(2 * room_, kMostRoom);
+        room_ = std::min(2 * room_, most_room_);
         stream.fill(n_overflows_);   // those of shorter lists
         overflows_before_ = 0;
     }
-    const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= kMostRoom;
+    const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
     const bool own_fit = hits_room_ == room_ && hits_.size() >= n * room_;
     if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();   // nobody may be writing lists that go
     if (in_kept) hits_ = {};
@@ -90,7 +90,6 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
         return {};
     }
     const std::uint32_t room = in_kept ? kept->per_ray : room_;
-    if (room > 0 && room != sort_room_) make_sort(room);
     return {.hits = in_kept ? kept->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
             .n = static_cast<std::uint32_t>(n_threads),
@@ -98,7 +97,7 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
 }
 
 void HitLists::count_overflows(Stream& stream) {
-    if (!grows_ || room_ >= kMostRoom || overflows_.pending()) return;
+    if (!grows_ || room_ >= most_room_ || overflows_.pending()) return;
     overflows_.record(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
     counted_until_ = impl_of(stream).last_ticket + 1;
 }
@@ -111,7 +110,7 @@ void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams&
     params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;   // lists without memory of their own
     relidar::run(stream, append_, n, {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     count_overflows(stream);
-    relidar::run(stream, *sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
+    relidar::run(stream, sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
     relidar::run(stream, blend_, n, params);
 }
 

@@ -3,7 +3,6 @@
 #pragma once
 
 #include <memory>
-#include <optional>
 
 #include <relidar/stages/traversal.hpp>
 
@@ -32,8 +31,8 @@ private:
     Device& device_;
     Kernel<shared::AppendParams> append_;
     Kernel<shared::ForwardParams> blend_;
-    std::optional<Kernel<shared::SortHitsParams>> sort_;   ///< for lists of sort_room_
-    std::uint32_t room_, sort_room_ = 0;
+    Kernel<shared::SortHitsParams> sort_;
+    std::uint32_t most_room_, room_;
     bool grows_ = true;
     Array<shared::Hit> hits_;       ///< empty where lists are in the memory of kept hits
     std::uint32_t hits_room_ = 0;   ///< of a list there
@@ -44,7 +43,6 @@ private:
     std::uint32_t overflows_before_ = 0;   ///< what was read last
 
     void make_hits(std::size_t n_lists);
-    void make_sort(std::uint32_t room);
     shared::HitLists make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept);
     bool wants_more_room(Stream& stream);
     void count_overflows(Stream& stream);

@@ -9,6 +9,7 @@
 #include <relidar/error.hpp>
 #include <relidar/stages/accel.hpp>
 
+#include "core/parallel.hpp"
 #include "render/scan_renderer.hpp"
 
 namespace relidar {
@@ -86,8 +87,11 @@ PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint
     const RayTable& rays = scan.rays->table();
     PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
     result.points.resize(gathered.points.size());
-    if (!result.points.empty())
-        std::memcpy(static_cast<void*>(result.points.data()), gathered.points.data(), gathered.points.size_bytes());
+    constexpr std::size_t kTogether = 1 << 13;   // points: 0.2 MB
+    run_parallel(static_cast<int>((result.points.size() + kTogether - 1) / kTogether), [&](int part) {
+        const std::size_t first = std::size_t(part) * kTogether, n = std::min(kTogether, result.points.size() - first);
+        std::memcpy(static_cast<void*>(&result.points[first]), &gathered.points[first], n * sizeof(ScanPoint));
+    });
     if (coverage.empty()) return result;
     const auto ray_at = [&](std::size_t k) {
         const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
+#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -237,24 +238,38 @@ namespace {
 
 constexpr double kUsual = 0.02;     // of a period: so near to the usual start is the usual start
 
+/// What rays tell of the turn of a head.
+struct HeadTurn {
+    std::complex<double> at_zero = 0.0;   ///< sum over some rays of the azimuth that the head had at time 0
+    float first_s = std::numeric_limits<float>::infinity();
+
+    HeadTurn& operator+=(const HeadTurn& other) {
+        at_zero += other.at_zero;
+        first_s = std::min(first_s, other.first_s);
+        return *this;
+    }
+};
+
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
     constexpr double kTogether = 0.9;   // resultant of the phases: beams' own azimuths and uneven turns take little of it
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
-    const float first_s = *std::ranges::min_element(rays.time_offset_s);
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const auto sum = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {   // of the azimuth that the head had at time 0
-        std::complex<double> part = 0.0;
-        for (std::size_t i = begin * step; i < end * step && i < rays.size(); i += step) {
+    const HeadTurn turn = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {
+        HeadTurn part;
+        const std::size_t last = std::min(end * step, rays.size());
+        for (std::size_t i = begin * step; i < last; i += step) {
             const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
-            part += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+            part.at_zero += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
         }
+        for (std::size_t i = begin * step; i < last; ++i) part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
         return part;
     });
-    if (std::abs(sum) < kTogether * double(n)) return {};
-    const double at_zero = std::arg(sum);
+    const float first_s = turn.first_s;
+    if (std::abs(turn.at_zero) < kTogether * double(n)) return {};
+    const double at_zero = std::arg(turn.at_zero);
     const bool usual =
         std::abs(at_zero) < 2.0 * kPi * kUsual && std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
     if (usual) return {};

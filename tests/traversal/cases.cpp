@@ -103,6 +103,18 @@ TraversalCase long_list_case() {
     return c;
 }
 
+TraversalCase tied_list_case(int n) {
+    std::vector<Surfel> surfels;
+    for (int i = 0; i < n; ++i) {
+        surfels.push_back(facing_surfel(1 + (i * 37) % (n / 3 + 1) * 0.01, 1.0, 0.01));
+        surfels.back().mean.y = (3 - i % 7) * 0.05;   // so that those at one distance are not found in the order of their numbers
+    }
+    TraversalCase c{"list of " + std::to_string(n), to_surfels(surfels), one_instance(surfels.size()), {}};
+    Random random(9);
+    for (int i = 0; i < 6; ++i) add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
+    return c;
+}
+
 TraversalCase outline_case(std::uint64_t seed, int n_rays) {
     Random random(seed);
     std::vector<Surfel> surfels;

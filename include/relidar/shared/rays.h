@@ -76,7 +76,7 @@ struct Hit {
     uint surfel;
 };
 RELIDAR_POINTER(Hits, Hit);
-#define RELIDAR_SIDE_BY_SIDE 4u   // lists of hits, or hits that are kept of rays
+#define RELIDAR_SIDE_BY_SIDE 2u   // lists of hits, or hits that are kept of rays
 
 RELIDAR_SHARED_END
 #endif

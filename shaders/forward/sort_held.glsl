@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sorts a list of at most HELD hits a lane. For sort_hits.comp, which includes it with HELD, EACH and SORT of each size.
+
+#define LOAD(h)                                   \
+    {                                             \
+        place[h] = h * LANES + lane;              \
+        t[h] = 1e38;                              \
+        if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
+    }
+
+// A step of the network: hits whose numbers in the order differ in one bit change places where they are not as `run` wants them, whose
+// bit in a number says which way.
+#define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
+
+#define EXCHANGE_BETWEEN_LANES(h)                                                  \
+    {                                                                              \
+        float other = subgroupShuffleXor(t[h], apart / HELD);                      \
+        uint other_place = subgroupShuffleXor(place[h], apart / HELD);             \
+        bool other_first = other < t[h];                                           \
+        if (other == t[h]) other_first = tied_before(list, n, other_place, place[h]); \
+        bool takes = other_first == (is_low == IS_UPWARD(h));                      \
+        t[h] = takes ? other : t[h];                                               \
+        place[h] = takes ? other_place : place[h];                                 \
+    }
+
+#define EXCHANGE_WITHIN_LANE(h, by)                                                  \
+    if ((h & by) == 0u) {                                                            \
+        float low = t[h], high = t[h | by];                                          \
+        uint low_place = place[h], high_place = place[h | by];                       \
+        bool high_first = high < low;                                                \
+        if (high == low) high_first = tied_before(list, n, high_place, low_place);   \
+        bool swaps = high_first == IS_UPWARD(h);                                     \
+        t[h] = swaps ? high : low;                                                   \
+        t[h | by] = swaps ? low : high;                                              \
+        place[h] = swaps ? high_place : low_place;                                   \
+        place[h | by] = swaps ? low_place : high_place;                              \
+    }
+#define EXCHANGE_BY_1(h) EXCHANGE_WITHIN_LANE(h, 1u)
+#define EXCHANGE_BY_2(h) EXCHANGE_WITHIN_LANE(h, 2u)
+#define EXCHANGE_BY_4(h) EXCHANGE_WITHIN_LANE(h, 4u)
+#define EXCHANGE_BY_8(h) EXCHANGE_WITHIN_LANE(h, 8u)
+
+#define READ(h) \
+    if (lane * HELD + h < n) hits[h] = hit_of(list, place[h]);
+#define STORE(h) \
+    if (lane * HELD + h < n) params.lists.hits.at[list_entry(params.lists.room, list, lane * HELD + h)] = hits[h];
+
+void SORT(uint list, uint n) {
+    uint lane = gl_SubgroupInvocationID, place[HELD];
+    float t[HELD];
+    EACH(LOAD)
+    for (uint run = 2u; run <= HELD * LANES; run *= 2u) {
+        for (uint apart = run / 2u; apart >= HELD; apart /= 2u) {
+            bool is_low = (lane & (apart / HELD)) == 0u;
+            EACH(EXCHANGE_BETWEEN_LANES)
+        }
+#if HELD > 8
+        if (run > 8u) { EACH(EXCHANGE_BY_8) }
+#endif
+#if HELD > 4
+        if (run > 4u) { EACH(EXCHANGE_BY_4) }
+#endif
+#if HELD > 2
+        if (run > 2u) { EACH(EXCHANGE_BY_2) }
+#endif
+#if HELD > 1
+        EACH(EXCHANGE_BY_1)
+#endif
+    }
+    Hit hits[HELD];
+    EACH(READ)
+    subgroupBarrier();   // all are read before any is written
+    EACH(STORE)
+}
+
+#undef LOAD
+#undef IS_UPWARD
+#undef EXCHANGE_BETWEEN_LANES
+#undef EXCHANGE_WITHIN_LANE
+#undef EXCHANGE_BY_1
+#undef EXCHANGE_BY_2
+#undef EXCHANGE_BY_4
+#undef EXCHANGE_BY_8
+#undef READ
+#undef STORE
+#undef HELD
+#undef EACH
+#undef SORT
