@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sorts a list of at most HELD hits a lane. For sort_hits.comp, which includes it with HELD, EACH and SORT of each size.
 
-#define LOAD(h)                                   \
-    {                                             \
-        place[h] = h * LANES + lane;              \
-        t[h] = 1e38;                              \
+#define LOAD(h)                                            \
+    {                                                      \
+        place[h] = h * LANES + lane;                       \
+        t[h] = 1e38;                                       \
         if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
     }
 
@@ -12,28 +12,28 @@
 // bit in a number says which way.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
-#define EXCHANGE_BETWEEN_LANES(h)                                                  \
-    {                                                                              \
-        float other = subgroupShuffleXor(t[h], apart / HELD);                      \
-        uint other_place = subgroupShuffleXor(place[h], apart / HELD);             \
-        bool other_first = other < t[h];                                           \
+#define EXCHANGE_BETWEEN_LANES(h)                                                     \
+    {                                                                                 \
+        float other = subgroupShuffleXor(t[h], apart / HELD);                         \
+        uint other_place = subgroupShuffleXor(place[h], apart / HELD);                \
+        bool other_first = other < t[h];                                              \
         if (other == t[h]) other_first = tied_before(list, n, other_place, place[h]); \
-        bool takes = other_first == (is_low == IS_UPWARD(h));                      \
-        t[h] = takes ? other : t[h];                                               \
-        place[h] = takes ? other_place : place[h];                                 \
+        bool takes = other_first == (is_low == IS_UPWARD(h));                         \
+        t[h] = takes ? other : t[h];                                                  \
+        place[h] = takes ? other_place : place[h];                                    \
     }
 
-#define EXCHANGE_WITHIN_LANE(h, by)                                                  \
-    if ((h & by) == 0u) {                                                            \
-        float low = t[h], high = t[h | by];                                          \
-        uint low_place = place[h], high_place = place[h | by];                       \
-        bool high_first = high < low;                                                \
-        if (high == low) high_first = tied_before(list, n, high_place, low_place);   \
-        bool swaps = high_first == IS_UPWARD(h);                                     \
-        t[h] = swaps ? high : low;                                                   \
-        t[h | by] = swaps ? low : high;                                              \
-        place[h] = swaps ? high_place : low_place;                                   \
-        place[h | by] = swaps ? low_place : high_place;                              \
+#define EXCHANGE_WITHIN_LANE(h, by)                                                \
+    if ((h & by) == 0u) {                                                          \
+        float low = t[h], high = t[h | by];                                        \
+        uint low_place = place[h], high_place = place[h | by];                     \
+        bool high_first = high < low;                                              \
+        if (high == low) high_first = tied_before(list, n, high_place, low_place); \
+        bool swaps = high_first == IS_UPWARD(h);                                   \
+        t[h] = swaps ? high : low;                                                 \
+        t[h | by] = swaps ? low : high;                                            \
+        place[h] = swaps ? high_place : low_place;                                 \
+        place[h | by] = swaps ? low_place : high_place;                            \
     }
 #define EXCHANGE_BY_1(h) EXCHANGE_WITHIN_LANE(h, 1u)
 #define EXCHANGE_BY_2(h) EXCHANGE_WITHIN_LANE(h, 2u)
