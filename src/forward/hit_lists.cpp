@@ -19,11 +19,6 @@ std::size_t most_bytes(const Device& device) {
     return (memory ? memory : std::size_t(8) << 30) / 8;
 }
 
-/// Hits that a list may have room for.
-std::uint32_t most_room(const Device& device) {
-    return std::min<std::uint32_t>(RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
-}
-
 Kernel<shared::SortHitsParams> sort_kernel(Device& device) {
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     return {device, KernelName<shared::SortHitsParams>("forward/sort_hits"),
@@ -34,12 +29,16 @@ std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists *
 
 }  // namespace
 
+std::uint32_t most_list_room(const Device& device) {
+    return std::min<std::uint32_t>(RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
+}
+
 HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room)
     : device_(device),
       append_(device, "forward/append", variant, constants),
       blend_(device, "forward/blend", constants),
       sort_(sort_kernel(device)),
-      most_room_(most_room(device)),
+      most_room_(most_list_room(device)),
       room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than their lists have room for"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {}

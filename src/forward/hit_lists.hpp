@@ -16,9 +16,12 @@ inline bool appends_hits(const Device& device, const TraceOptions& options) {
     return options.order == HitOrder::automatic ? device.info().type != "CPU" : options.order == HitOrder::lists;
 }
 
+/// Hits that a list may have room for, so that the lanes of a subgroup can sort it.
+std::uint32_t most_list_room(const Device& device);
+
 class HitLists {
 public:
-    /// @param constants  of the tracing kernels
+    /// @param constants  of the tracing kernels @param room  hits that a list has room for at first; more than there may be: as many
     HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room);
 
     /// Renders the rays of a batch whose lists are fit, and fills `params.lists`, by which forward/trace knows the others. Where the device

@@ -111,11 +111,6 @@ std::size_t different_hits(const KeptHits& a, const KeptHits& b, const std::vect
     return n;
 }
 
-/// Hits that lists have room for where lanes of a subgroup sort them.
-std::uint32_t most_room(const Device& device) {
-    return std::min<std::uint32_t>(RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
-}
-
 class Lists : public test::DeviceTest {
 protected:
     void expect_what_chunks_render(const TraversalCase& c) {
@@ -159,7 +154,7 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
     for (const int asked : {1, 60, 512}) {
-        const int room = std::min(asked, static_cast<int>(most_room(device())));
+        const int room = std::min(asked, static_cast<int>(most_list_room(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(asked);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(room)) EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
@@ -235,7 +230,7 @@ TEST_F(Lists, Grow) {
         placed.stream.finish();
         EXPECT_EQ(differences(rendered.download(), expected), 0u) << "room " << lists.room();
     }
-    EXPECT_GE(lists.room(), std::min(most, most_room(device())));
+    EXPECT_GE(lists.room(), std::min(most, most_list_room(device())));
     EXPECT_LT(lists.room(), 4 * most);
 }
 

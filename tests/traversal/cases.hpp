@@ -32,9 +32,9 @@ TraversalCase single_case();
 TraversalCase equal_depth_case();
 /// 100 surfels along each ray: more than any chunk.
 TraversalCase long_list_case();
-/// Through the diagonals, edges and corners of the proxies, and through the rim where alpha = alpha_min, 1 % inside and outside.
 /// n surfels along each ray, that end none, three at each distance.
 TraversalCase tied_list_case(int n);
+/// Through the diagonals, edges and corners of the proxies, and through the rim where alpha = alpha_min, 1 % inside and outside.
 TraversalCase outline_case(std::uint64_t seed, int n_rays);
 /// |n . d| between 1e-3 and 1e-2.
 TraversalCase grazing_case(std::uint64_t seed, int n_rays);
