@@ -27,12 +27,18 @@ inline std::size_t block_size(std::size_t n) {
     return std::clamp(n / (kBlocksOfCore * n_cores()), kLeast, kMost);
 }
 
+/// task(begin, end) for the parts of `size` items that [0, n) has, on all cores; the last part may be shorter.
+template <class Task>
+void for_each_part(std::size_t n, std::size_t size, const Task& task) {
+    run_parallel(static_cast<int>((n + size - 1) / size),
+                 [&](int i) { task(std::size_t(i) * size, std::min(n, (std::size_t(i) + 1) * size)); });
+}
+
 /// task(i) for every i < n, on all cores in blocks.
 template <class Task>
 void for_each_block(std::size_t n, const Task& task) {
-    const std::size_t size = block_size(n);
-    run_parallel(static_cast<int>((n + size - 1) / size), [&](int block) {
-        for (std::size_t i = std::size_t(block) * size; i < std::min(n, (std::size_t(block) + 1) * size); ++i) task(i);
+    for_each_part(n, block_size(n), [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) task(i);
     });
 }
 
@@ -42,8 +48,7 @@ template <class Part>
 auto sum_parallel(std::size_t n, std::size_t size, const Part& part) {
     using Sum = decltype(part(std::size_t{}, std::size_t{}));
     std::vector<Sum> sums((n + size - 1) / size);
-    run_parallel(static_cast<int>(sums.size()),
-                 [&](int i) { sums[std::size_t(i)] = part(std::size_t(i) * size, std::min(n, (std::size_t(i) + 1) * size)); });
+    for_each_part(n, size, [&](std::size_t begin, std::size_t end) { sums[begin / size] = part(begin, end); });
     if (sums.empty()) return Sum{};
     for (std::size_t i = 1; i < sums.size(); ++i) sums[0] += sums[i];
     return std::move(sums[0]);

@@ -88,9 +88,8 @@ PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint
     PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
     result.points.resize(gathered.points.size());
     constexpr std::size_t kTogether = 1 << 13;   // points: 0.2 MB
-    run_parallel(static_cast<int>((result.points.size() + kTogether - 1) / kTogether), [&](int part) {
-        const std::size_t first = std::size_t(part) * kTogether, n = std::min(kTogether, result.points.size() - first);
-        std::memcpy(static_cast<void*>(&result.points[first]), &gathered.points[first], n * sizeof(ScanPoint));
+    for_each_part(result.points.size(), kTogether, [&](std::size_t begin, std::size_t end) {
+        std::memcpy(static_cast<void*>(&result.points[begin]), &gathered.points[begin], (end - begin) * sizeof(ScanPoint));
     });
     if (coverage.empty()) return result;
     const auto ray_at = [&](std::size_t k) {

@@ -22,9 +22,8 @@ bool same_bytes(const Values& a, const Values& b) {
     if (a.size() != b.size()) return false;
     constexpr std::size_t kPart = 1 << 14;   // values
     std::atomic<bool> same{true};
-    run_parallel(static_cast<int>((a.size() + kPart - 1) / kPart), [&](int part) {
-        const std::size_t begin = std::size_t(part) * kPart, n = std::min(kPart, a.size() - begin);
-        if (same && std::memcmp(&a[begin], &b[begin], n * sizeof(a[0])) != 0) same = false;
+    for_each_part(a.size(), kPart, [&](std::size_t begin, std::size_t end) {
+        if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;
     });
     return same;
 }
