@@ -216,13 +216,24 @@ public:
     /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m or s, or times that do not rise; UsageError for an
     /// actor that is not in the scene
     RenderedScan render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample = {});
+    /// When the device is told of a scan that is asked for.
+    enum class Send { now, with_next };
     /// Asks for the points of a scan, first returns in the sensor's frame at a time of its path, and does not wait for them: while the
     /// device renders one scan, another can be asked for, and the points of an earlier one taken. Where a scan needs nothing but its
     /// sensor's own rays (no sub-rays, grid, weather or sample) the device makes the points too.
+    /// @param when  with_next: scans of a rig, or of several requests, go to the device together with the next one that is asked for, and
+    /// those it makes the points of are rendered side by side
     /// @throws UsageError where kScansInFlight scans have been asked for that were not taken, and as render()
-    void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s, std::optional<std::uint64_t> sample = {});
-    /// How many scans may have been asked for and not been taken.
-    static constexpr std::size_t kScansInFlight = 2;
+    void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s, std::optional<std::uint64_t> sample = {},
+                    Send when = Send::now);
+    /// How many scans may have been asked for and not been taken. Two are enough for the device never to wait.
+    static constexpr std::size_t kScansInFlight = 32;
+    /// How many scans that go to the device together are rendered side by side: 4 on a GPU, which one scan alone does not fill; 1 on a
+    /// CPU and with a scene in blocks. Each but the first needs a copy of the scene on the device; where its memory does not do for so
+    /// many, there are fewer.
+    int side_by_side() const;
+    /// @throws UsageError for less than 1
+    void side_by_side(int n);
     /// The points that were asked for first. @param memory  of earlier ones, to be used again @throws UsageError where none are
     PointScan take_points(std::vector<ScanPoint> memory = {});
     const KernelTimes& times() const;

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -64,15 +65,18 @@ struct BuildInput {
     }
 };
 
-/// One command for all of them, so that they are built at the same time.
-void record_builds(Stream::Impl& stream, const std::vector<const BuildInput*>& inputs) {
-    std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
-    std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
-    for (const BuildInput* input : inputs) {
-        infos.push_back(input->info);
-        ranges.push_back(&input->range);
-    }
-    vkCmdBuildAccelerationStructuresKHR(stream.commands(), static_cast<std::uint32_t>(infos.size()), infos.data(), ranges.data());
+/// One command for all of them, so that they are built at the same time. Takes the inputs as they are now.
+void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
+    stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
+        std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
+        std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
+        for (const BuildInput& input : inputs) {
+            infos.push_back(input.info);
+            infos.back().pGeometries = &input.geometry;
+            ranges.push_back(&input.range);
+        }
+        vkCmdBuildAccelerationStructuresKHR(commands, static_cast<std::uint32_t>(infos.size()), infos.data(), ranges.data());
+    });
 }
 
 /// Triangles over the corners that accel/proxies writes.
@@ -231,34 +235,27 @@ void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene,
 void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges,
                            bool refit) {
     Impl& a = *impl_;
-    Stream::Impl& s = impl_of(stream);
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);   // else that of the others is in it
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
-    std::vector<const BuildInput*> inputs;
+    std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         const auto is_in = [&](const SurfelRange& range) { return range.holds(scene.layout().models[i].first); };
         if (!a.blas[i] || std::ranges::none_of(ranges, is_in)) continue;
         a.blas_input[i].prepare(*a.blas[i], refit, a.scratch_address + a.blas_scratch[i]);
-        inputs.push_back(&a.blas_input[i]);
+        inputs.push_back(a.blas_input[i]);
     }
-    if (!inputs.empty()) {
-        s.begin_timing(refit ? "accel/refit" : "accel/build");
-        record_builds(s, inputs);
-        s.end_timing();
-    }
+    if (!inputs.empty()) record_builds(impl_of(stream), refit ? "accel/refit" : "accel/build", std::move(inputs));
     move(stream, scene);
 }
 
 void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     Stream::Impl& s = impl_of(stream);
-    s.begin_timing("accel/top_level");
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
     a.tlas_input.prepare(*a.tlas, false, a.scratch_address);
-    record_builds(s, {&a.tlas_input});
-    s.end_timing();
+    record_builds(s, "accel/top_level", {a.tlas_input});
 }
 
 shared::TlasHandle HardwareAccel::tlas() const { return {impl_->tlas->address}; }

@@ -18,7 +18,8 @@ struct Renderer::Impl {
     RendererOptions options;
     ImageModel model;
     int highest_sh_degree;
-    Stream stream;
+    std::optional<Stream> own_stream;
+    Stream& stream;
     DeviceScene scene;
     std::optional<Accel> accel;
     ForwardPass forward;
@@ -31,8 +32,8 @@ struct Renderer::Impl {
     RenderedBatch batch;
 
     Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
-        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(d, true), scene(d, s),
-          accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
+        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(o.stream ? *o.stream : own_stream.emplace(d, true)),
+          scene(d, s), accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
         make_room(o.n_rays);
     }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -66,11 +67,36 @@ void Stream::Impl::end_concurrent() {
     barrier();
 }
 
-void Stream::Impl::barrier() {
-    if (n_concurrent > 0) {
-        owes_barrier = true;
-        return;
+void Stream::Impl::keep(const std::string& name, Command command) {
+    Strand& chosen = strands[strand];
+    if (chosen.empty() || chosen.back().closed) chosen.push_back({name, {}});
+    chosen.back().commands.push_back(std::move(command));
+    barrier();
+}
+
+/// A step has one pair of timestamps: another one between its strands would have the second wait for the first.
+void Stream::Impl::record_strands() {
+    std::size_t n_steps = 0;
+    for (const Strand& one : strands) n_steps = std::max(n_steps, one.size());
+    for (std::size_t k = 0; k < n_steps; ++k) {
+        const auto has_step = [k](const Strand& one) { return k < one.size(); };
+        begin_timing(std::ranges::find_if(strands, has_step)->at(k).name);
+        for (const Strand& one : strands)
+            if (has_step(one))
+                for (const Command& command : one[k].commands) command(commands());
+        end_timing();
+        record_barrier();
     }
+    for (Strand& one : strands) one.clear();
+}
+
+void Stream::Impl::barrier() {
+    if (n_concurrent > 0) owes_barrier = true;
+    else if (!strands.empty()) strands[strand].back().closed = true;
+    else record_barrier();
+}
+
+void Stream::Impl::record_barrier() {
     VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
     all.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
@@ -99,7 +125,6 @@ void Stream::Impl::end_timing() {
     if (timed)
         vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                             2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
-    barrier();
 }
 
 Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes) {
@@ -123,20 +148,19 @@ Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes)
 
 void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
     if (device->compile_only || n_bytes == 0) return;
-    begin_timing("write");
     const Stored from = store(bytes, n_bytes);
-    const VkBufferCopy region{from.offset, 0, n_bytes};
-    vkCmdCopyBuffer(commands(), from.buffer, impl_of(buffer).handle, 1, &region);
-    end_timing();
+    record("write", [from = from.buffer, to = impl_of(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](VkCommandBuffer c) {
+        vkCmdCopyBuffer(c, from, to, 1, &region);
+    });
 }
 
 void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to, const VkBufferCopy& region) {
     if (region.size == 0) return;
-    begin_timing("read back");
-    vkCmdCopyBuffer(commands(), from.handle, to->handle, 1, &region);
-    slots[current].kept.push_back(to);
-    host_reads = true;
-    end_timing();
+    record("read back", [this, from = from.handle, to, region](VkCommandBuffer c) {
+        vkCmdCopyBuffer(c, from, to->handle, 1, &region);
+        slots[current].kept.push_back(to);
+        host_reads = true;
+    });
 }
 
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {
@@ -144,16 +168,15 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
         throw Error(ExitCode::bug,
                     fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().pipeline();
-    begin_timing(kernel.impl().name);
     const std::uint64_t address = store(bytes, n_bytes).address;
-    VkCommandBuffer buffer = commands();
-    vkCmdBindPipeline(buffer, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
-    vkCmdPushConstants(buffer, device->pipeline_layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
     constexpr std::uint32_t kMaxGroups = 65535;   // in one dimension, on every Vulkan device
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
-    const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1;
-    vkCmdDispatch(buffer, (n_groups - 1) / rows + 1, rows, 1);
-    end_timing();
+    const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1, columns = (n_groups - 1) / rows + 1;
+    record(kernel.impl().name, [layout = device->pipeline_layout, pipeline, address, rows, columns](VkCommandBuffer c) {
+        vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
+        vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
+        vkCmdDispatch(c, columns, rows, 1);
+    });
 }
 
 void Stream::Impl::wait(std::uint64_t ticket) {
@@ -188,26 +211,47 @@ void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
-    impl_->begin_timing("fill");
-    vkCmdFillBuffer(impl_->commands(), impl_of(buffer).handle, 0, VK_WHOLE_SIZE, pattern);
-    impl_->end_timing();
+    impl_->record("fill", [to = impl_of(buffer).handle, pattern](VkCommandBuffer c) { vkCmdFillBuffer(c, to, 0, VK_WHOLE_SIZE, pattern); });
 }
 
 void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
     if (impl_->device->compile_only) return;
-    const VkBufferCopy region{0, 0, n_bytes};
-    impl_->begin_timing("copy");
-    vkCmdCopyBuffer(impl_->commands(), impl_of(from).handle, impl_of(to).handle, 1, &region);
-    impl_->end_timing();
+    impl_->record("copy", [from = impl_of(from).handle, to = impl_of(to).handle, n_bytes](VkCommandBuffer c) {
+        const VkBufferCopy region{0, 0, n_bytes};
+        vkCmdCopyBuffer(c, from, to, 1, &region);
+    });
 }
 
 Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++impl_of(stream).n_concurrent; }
 Concurrent::~Concurrent() { impl_of(stream_).end_concurrent(); }
 
+Strands::Strands(Stream& stream, std::size_t n) : stream_(stream) {
+    Stream::Impl& s = impl_of(stream);
+    if (n == 0 || !s.strands.empty() || s.n_concurrent > 0)
+        throw Error(ExitCode::bug, "recording in strands: found none, others, or an open Concurrent scope, expected one strand at least");
+    s.strands.resize(n);
+    s.strand = 0;
+}
+
+Strands::~Strands() {
+    Stream::Impl& s = impl_of(stream_);
+    s.record_strands();
+    s.strands.clear();
+}
+
+void Strands::choose(std::size_t strand) {
+    Stream::Impl& s = impl_of(stream_);
+    if (strand >= s.strands.size() || s.n_concurrent > 0)
+        throw Error(ExitCode::bug, fmt::format("choosing strand {} of {}: expected one of them, and no open Concurrent scope", strand,
+                                               s.strands.size()));
+    s.strand = strand;
+}
+
 std::uint64_t Stream::submit() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0) throw Error(ExitCode::bug, "submitting: found an open Concurrent scope, expected its end before");
+    s.record_strands();
     VkCommandBuffer commands = s.commands();
     gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;

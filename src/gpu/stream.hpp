@@ -4,7 +4,9 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "gpu/buffer.hpp"
@@ -45,6 +47,15 @@ struct Stream::Impl {
         std::uint64_t ticket = 0;            ///< 0 = never submitted
     };
 
+    using Command = std::function<void(VkCommandBuffer)>;
+    /// What a strand records between two barriers.
+    struct Step {
+        std::string name;   ///< of the first command
+        std::vector<Command> commands;
+        bool closed = false;
+    };
+    using Strand = std::vector<Step>;
+
     Device* owner = nullptr;
     Device::Impl* device = nullptr;
     bool timing = false;
@@ -53,6 +64,8 @@ struct Stream::Impl {
     bool recording = false;
     int n_concurrent = 0;      ///< Concurrent scopes that are open
     bool owes_barrier = false; ///< something was recorded in them
+    std::vector<Strand> strands = {};   ///< of the Strands that live
+    std::size_t strand = 0;             ///< the chosen one
     bool timed = false;        ///< the launch being recorded is
     bool host_reads = false;   ///< the next barrier is for the host too
     VkSemaphore timeline = VK_NULL_HANDLE;
@@ -65,11 +78,18 @@ struct Stream::Impl {
 
     /// Command buffer being recorded, begun where needed.
     VkCommandBuffer commands();
-    /// What is recorded later sees what was recorded before. In a Concurrent scope one barrier is left for its end.
-    void barrier();
+    /// Records a command and a barrier behind it; its time is added to those of this name. In a strand it is kept until record_strands().
+    template <class Recorded>
+    void record(const std::string& name, Recorded command) {
+        if (!strands.empty()) return keep(name, std::move(command));
+        begin_timing(name);
+        command(commands());
+        end_timing();
+        barrier();
+    }
     void end_concurrent();
-    void begin_timing(const std::string& name);
-    void end_timing();
+    /// Records what the strands hold, the n-th step of each side by side, and leaves them empty.
+    void record_strands();
     /// Where host values lie until the submission is done.
     struct Stored {
         VkBuffer buffer;
@@ -88,6 +108,14 @@ struct Stream::Impl {
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
     void wait(std::uint64_t ticket);
     void collect_times(Slot& slot);
+
+private:
+    void keep(const std::string& name, Command command);
+    /// What is recorded later sees what was recorded before. In a Concurrent scope one barrier is left for its end.
+    void barrier();
+    void record_barrier();
+    void begin_timing(const std::string& name);
+    void end_timing();
 };
 
 /// Runs one kernel over n_threads threads. Sees the results of everything recorded before.

@@ -38,9 +38,34 @@ bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled
     return !sampled && weather.clear() && !sensor.grid && own.sub_rays == 1 && own.returns == 1 && sensor.rays.size() > 0;
 }
 
+/// Where the next of the scans goes that are sent together.
+ScanStrand& ScanRenderer::Impl::next_strand() {
+    if (!together) {
+        while (1 + std::ssize(others) < most_strands) {
+            try {
+                others.emplace_back(device).copy = scene.copy();
+            } catch (const DeviceError&) {   // no memory for so many copies of the scene
+                others.pop_back();
+                most_strands = 1 + int(others.size());
+            }
+        }
+        together.emplace(scene.renderer().stream(), 1 + others.size());
+        n_together = 0;
+    }
+    const std::size_t strand = n_together++ % (1 + others.size());
+    together->choose(strand);
+    return strand == 0 ? first : others[strand - 1];
+}
+
+/// The device is told of scans that were asked for.
+void ScanRenderer::Impl::send() {
+    if (!together) return;
+    together.reset();
+    scene.renderer().stream().submit();
+}
+
 void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                              std::optional<std::uint64_t> sample) {
-    static_assert(kScansInFlight == PointsOnDevice::kSlots);
+                              std::optional<std::uint64_t> sample, Send when) {
     Impl& s = *impl_;
     if (s.asked.size() >= kScansInFlight)
         throw UsageError(fmt::format("asking for the points of a scan: found {} scans that were not taken, expected fewer than {}",
@@ -54,36 +79,36 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     }
     std::vector<InstancePose> placed = drive(sensor, request);
     asked.dataset_from_points = request.dataset_from_sensor.at(points_at_s);
-    s.bring(sensor, request.time_s, std::move(placed));
-    Stream& stream = s.scene.renderer().stream();
+    const bool joins = side_by_side() > 1 && (s.together || when == Send::with_next);
+    ScanStrand& strand = joins ? s.next_strand() : s.first;
+    s.bring(strand, sensor, request.time_s, std::move(placed));
+    asked.renderer = &s.renderer_of(strand);
+    Stream& stream = asked.renderer->stream();
     const bool refined = s.refines_rays(sensor, sensor.rays);
-    const Impl::Cast cast = s.record(sensor, sensor.rays, request.time_s, refined);
+    const Impl::Cast cast = s.record(strand, sensor, sensor.rays, request.time_s, refined);
     asked.rays = cast.rays;
     asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
     asked.time_s = request.time_s;
     asked.max_range_m = std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m));
-    asked.slot = s.n_asked++ % kScansInFlight;
     const PoseTrack points_from_sensor = seen_from(asked.dataset_from_sensor, asked.dataset_from_points);
-    s.points.record(stream, *cast.rays,
-                    {.points_from_sensor = points_from_sensor,
-                     .time_s = request.time_s,
-                     .of_image = s.config.render.points != "median",
-                     .refined = refined,
-                     .step = float(s.scatter[std::size_t(sensor.lidar)].step)},
-                    asked.slot);
-    std::optional<Readback>& pass_cap = s.pass_caps[asked.slot];
-    if (!pass_cap) pass_cap.emplace(s.device, sizeof(std::uint32_t), "pass cap count");
-    pass_cap->record(stream, s.scene.renderer().forward_pass().pass_cap_count().buffer(), sizeof(std::uint32_t));
-    stream.submit();
+    asked.points = strand.points.record(stream, *cast.rays,
+                                        {.points_from_sensor = points_from_sensor,
+                                         .time_s = request.time_s,
+                                         .of_image = s.config.render.points != "median",
+                                         .refined = refined,
+                                         .step = float(s.scatter[std::size_t(sensor.lidar)].step)},
+                                        asked.renderer->forward_pass().pass_cap_count());
     s.asked.push_back(std::move(asked));
+    if (!joins) stream.submit();
+    else if (when == Send::now) s.send();
 }
 
 /// Waits for what the device has of a scan.
 PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint> memory) {
     if (scan.ready) return std::move(*scan.ready);
-    Renderer& renderer = scene.renderer();
-    const PointsOnDevice::Gathered gathered = points.wait(renderer.stream(), scan.slot);
-    if (*static_cast<const std::uint32_t*>(pass_caps[scan.slot]->wait(renderer.stream())) > 0) renderer.check_passes();
+    send();
+    const PointsOnDevice::Gathered gathered = PointsOnDevice::wait(scan.renderer->stream(), *scan.points);
+    if (gathered.n_capped > 0) scan.renderer->check_passes();
     const RayTable& rays = scan.rays->table();
     PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
     result.points.resize(gathered.points.size());
@@ -103,6 +128,7 @@ PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint
 
 /// Has nothing in flight any more.
 void ScanRenderer::Impl::settle() {
+    send();
     for (AskedPoints& scan : asked) scan.ready = points_of(scan);
 }
 
@@ -110,6 +136,7 @@ ScanRenderer::~ScanRenderer() {
     const auto in_flight = [](const AskedPoints& scan) { return !scan.ready; };
     if (std::ranges::none_of(impl_->asked, in_flight)) return;
     try {
+        impl_->send();
         impl_->scene.renderer().stream().finish();   // the device may still write what goes with this
     } catch (const DeviceError&) {   // a lost device writes nothing any more
     }

@@ -26,7 +26,8 @@ void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
     sum_.reserve(device_, n_rays);
 }
 
-void PointsOnDevice::record(Stream& stream, const SensorRays& rays, const PointMaking& how, std::size_t slot) {
+std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, const SensorRays& rays, const PointMaking& how,
+                                                             const Array<std::uint32_t>& n_capped) {
     const std::size_t n = rays.table().size();
     make_room(stream, n);
     const std::vector<shared::SensorPose> poses = rays.poses(how.points_from_sensor, how.time_s);
@@ -53,27 +54,36 @@ void PointsOnDevice::record(Stream& stream, const SensorRays& rays, const PointM
          .n_asked = std::uint32_t(n_asked(n)),
          .of_image = how.of_image ? 1u : 0u,
          .step = how.step});
-    read_back(stream, n, slots_[slot]);
+    return read_back(stream, n, n_capped);
 }
 
-void PointsOnDevice::read_back(Stream& stream, std::size_t n_rays, Slot& slot) {
+PointsOnDevice::Slot::Slot(Device& device)
+    : count(device, sizeof(std::uint32_t), "number of returned points"),
+      asked(device, kAskedRays * sizeof(float), "ranges of some rays"),
+      capped(device, sizeof(std::uint32_t), "pass cap count") {}
+
+std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::read_back(Stream& stream, std::size_t n_rays,
+                                                                const Array<std::uint32_t>& n_capped) {
+    auto place = std::ranges::find_if(slots_, [](const std::shared_ptr<Slot>& slot) { return slot.use_count() == 1; });
+    if (place == slots_.end()) place = slots_.insert(place, std::make_shared<Slot>(device_));
+    Slot& slot = **place;
     if (n_rays > slot.room) {
         slot.points.emplace(device_, n_rays * sizeof(shared::ReturnedPoint), "returned points");
-        slot.count.emplace(device_, sizeof(std::uint32_t), "number of returned points");
-        slot.asked.emplace(device_, kAskedRays * sizeof(float), "ranges of some rays");
         slot.room = n_rays;
     }
     slot.n_rays = n_rays;
     slot.points->record(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
-    slot.count->record(stream, count_.buffer(), sizeof(std::uint32_t));
-    slot.asked->record(stream, asked_.buffer(), n_asked(n_rays) * sizeof(float));
+    slot.count.record(stream, count_.buffer(), sizeof(std::uint32_t));
+    slot.asked.record(stream, asked_.buffer(), n_asked(n_rays) * sizeof(float));
+    slot.capped.record(stream, n_capped.buffer(), sizeof(std::uint32_t));
+    return *place;
 }
 
-PointsOnDevice::Gathered PointsOnDevice::wait(Stream& stream, std::size_t slot) {
-    Slot& s = slots_[slot];
-    const std::size_t n = *static_cast<const std::uint32_t*>(s.count->wait(stream));
-    return {{static_cast<const shared::ReturnedPoint*>(s.points->wait(stream)), n},
-            {static_cast<const float*>(s.asked->wait(stream)), n_asked(s.n_rays)}};
+PointsOnDevice::Gathered PointsOnDevice::wait(Stream& stream, Slot& slot) {
+    const auto number = [&](Readback& readback) { return *static_cast<const std::uint32_t*>(readback.wait(stream)); };
+    return {{static_cast<const shared::ReturnedPoint*>(slot.points->wait(stream)), number(slot.count)},
+            {static_cast<const float*>(slot.asked.wait(stream)), n_asked(slot.n_rays)},
+            number(slot.capped)};
 }
 
 }  // namespace relidar

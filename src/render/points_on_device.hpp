@@ -3,9 +3,10 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
+#include <memory>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include <relidar/sequence.hpp>
 
@@ -30,31 +31,33 @@ struct PointMaking {
 
 class PointsOnDevice {
 public:
-    /// Scans whose points have not been taken.
-    static constexpr std::size_t kSlots = 2;
+    /// What the host reads of a scan.
+    struct Slot {
+        std::optional<Readback> points = {};
+        Readback count, asked, capped;
+        std::size_t room = 0;     ///< points
+        std::size_t n_rays = 0;   ///< of its scan
+
+        explicit Slot(Device& device);
+    };
 
     explicit PointsOnDevice(Device& device);
-    /// Records the points of a scan that has been measured. @param slot  a free one
-    void record(Stream& stream, const SensorRays& rays, const PointMaking& how, std::size_t slot);
+    /// Records the points of a scan that has been measured. @param n_capped  see ForwardPass::pass_cap_count()
+    /// @return where they go; used again when nobody else holds it
+    std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& how, const Array<std::uint32_t>& n_capped);
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
         std::span<const float> asked_m;   ///< ranges of dominant surfaces of the rays asked_ray()
+        std::uint32_t n_capped;
     };
     /// Waits for the points of a slot. @return valid until it is used again
-    Gathered wait(Stream& stream, std::size_t slot);
+    static Gathered wait(Stream& stream, Slot& slot);
     /// Rays of which a scan says what they meet, whether they return or not. @param k  below n_asked()
     static std::size_t asked_ray(std::size_t k, std::size_t n_rays) { return k * n_rays / n_asked(n_rays); }
     static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
 
 private:
-    /// What the host reads of a scan.
-    struct Slot {
-        std::optional<Readback> points, count, asked;
-        std::size_t room = 0;     ///< points
-        std::size_t n_rays = 0;   ///< of its scan
-    };
-
     Device& device_;
     Kernel<shared::MarkReturnsParams> mark_;
     Kernel<shared::GatherPointsParams> gather_;
@@ -64,10 +67,10 @@ private:
     Array<std::uint32_t, shared::ScanTotal> count_;
     Array<shared::ReturnedPoint> points_;
     Array<float, shared::AskedRanges> asked_;
-    std::array<Slot, kSlots> slots_;
+    std::vector<std::shared_ptr<Slot>> slots_;
 
     void make_room(Stream& stream, std::size_t n_rays);
-    void read_back(Stream& stream, std::size_t n_rays, Slot& slot);
+    std::shared_ptr<Slot> read_back(Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& n_capped);
 };
 
 }  // namespace relidar

@@ -146,8 +146,9 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
     impl_->settle();
-    impl_->refiner.reset();
-    if (!network.empty()) impl_->refiner.emplace(impl_->device, network);
+    impl_->first.refiner.reset();
+    for (ScanStrand& strand : impl_->others) strand.refiner.reset();
+    if (!network.empty()) impl_->first.refiner.emplace(impl_->device, network);
 }
 
 void ScanRenderer::want_channels(const std::string& names) {
@@ -158,6 +159,15 @@ void ScanRenderer::want_channels(const std::string& names) {
         impl_->wanted.push_back(channel);
     }
 }
+
+void ScanRenderer::side_by_side(int n) {
+    if (n < 1) throw UsageError(fmt::format("rendering scans side by side: found {} of them, expected 1 at least", n));
+    impl_->settle();
+    impl_->most_strands = n;
+    while (std::ssize(impl_->others) >= n) impl_->others.pop_back();
+}
+
+int ScanRenderer::side_by_side() const { return impl_->layout.blocks.empty() ? impl_->most_strands : 1; }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->coverage = coverage; }
 
@@ -214,8 +224,9 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
 }
 
 /// The rays of a sensor on the device, which keeps those of the sensors used last.
-std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(const SensorChoice& sensor, const RayTable& table) {
+std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table) {
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;   // 0.2 GB
+    std::vector<std::shared_ptr<SensorRays>>& known_rays = strand.known_rays;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
     const auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
     if (found != known_rays.end()) {
@@ -239,18 +250,21 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(const SensorChoice& sens
 
 /// Has the device cast rays of a sensor, each by itself, and measure what comes back; instances have been moved to where they are.
 /// @param refined  also asks the network
-ScanRenderer::Impl::Cast ScanRenderer::Impl::record(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
-    Cast cast{rays_of(sensor, table), sweep.world_from_sensor(sensor.lidar), {}};
+ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table, double time_s,
+                                                    bool refined) {
+    Cast cast{rays_of(strand, sensor, table), sweep.world_from_sensor(sensor.lidar), {}};
     cast.pose = cast.track.at(time_s);
     if (!sweep.rolling_shutter) cast.track = {{time_s}, {cast.pose}};
-    Renderer& renderer = scene.renderer();
+    Renderer& renderer = renderer_of(strand);
     cast.rays->fire(renderer.stream(), cast.track, time_s);
     renderer.record_forward(cast.rays->batch());
     cast.rays->measure(renderer.stream(), renderer.rendered(),
                        {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
-    if (refined)
-        cast.rays->refine(renderer.stream(), refiner->pass(),
+    if (refined) {
+        if (!strand.refiner) strand.refiner.emplace(device, first.refiner->network());
+        cast.rays->refine(renderer.stream(), strand.refiner->pass(),
                           glm::vec3(cast.pose.translation + sweep.world_offset_m - first_origin_m));
+    }
     return cast;
 }
 
@@ -258,7 +272,7 @@ ScanRenderer::Impl::Cast ScanRenderer::Impl::record(const SensorChoice& sensor, 
 RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
-    Cast cast = record(sensor, table, time_s, refined);
+    Cast cast = record(first, sensor, table, time_s, refined);
     const std::span<const shared::MeasuredRay> measured = cast.rays->wait(renderer.stream());
     renderer.check_passes();
 
@@ -285,8 +299,8 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
 }
 
 bool ScanRenderer::Impl::refines(const ImageOf& image) const {
-    if (!refiner || refiner->network().image != image.name) return false;
-    const int side = std::max(2, refiner->network().smallest_side());
+    if (!first.refiner || first.refiner->network().image != image.name) return false;
+    const int side = std::max(2, first.refiner->network().smallest_side());
     return image.rows >= side && image.columns >= side;
 }
 
@@ -296,7 +310,7 @@ bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable
 
 /// Drop probabilities as the network of the run has them.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
-    scan.image.drop_prob = refiner->refine(drop_image(scan, refiner->network().inputs, first_origin_m));
+    scan.image.drop_prob = first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m));
 }
 
 /// Probability that a sensor never sees anything along a ray.
@@ -395,12 +409,12 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
 }
 
 /// Puts the scene onto the device, around the sensor, and instances where they are; those that are not shown are left out.
-void ScanRenderer::Impl::bring(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed) {
+void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed) {
     if (!layout.blocks.empty()) settle();   // another renderer may take this one's place
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && shown[i];
     const glm::vec3 sensor_m(sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
     scene.bring(sensor_m, limits_of(sensor).max_m);
-    scene.renderer().move(placed, sensor_m);
+    renderer_of(strand).move(placed, sensor_m);
 }
 
 /// @param placed  instances at their moments
@@ -417,7 +431,8 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
         throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
-    s.bring(sensor, time_s, std::move(placed));
+    s.send();
+    s.bring(s.first, sensor, time_s, std::move(placed));
     const bool of_rays = s.refines_rays(sensor, whole);
     RenderedScan scan = s.cast(sensor, table, time_s, of_rays && !parts);
     if (parts) scan = s.join(sensor, scan, whole, config);
@@ -425,7 +440,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     add_scan_channels(scan, log, s.wanted);
     tell_unseen(scan, log);
     if (of_rays && parts) s.refine(scan);
-    else if (of_rays) std::ranges::copy(s.known_rays.front()->refined(s.scene.renderer().stream()), scan.image.drop_prob.begin());
+    else if (of_rays) std::ranges::copy(s.first.known_rays.front()->refined(s.scene.renderer().stream()), scan.image.drop_prob.begin());
     const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
     if (of_cells) {
         scan = project_scan(scan, *sensor.grid);

@@ -64,6 +64,12 @@ void ResidentScene::bring(const glm::vec3& sensor_m, double reach_m) {
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end())) load(with_kept(std::move(needed)));
 }
 
+std::unique_ptr<Renderer> ResidentScene::copy() {
+    RendererOptions options = options_;
+    options.stream = &renderer_->stream();
+    return std::make_unique<Renderer>(device_, renderer_->download(), model_, options);
+}
+
 const KernelTimes& ResidentScene::times() {
     if (renderer_ && past_.milliseconds.empty()) return renderer_->stream().times();
     times_ = past_;

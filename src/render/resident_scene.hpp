@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -26,6 +27,9 @@ public:
     void bring(const glm::vec3& sensor_m, double reach_m);
     /// After bring().
     Renderer& renderer() { return *renderer_; }
+    /// All of a scene without blocks once more, to be rendered in the stream of renderer(), which outlives it. Blocks.
+    /// @throws DeviceError where memory is exhausted
+    std::unique_ptr<Renderer> copy();
     /// Of all renderings so far.
     const KernelTimes& times();
 

@@ -2,7 +2,6 @@
 // What a ScanRenderer is made of. Private to render.
 #pragma once
 
-#include <array>
 #include <cmath>
 #include <deque>
 #include <memory>
@@ -25,6 +24,7 @@ namespace relidar {
 
 inline constexpr double kSameTime_s = 1e-3;       // as a sweep of the log
 inline constexpr double kMoment_s = 0.1;          // in which a speed is measured
+inline constexpr int kSideBySide = 4;             // scans on a GPU
 inline constexpr const char* kNative = "native";  ///< image of a network: the rays of a sensor
 
 /// Points that were asked for.
@@ -35,7 +35,18 @@ struct AskedPoints {
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;                 ///< of the sensor
-    std::size_t slot = 0;                     ///< of PointsOnDevice
+    std::shared_ptr<PointsOnDevice::Slot> points = {};
+    Renderer* renderer = nullptr;
+};
+
+/// What scans are rendered with that no other one may use meanwhile. Scans that are rendered side by side have one each.
+struct ScanStrand {
+    std::unique_ptr<Renderer> copy = {};      ///< of the scene; null: the scene itself
+    std::vector<std::shared_ptr<SensorRays>> known_rays;   ///< of sensors, the one used last first
+    PointsOnDevice points;
+    std::optional<DropRefiner> refiner = {};
+
+    explicit ScanStrand(Device& device) : known_rays{std::make_shared<SensorRays>(device)}, points(device) {}
 };
 
 struct ScanRenderer::Impl {
@@ -49,12 +60,12 @@ struct ScanRenderer::Impl {
     ResidentScene scene;
     std::vector<bool> shown;   ///< [instances]
     Device& device;
-    std::vector<std::shared_ptr<SensorRays>> known_rays{std::make_shared<SensorRays>(device)};   ///< of sensors, the one used last first
-    PointsOnDevice points{device};
+    ScanStrand first{device};
+    std::deque<ScanStrand> others = {};       ///< as they are needed
+    int most_strands = device.info().type == "CPU" ? 1 : kSideBySide;
     std::deque<AskedPoints> asked = {};       ///< those asked for first come first
-    std::size_t n_asked = 0;                  ///< in all
-    std::array<std::optional<Readback>, kScansInFlight> pass_caps = {};
-    std::optional<DropRefiner> refiner = {};
+    std::optional<Strands> together = {};     ///< of scans that were asked for and not sent
+    std::size_t n_together = 0;               ///< of them
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
     Weather weather = {};
@@ -85,14 +96,15 @@ struct ScanRenderer::Impl {
         if (sensor.returns > 1 && result.sub_rays == 1) result.sub_rays = 9;
         return result;
     }
-    std::shared_ptr<SensorRays> rays_of(const SensorChoice& sensor, const RayTable& table);
+    Renderer& renderer_of(const ScanStrand& strand) { return strand.copy ? *strand.copy : scene.renderer(); }
+    std::shared_ptr<SensorRays> rays_of(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table);
     /// Rays of a sweep that the device has been told to trace and to measure.
     struct Cast {
         std::shared_ptr<SensorRays> rays;
         PoseTrack track;   ///< of the sensor, one pose where it stands
         Pose pose;         ///< at the time of the sweep
     };
-    Cast record(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined);
+    Cast record(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table, double time_s, bool refined);
     RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined = false);
     RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams);
     /// An image that a network may look at: rays of any sensor ("native") or cells of a grid.
@@ -104,7 +116,9 @@ struct ScanRenderer::Impl {
     /// Whether the network looks at the scan as the sensor's rays take it.
     bool refines_rays(const SensorChoice& sensor, const RayTable& whole) const;
     bool gathers_points(const SensorChoice& sensor, bool sampled) const;
-    void bring(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed);
+    void bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed);
+    ScanStrand& next_strand();
+    void send();
     PointScan points_of(AskedPoints& scan, std::vector<ScanPoint> memory = {});
     void settle();
     void refine(RenderedScan& scan);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What one submission can carry, values that come back with it, and the copy that is measured (gpu/copy).
+#include <map>
 #include <numeric>
 
 #include <stdlib.h>
@@ -144,6 +145,79 @@ TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     }
     stream.finish();
     EXPECT_GT(validation_messages(watched), 0u) << "no barrier inside the scope";
+}
+
+/// Here too.
+TEST_F(StreamTest, StrandsHaveABarrierBehindEachOfTheirSteps) {
+    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
+        GTEST_SKIP() << "no validation layer asked for";
+    ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
+    Device watched({.index = device().info().index, .validation = true});
+    ::unsetenv("VK_LAYER_ENABLES");
+    std::vector<Array<std::uint32_t>> arrays;
+    for (int i = 0; i < 6; ++i) arrays.emplace_back(watched, 100, "test");
+    const auto copy = [&](Stream& stream, std::size_t from, std::size_t to) {
+        stream.copy(arrays[from].buffer(), arrays[to].buffer(), 400);
+    };
+    Stream stream(watched, true);
+    {
+        Strands strands(stream, 2);
+        stream.fill(arrays[0], 1u);
+        strands.choose(1);
+        {
+            const Concurrent scope(stream);   // one step
+            stream.fill(arrays[3], 2u);
+            stream.fill(arrays[4], 3u);
+        }
+        copy(stream, 3, 5);
+        strands.choose(0);
+        copy(stream, 0, 1);
+        copy(stream, 1, 2);
+        strands.choose(1);
+        impl_of(stream).write(arrays[3].buffer(), Words(50, 7u).data(), 200);
+    }
+    copy(stream, 5, 0);
+    stream.finish();
+    EXPECT_EQ(validation_messages(watched), 0u);
+    for (const auto& [array, value] : std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
+        EXPECT_EQ(arrays[array].download(), Words(100, value)) << array;
+    EXPECT_EQ(arrays[3].download(50), Words(50, 7u));
+    if (device().info().timestamps) {
+        EXPECT_EQ(stream.times().milliseconds.at("fill").size(), 1u) << "three side by side";
+        EXPECT_EQ(stream.times().milliseconds.at("copy").size(), 3u) << "two side by side, one beside a write, one alone";
+    }
+    {
+        Strands strands(stream, 2);
+        stream.fill(arrays[0], 5u);
+        strands.choose(1);
+        stream.fill(arrays[0], 6u);   // planted: what the other one writes
+    }
+    stream.finish();
+    EXPECT_GT(validation_messages(watched), 0u) << "no barrier between strands";
+}
+
+TEST_F(StreamTest, StrandsMayBeSubmittedBeforeTheirEnd) {
+    const Array<std::uint32_t> a(device(), 100, "a"), b(device(), 100, "b");
+    Stream stream(device());
+    Readback first(device(), 400, "a"), second(device(), 400, "b");
+    {
+        Strands strands(stream, 3);
+        strands.choose(2);
+        stream.fill(a, 1u);
+        first.record(stream, a.buffer(), 400);
+        stream.finish();
+        EXPECT_EQ(a.download(), Words(100, 1u));
+        EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait(stream))[99], 1u);
+        stream.fill(b, 2u);
+        second.record(stream, b.buffer(), 400);
+        EXPECT_THROW(strands.choose(3), Error);
+        EXPECT_THROW(Strands(stream, 2), Error) << "within others";
+        const Concurrent scope(stream);
+        EXPECT_THROW(strands.choose(0), Error) << "in an open scope";
+    }
+    stream.submit();
+    EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait(stream))[99], 2u);
+    EXPECT_THROW(Strands(stream, 0), Error);
 }
 
 }  // namespace

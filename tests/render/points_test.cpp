@@ -2,6 +2,7 @@
 // Points that are made on the device (render/mark_returns, render/gather_points) and asked for ahead, against returned_points() of scans
 // that are rendered one after the other, in double precision.
 #include <cmath>
+#include <cstring>
 
 #include <gmock/gmock.h>
 
@@ -51,7 +52,28 @@ protected:
         const RenderedScan scan = renderer->render(wish.sensor, wish.request, wish.sample);
         return returned_points(scan, config, wish.request.dataset_from_sensor.at(wish.points_at_s));
     }
-    void ask(const Wish& wish) { renderer->ask_points(wish.sensor, wish.request, wish.points_at_s, wish.sample); }
+    void ask(const Wish& wish, ScanRenderer::Send when = ScanRenderer::Send::now) {
+        renderer->ask_points(wish.sensor, wish.request, wish.points_at_s, wish.sample, when);
+    }
+    PointScan alone(const Wish& wish) {
+        ask(wish);
+        return renderer->take_points();
+    }
+    void ask_together(const std::vector<Wish>& wishes) {
+        for (const Wish& wish : wishes) ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
+    }
+    /// A rig of three sensors, two of them alike, at two times, and among two sets of actors.
+    std::vector<Wish> rig() const {
+        std::vector<Wish> wishes;
+        for (const char* name : {"VLP-16:300x10", "HDL-32E:256x10", "VLP-16:300x10", "VLP-16:300x10", "HDL-32E:256x10"}) {
+            const double k = double(wishes.size());
+            PoseTrack track = bend();
+            for (Pose& pose : track.pose) pose = pose * Pose{rotation_of(0.9 * k, 0.0, 0.0), {0.3 * k, -0.2 * k, 0.1}};
+            wishes.push_back({sensor(name), {middle_s() + 0.1 * std::floor(k / 3.0), track}, middle_s()});
+            if (k == 2.0) wishes.back().request.dataset_from_actor = ActorPoses{};
+        }
+        return wishes;
+    }
 
     Sequence log;
     Scene scene;
@@ -147,6 +169,62 @@ TEST_F(Points, ManyInFlightDoNotMix) {
     }
 }
 
+/// The same to the bit.
+void expect_equal(const PointScan& found, const PointScan& expected, const std::string& what) {
+    ASSERT_EQ(found.points.size(), expected.points.size()) << what;
+    ASSERT_GT(found.points.size(), 100u) << what;
+    EXPECT_EQ(std::memcmp(found.points.data(), expected.points.data(), found.points.size() * sizeof(ScanPoint)), 0) << what;
+    EXPECT_EQ(found.n_rays, expected.n_rays) << what;
+    EXPECT_EQ(found.time_s, expected.time_s) << what;
+    EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
+}
+
+/// More scans than go side by side, as many, and fewer; two rigs in flight, and one that is never sent but taken. A launch of one strand
+/// stands between two of another, so whatever strands share is seen.
+TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
+    for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
+        config.image.sh_direction = direction;
+        make_renderer();
+        const std::vector<Wish> wishes = rig();
+        std::vector<PointScan> expected;
+        for (const Wish& wish : wishes) expected.push_back(alone(wish));
+        expect_same(expected[2], on_host(wishes[2]), "without actors");
+        for (const int n : {2, 3, 5, 1}) {
+            const std::string what = std::to_string(n) + " side by side, scan ";
+            renderer->side_by_side(n);
+            EXPECT_EQ(renderer->side_by_side(), n);
+            ask_together(wishes), ask_together(wishes);
+            ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
+            for (std::size_t k = 0; k < 2 * wishes.size() + 2; ++k)
+                expect_equal(renderer->take_points(), expected[k % wishes.size()], what + std::to_string(k));
+        }
+    }
+}
+
+/// Whatever needs the device alone sends those before it, and a scan that is refused takes nothing with it.
+TEST_F(Points, OfScansSideBySideBesideOthers) {
+    make_renderer();
+    renderer->side_by_side(3);
+    const std::vector<Wish> wishes = rig();
+    Wish wrong = wishes[0], sampled = wishes[1];
+    wrong.request.dataset_from_sensor.time_s.clear();
+    sampled.sample = 7;
+    const std::vector<PointScan> expected = {alone(wishes[0]), alone(sampled), alone(wishes[2]), alone(wishes[3])};
+    const RenderedScan scan = renderer->render(wishes[4].sensor, wishes[4].request);
+    ask(wishes[0], ScanRenderer::Send::with_next);
+    ask(sampled, ScanRenderer::Send::with_next);
+    ask(wishes[2], ScanRenderer::Send::with_next);
+    EXPECT_THROW(ask(wrong, ScanRenderer::Send::with_next), DataError);
+    EXPECT_EQ(renderer->render(wishes[4].sensor, wishes[4].request).image.range_m, scan.image.range_m);
+    ask(wishes[3], ScanRenderer::Send::with_next);
+    EXPECT_THROW(ask(wrong), DataError);
+    for (const PointScan& of_one : expected) expect_equal(renderer->take_points(), of_one, "one of four");
+    EXPECT_THAT([&] { renderer->side_by_side(0); }, testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 of them")));
+    ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
+    make_renderer();   // left behind, and never sent
+    expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
+}
+
 /// Scans that a network corrects, of images of two shapes.
 TEST_F(Points, AreDroppedAsTheNetworkSays) {
     make_renderer();
@@ -163,6 +241,10 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
     EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
     ask(wishes[0]), ask(wishes[1]);
     for (const PointScan& scan_expected : expected) expect_same(renderer->take_points(), scan_expected, "refined");
+    const std::vector<PointScan> alone_expected = {alone(wishes[0]), alone(wishes[1])};
+    renderer->side_by_side(3);
+    ask_together({wishes[0], wishes[1], wishes[0], wishes[1]});
+    for (std::size_t k = 0; k < 4; ++k) expect_equal(renderer->take_points(), alone_expected[k % 2], "refined side by side");
 }
 
 TEST_F(Points, HaveTheStepsOfTheLog) {
@@ -222,7 +304,7 @@ TEST_F(Points, AreTakenAsOftenAsAskedFor) {
     const auto says = [](const char* text) { return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text)); };
     EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
-    EXPECT_THAT([&] { ask(wish); }, says("found 2 scans that were not taken"));
+    EXPECT_THAT([&] { ask(wish); }, says("found 32 scans that were not taken"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->take_points();
     Wish wrong = wish;
     wrong.request.dataset_from_sensor.time_s.clear();

@@ -66,10 +66,11 @@ struct RendererOptions {
     TraceOptions trace{};
     std::uint32_t n_rays = 0;      ///< room for the largest batch; where one has more, the renderer waits once and makes room
     std::uint32_t keep_hits = 0;   ///< first hits of a ray kept for a backward pass, 16 bytes each; 0 = it casts every ray again
+    Stream* stream = nullptr;      ///< that another renderer has too, and which outlives this one; null: one of its own
 };
 
-/// A scene ready to be rendered: parameters, acceleration structure, forward pass and what rays render, on one device and in one stream
-/// of its own. place() first, then forward() or record_forward() as often as wanted.
+/// A scene ready to be rendered: parameters, acceleration structure, forward pass and what rays render, on one device and in one stream,
+/// its own or RendererOptions::stream. place() first, then forward() or record_forward() as often as wanted.
 /// The device must outlive it; one thread at a time may use it. Several renderers of one device do not know of each other.
 class Renderer {
 public:

@@ -100,7 +100,7 @@ public:
 template <class T, class Meaning>
 Address<T, Meaning> address_of(const Array<T, Meaning>* array) { return array ? array->address() : Address<T, Meaning>(); }
 
-/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope.
+/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope or of other Strands.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -140,6 +140,22 @@ public:
     ~Concurrent();
     Concurrent(const Concurrent&) = delete;
     Concurrent& operator=(const Concurrent&) = delete;
+
+private:
+    Stream& stream_;
+};
+
+/// While it lives, a stream records into strands. A launch sees the results of the earlier ones of its own strand; the n-th launches of
+/// all strands may run at the same time, so that small ones fill a device together. No launch may read or write what another strand writes.
+/// What is recorded or submitted afterwards sees the results of all of them.
+class Strands {
+public:
+    Strands(Stream& stream, std::size_t n);
+    ~Strands();
+    Strands(const Strands&) = delete;
+    Strands& operator=(const Strands&) = delete;
+    /// What is recorded from now on belongs to this one, at first to 0.
+    void choose(std::size_t strand);
 
 private:
     Stream& stream_;
