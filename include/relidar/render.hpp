@@ -227,11 +227,12 @@ public:
     void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s, std::optional<std::uint64_t> sample = {},
                     Send when = Send::now);
     /// How many scans may have been asked for and not been taken. Two are enough for the device never to wait.
-    static constexpr std::size_t kScansInFlight = 32;
+    static constexpr std::size_t kScansInFlight = 64;
     /// How many scans that go to the device together are rendered side by side: 4 on a GPU, which one scan alone does not fill; 1 on a
     /// CPU and with a scene in blocks. Each but the first needs a copy of the scene on the device; where its memory does not do for so
     /// many, there are fewer.
     int side_by_side() const;
+    static int default_side_by_side(const Device& device);
     /// @throws UsageError for less than 1
     void side_by_side(int n);
     /// The points that were asked for first. @param memory  of earlier ones, to be used again @throws UsageError where none are

@@ -12,6 +12,7 @@
 #include <relidar/stages/accel.hpp>
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
+#include "gpu/context.hpp"
 #include "render/channel_makers.hpp"
 #include "render/empty_scan.hpp"
 #include "render/footprint.hpp"
@@ -165,6 +166,10 @@ void ScanRenderer::side_by_side(int n) {
     impl_->settle();
     impl_->most_strands = n;
     while (std::ssize(impl_->others) >= n) impl_->others.pop_back();
+}
+
+int ScanRenderer::default_side_by_side(const Device& device) {
+    return impl_of(device).forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
 int ScanRenderer::side_by_side() const { return impl_->layout.blocks.empty() ? impl_->most_strands : 1; }

@@ -62,7 +62,7 @@ struct ScanRenderer::Impl {
     Device& device;
     ScanStrand first{device};
     std::deque<ScanStrand> others = {};       ///< as they are needed
-    int most_strands = device.info().type == "CPU" ? 1 : kSideBySide;
+    int most_strands = default_side_by_side(device);
     std::deque<AskedPoints> asked = {};       ///< those asked for first come first
     std::optional<Strands> together = {};     ///< of scans that were asked for and not sent
     std::size_t n_together = 0;               ///< of them

@@ -304,7 +304,7 @@ TEST_F(Points, AreTakenAsOftenAsAskedFor) {
     const auto says = [](const char* text) { return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text)); };
     EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
-    EXPECT_THAT([&] { ask(wish); }, says("found 32 scans that were not taken"));
+    EXPECT_THAT([&] { ask(wish); }, says("found 64 scans that were not taken"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->take_points();
     Wish wrong = wish;
     wrong.request.dataset_from_sensor.time_s.clear();

@@ -72,9 +72,11 @@ TEST(RenderQueue, DoesAllWorkOnOneThread) {
     EXPECT_EQ(elsewhere, 0);
 }
 
-/// The second is begun before the first is finished, and everything is in order; work of another kind, or of one part, waits.
-TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
+/// What a queue does, in order, of work that waits for it: a small letter where work of two parts begins, a comma where another goes with
+/// it, a capital where it ends. @param line  names and kinds, 0 of work in one part @param fails  at its beginning
+std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together, char fails = ' ') {
     RenderQueue queue(8);
+    queue.begin_together(together);
     std::string parts;   // of the queue's thread alone
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);
@@ -83,30 +85,48 @@ TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
         const int before = n_in_line;
         clients.emplace_back([&queue, &n_in_line, work] {
             RenderQueue::Place place = std::move(*queue.enter());
-            place.run(work, [&n_in_line, told = false]() mutable { return n_in_line += !std::exchange(told, true), true; });
+            const auto is_wanted = [&n_in_line, told = false]() mutable { return n_in_line += !std::exchange(told, true), true; };
+            try {
+                place.run(work, is_wanted);
+            } catch (const std::runtime_error&) {
+            }
         });
         while (n_in_line == before) std::this_thread::yield();   // asked whether it is wanted: it is in the line
     };
-    const auto in_two = [&](char name, std::size_t kind) {
-        return WorkInTwo{[&parts, name] { parts += name; }, [&parts, name] { parts += char(std::toupper(name)); }, kind};
-    };
-    add(in_two('a', 1)), add(in_two('b', 1)), add(in_two('c', 1)), add(in_two('d', 2));
-    add(std::function<void()>([&parts] { parts += '-'; }));
-    add(in_two('e', 2));
+    for (const auto& [name, kind] : line) {
+        const auto begin = [&parts, name = name, fails](bool is_last) {
+            if (name == fails) throw std::runtime_error("begin");
+            parts += name;
+            if (!is_last) parts += ',';
+        };
+        if (kind == 0) add(std::function<void()>([&parts, name = name] { parts += name; }));
+        else add(WorkInTwo{begin, [&parts, name = name] { parts += char(std::toupper(name)); }, kind});
+    }
     blocker.reset();
     clients.clear();
-    EXPECT_EQ(parts, "abAcBCdD-eE");
+    return parts;
+}
+
+/// The second is begun before the first is finished, and everything is in order; work of another kind, or of one part, waits.
+TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
+    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
+}
+
+TEST(RenderQueue, WorkInTwoOfOneKindIsBegunTogether) {
+    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}, {'e', 1}, {'f', 2}, {'-', 0}, {'g', 2}}, 2), "a,bc,dABeCDEfF-gG");
+    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 2}, {'d', 2}, {'e', 2}, {'f', 2}}, 3), "a,bABc,d,efCDEF");
+    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}}, 2, 'b'), "a,c,dACD") << "b fails: nobody told a";
 }
 
 TEST(RenderQueue, WorkInTwoThatFailsIsNotFinishedAndStopsNoOther) {
     RenderQueue queue(8);
     bool finished = false;
-    const WorkInTwo fails{[] { throw std::runtime_error("begin"); }, [&] { finished = true; }, 1};
+    const WorkInTwo fails{[](bool) { throw std::runtime_error("begin"); }, [&] { finished = true; }, 1};
     EXPECT_THROW(queue.enter()->run(fails, kWanted), std::runtime_error);
     EXPECT_FALSE(finished);
-    const WorkInTwo fails_late{[] {}, [] { throw std::runtime_error("finish"); }, 1};
+    const WorkInTwo fails_late{[](bool) {}, [] { throw std::runtime_error("finish"); }, 1};
     EXPECT_THROW(queue.enter()->run(fails_late, kWanted), std::runtime_error);
-    const WorkInTwo works{[] {}, [&] { finished = true; }, 1};
+    const WorkInTwo works{[](bool) {}, [&] { finished = true; }, 1};
     EXPECT_EQ(queue.enter()->run(works, kWanted), WorkEnd::done) << "nobody comes after it";
     EXPECT_TRUE(finished);
 }

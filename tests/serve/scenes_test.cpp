@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 
 #include <relidar/error.hpp>
+#include <relidar/measure/gpu.hpp>
 
 #include "asset_shelf.hpp"
 #include "scenes.hpp"
@@ -61,6 +62,37 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
         EXPECT_LE(device().allocated_bytes(), budget);
         last = scene;
     }
+}
+
+/// What an earlier renderer was asked for is not taken from a later one.
+TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
+    SceneSet scenes(device(), sources, std::uint64_t(1) << 40, no_assets);
+    const auto nothing = [](ScanRenderer&) {};
+    const auto fails = [](ScanRenderer&) { throw DeviceError("planted"); };
+    const SceneSet::Load first = scenes.use(0, {}, nothing);
+    EXPECT_NO_THROW(scenes.use_again(0, first, nothing));
+    EXPECT_THROW(scenes.use(0, {}, fails), DeviceError);
+    EXPECT_THROW(scenes.use_again(0, first, nothing), DeviceError) << "nothing there";
+    const SceneSet::Load second = scenes.use(0, {}, nothing);
+    EXPECT_THROW(scenes.use_again(0, first, nothing), DeviceError) << "another one";
+    EXPECT_NO_THROW(scenes.use_again(0, second, nothing));
+}
+
+/// Copies of a scene, for scans side by side, count as what it holds.
+TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
+    const Forced forced(device(), {.side_by_side = 4});
+    const std::uint64_t around = device().allocated_bytes();
+    std::uint64_t one = 0;
+    const auto side_by_side = [&](std::uint64_t budget) {
+        SceneSet scenes(device(), {sources[0]}, budget, no_assets);
+        one = device().allocated_bytes() - around;
+        int n = 0;
+        scenes.use(0, {}, [&](ScanRenderer& renderer) { n = renderer.side_by_side(); });
+        return n;
+    };
+    EXPECT_EQ(side_by_side(std::uint64_t(1) << 40), 4);
+    EXPECT_EQ(side_by_side(around + 3 * one / 2), 1);
+    EXPECT_EQ(side_by_side(around + 5 * one / 2), 2);
 }
 
 TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {

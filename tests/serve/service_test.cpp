@@ -264,6 +264,41 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
     EXPECT_THAT(seen, testing::ElementsAre("front 8.00", "rear 13.00"));
 }
 
+/// More sensors than go to the device at once, and in their midst one whose scan the host has to make.
+TEST_F(Service, PointsOfARigAreThoseOfEachSensorAlone) {
+    start();
+    v1::RenderRigRequest request;
+    *request.mutable_rig() = standing();
+    request.mutable_rig()->clear_wanted();
+    for (int i = 0; i < 13; ++i) {
+        v1::RigSensor& sensor = *request.add_sensors();
+        sensor.set_name(std::to_string(i));
+        if (i == 3) sensor.mutable_sensor()->set_name("rosette");
+        else *sensor.mutable_sensor()->mutable_spec() = rays_ahead(std::size_t(1 + i % 3));
+        sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(0.5 * i - 5.0);
+    }
+    const auto calls = stub();
+    grpc::ClientContext context;
+    const auto reader = calls->RenderRig(&context, request);
+    int n_read = 0;
+    for (v1::RigScan scan; reader->Read(&scan); ++n_read) {
+        ASSERT_EQ(scan.name(), std::to_string(n_read));
+        const v1::RigSensor& sensor = request.sensors(n_read);
+        v1::RenderLidarRequest alone = request.rig();
+        *alone.mutable_sensor() = sensor.sensor();
+        for (v1::TimedPose& pose : *alone.mutable_path()) {
+            v1::Vector& at = *pose.mutable_pose()->mutable_translation();
+            at.set_x(at.x() + sensor.rig_from_sensor().translation().x());
+        }
+        const v1::LidarScan expected = scan_of(alone);
+        EXPECT_GT(expected.points().xyz_m().size(), 0u) << n_read;
+        EXPECT_EQ(scan.scan().points().xyz_m(), expected.points().xyz_m()) << n_read;
+        EXPECT_EQ(scan.scan().points().intensity(), expected.points().intensity()) << n_read;
+    }
+    EXPECT_TRUE(reader->Finish().ok());
+    EXPECT_EQ(n_read, request.sensors_size());
+}
+
 TEST_F(Service, TellsWhatItServes) {
     start(64, {"small", "other"});
     ScanClient client(address());

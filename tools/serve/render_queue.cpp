@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <utility>
 
 namespace relidar::serve {
 namespace {
@@ -30,6 +31,11 @@ std::optional<RenderQueue::Place> RenderQueue::enter() {
     return Place(this);
 }
 
+void RenderQueue::begin_together(std::size_t n) {
+    const std::lock_guard lock(mutex_);
+    together_ = n;
+}
+
 RenderQueue::Place::~Place() {
     if (!queue_) return;
     const std::lock_guard lock(queue_->mutex_);
@@ -37,7 +43,7 @@ RenderQueue::Place::~Place() {
 }
 
 WorkEnd RenderQueue::Place::run(const std::function<void()>& work, const std::function<bool()>& is_wanted) {
-    return run(WorkInTwo{work, {}, 0}, is_wanted);
+    return run(WorkInTwo{[&](bool) { work(); }, {}, 0}, is_wanted);
 }
 
 WorkEnd RenderQueue::Place::run(const WorkInTwo& work, const std::function<bool()>& is_wanted) {
@@ -59,10 +65,11 @@ void RenderQueue::wait(Job& job, std::unique_lock<std::mutex>& lock) {
     job.changed.wait(lock, [&] { return job.state == Job::State::done || job.state == Job::State::unwanted; });
 }
 
-/// The next job that is wanted; null where none is there.
-RenderQueue::Job* RenderQueue::next() {
+/// The next job that is wanted; null where none is there. @param before  only one that may be begun right after it
+RenderQueue::Job* RenderQueue::next(const Job* before) {
     while (!line_.empty()) {
         Job* job = line_.front();
+        if (before && !(job->work.finish && job->work.kind == before->work.kind)) return nullptr;
         line_.pop_front();
         job->state = job->is_wanted() ? Job::State::runs : Job::State::unwanted;
         job->changed.notify_one();
@@ -72,8 +79,7 @@ RenderQueue::Job* RenderQueue::next() {
 }
 
 /// Does a part of a job, and ends it with the last one, or with what it throws.
-void RenderQueue::do_part(Job& job, const std::function<void()>& part, std::unique_lock<std::mutex>& lock) {
-    const bool is_last = !job.work.finish || &part == &job.work.finish;
+void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last, std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     try {
@@ -88,23 +94,37 @@ void RenderQueue::do_part(Job& job, const std::function<void()>& part, std::uniq
     job.changed.notify_one();
 }
 
+/// Begins a job, and those behind it that go to the device with it. @return those that have not ended
+std::vector<RenderQueue::Job*> RenderQueue::begin(Job* job, std::unique_lock<std::mutex>& lock) {
+    std::vector<Job*> begun;
+    for (std::size_t n = 1; job; ++n) {
+        Job* with_it = job->work.finish && n < together_ ? next(job) : nullptr;
+        do_part(*job, [&] { job->work.begin(!with_it); }, !job->work.finish, lock);
+        if (job->state == Job::State::runs) begun.push_back(job);   // else it has ended, and goes with who waits for it
+        job = with_it;
+    }
+    return begun;
+}
+
+void RenderQueue::finish(const std::vector<Job*>& jobs, std::unique_lock<std::mutex>& lock) {
+    for (Job* job : jobs) do_part(*job, job->work.finish, true, lock);
+}
+
 void RenderQueue::serve() {
     std::unique_lock lock(mutex_);
-    Job* begun = nullptr;   // the device works for it
+    std::vector<Job*> begun;   // the device works for them
     while (true) {
         Job* job = next();
-        if (!job && !begun) {
+        if (!job && begun.empty()) {
             more_.wait(lock, [&] { return closed_ || !line_.empty(); });
             if (line_.empty()) return;
             continue;
         }
-        const bool go_together = job && begun && job->work.finish && job->work.kind == begun->work.kind;
-        if (begun && !go_together) do_part(*begun, begun->work.finish, lock), begun = nullptr;
+        const bool overlap = job && !begun.empty() && job->work.finish && job->work.kind == begun.front()->work.kind;
+        if (!overlap) finish(std::exchange(begun, {}), lock);
         if (!job) continue;
-        do_part(*job, job->work.begin, lock);
-        if (job->state != Job::State::runs) job = nullptr;   // it has ended, and goes with who waits for it
-        if (begun) do_part(*begun, begun->work.finish, lock);
-        begun = job;
+        const std::vector<Job*> next_ones = begin(job, lock);
+        finish(std::exchange(begun, next_ones), lock);
     }
 }
 

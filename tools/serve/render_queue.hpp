@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <thread>
+#include <vector>
 
 namespace relidar::serve {
 
@@ -17,7 +18,8 @@ enum class WorkEnd { done, unwanted };
 
 /// Work that has a device do something, and goes on when that is done. While the device is busy with one, the next of its kind is begun.
 struct WorkInTwo {
-    std::function<void()> begin, finish;
+    std::function<void(bool is_last)> begin;   ///< is_last: no other of its kind is begun right after it, to go to the device with it
+    std::function<void()> finish;
     std::size_t kind = 0;   ///< of work that may be begun while other work of its kind is not finished
 };
 
@@ -52,6 +54,8 @@ public:
     /// Nothing where all places are taken.
     std::optional<Place> enter();
     std::size_t places() const { return places_; }
+    /// From now on so many pieces of work of one kind are begun before any of them is finished, where so many wait; at first 1.
+    void begin_together(std::size_t n);
 
 private:
     struct Job {
@@ -66,13 +70,15 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::deque<Job*> line_;   ///< those that wait; each lives on the stack of who waits for it
-    std::size_t taken_ = 0;
+    std::size_t taken_ = 0, together_ = 1;
     bool closed_ = false;
     std::thread thread_;
 
     void serve();
-    Job* next();
-    void do_part(Job& job, const std::function<void()>& part, std::unique_lock<std::mutex>& lock);
+    Job* next(const Job* before = nullptr);
+    std::vector<Job*> begin(Job* job, std::unique_lock<std::mutex>& lock);
+    void finish(const std::vector<Job*>& jobs, std::unique_lock<std::mutex>& lock);
+    void do_part(Job& job, const std::function<void()>& part, bool is_last, std::unique_lock<std::mutex>& lock);
     void wait(Job& job, std::unique_lock<std::mutex>& lock);
 };
 

@@ -2,6 +2,7 @@
 #include "render_work.hpp"
 
 #include <chrono>
+#include <exception>
 #include <functional>
 
 #include <fmt/format.h>
@@ -21,9 +22,9 @@ double ms_between(Clock::time_point begin, Clock::time_point end) { return std::
 bool is_late(const grpc::ServerContext& context) { return std::chrono::system_clock::now() >= context.deadline(); }
 
 /// What a scene's renderer does for a request, which has been looked at: the run's folder is at fault where it fails.
-void use(SceneSet& scenes, const WantedScan& wanted, const std::function<void(ScanRenderer&)>& work) {
+SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted, const std::function<void(ScanRenderer&)>& work) {
     try {
-        scenes.use(wanted.scene, wanted.weather, work);
+        return scenes.use(wanted.scene, wanted.weather, work);
     } catch (const DataError& error) {
         throw Refusal(grpc::StatusCode::INTERNAL, error.what());
     }
@@ -31,17 +32,14 @@ void use(SceneSet& scenes, const WantedScan& wanted, const std::function<void(Sc
 
 /// Has a scan made on the queue's thread. @param finish  none: the work has one part
 template <class Scan>
-Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context, const std::function<void(Scan&)>& begin,
+Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context, const std::function<void(Scan&, bool is_last)>& begin,
                   const std::function<void(Scan&)>& finish = {}, std::size_t kind = 0) {
     const Clock::time_point asked = Clock::now();
     Clock::time_point begun = asked;
     Timed<Scan> result;
-    const auto part = [&](const std::function<void(Scan&)>& work) {
-        work(result.scan);
-        result.rendered_ms = ms_between(begun, Clock::now());
-    };
-    WorkInTwo work{[&] { begun = Clock::now(), part(begin); }, {}, kind};
-    if (finish) work.finish = [&] { part(finish); };
+    const auto take_time = [&] { result.rendered_ms = ms_between(begun, Clock::now()); };
+    WorkInTwo work{[&](bool is_last) { begun = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
+    if (finish) work.finish = [&] { finish(result.scan), take_time(); };
     const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
     if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
     result.queued_ms = ms_between(asked, begun);
@@ -67,21 +65,38 @@ RenderQueue::Place enter(RenderQueue& queue) {
 }
 
 Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    return timed<RenderedScan>(place, context, [&](RenderedScan& scan) {
+    return timed<RenderedScan>(place, context, [&](RenderedScan& scan, bool) {
         use(scenes, wanted, [&](ScanRenderer& renderer) { scan = renderer.render(*wanted.sensor, wanted.request, wanted.sample); });
     });
 }
 
-Timed<PointScan> render_points(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
-    const auto begin = [&](PointScan&) {
-        use(scenes, wanted, [&](ScanRenderer& renderer) {
-            renderer.ask_points(*wanted.sensor, wanted.request, wanted.points_at_s, wanted.sample);
+Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes, std::span<const WantedScan> wanted,
+                                            const grpc::ServerContext& context) {
+    using Send = ScanRenderer::Send;
+    std::size_t n_asked = 0;
+    SceneSet::Load load{};
+    std::exception_ptr failure;   // told when those before it have been taken: their places in the renderer's line are theirs
+    const auto begin = [&](std::vector<PointScan>&, bool is_last) {
+        try {
+            for (const WantedScan& scan : wanted) {
+                load = use(scenes, scan, [&](ScanRenderer& renderer) {
+                    const Send when = is_last && &scan == &wanted.back() ? Send::now : Send::with_next;
+                    renderer.ask_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
+                });
+                ++n_asked;
+            }
+        } catch (...) {
+            if (n_asked == 0) throw;
+            failure = std::current_exception();
+        }
+    };
+    const auto finish = [&](std::vector<PointScan>& scans) {
+        scenes.use_again(wanted.front().scene, load, [&](ScanRenderer& renderer) {
+            while (scans.size() < n_asked) scans.push_back(renderer.take_points());
         });
+        if (failure) std::rethrow_exception(failure);
     };
-    const auto finish = [&](PointScan& scan) {
-        scenes.use_again(wanted.scene, [&](ScanRenderer& renderer) { scan = renderer.take_points(); });
-    };
-    return timed<PointScan>(place, context, begin, finish, wanted.scene);
+    return timed<std::vector<PointScan>>(place, context, begin, finish, wanted.front().scene);
 }
 
 }  // namespace relidar::serve

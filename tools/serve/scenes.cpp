@@ -53,7 +53,7 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     }
 }
 
-void SceneSet::use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work) {
+SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work) {
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
@@ -64,10 +64,11 @@ void SceneSet::use(std::size_t scene, const std::optional<Weather>& weather, con
         work(renderer);
     });
     make_room(scene, 0);   // arrays grow with the rays of a sensor
+    return loaded_[scene].load;
 }
 
-void SceneSet::use_again(std::size_t scene, const std::function<void(ScanRenderer&)>& work) {
-    if (!loaded_[scene].renderer)
+void SceneSet::use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work) {
+    if (!loaded_[scene].renderer || loaded_[scene].load != load)
         throw DeviceError(fmt::format("rendering a scan of {}: found the scene lost by the request after it, expected it to stay",
                                       sources_[scene].name));
     attempt(scene, work);
@@ -86,10 +87,15 @@ void SceneSet::load(std::size_t scene, const Run& run) {
     Loaded& loaded = loaded_[scene];
     loaded.bytes = 0;
     loaded.used = ++clock_;
+    loaded.load = Load(std::uint64_t(loaded.load) + 1);
     count_growth(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         loaded.renderer->render(one_ray(), first_pose(run));
     });
+    const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
+    const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);   // none in the place of another scene
+    const int side_by_side = loaded.renderer->side_by_side();
+    loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
 /// The run as it is now, with the actors that clients have put into it.

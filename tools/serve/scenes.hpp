@@ -35,11 +35,13 @@ public:
     /// @throws Refusal where a name is taken or an asset does not fit, and where the device's memory does not do: nothing has changed then
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
 
+    /// Number of times that a scene had been loaded: later ones do not know what an earlier one was asked for.
+    enum class Load : std::uint64_t {};
     /// Has a scene's renderer do something; loads the scene where it is not there. @param scene  index into outlines()
     /// @param weather  none: that of its source
-    void use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work);
+    Load use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work);
     /// Has it do what is left of that, before another scene is used. @throws DeviceError where it was lost in between
-    void use_again(std::size_t scene, const std::function<void(ScanRenderer&)>& work);
+    void use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
 
     /// Whether its surfels are on the device now.
     bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
@@ -49,6 +51,7 @@ private:
         std::unique_ptr<ScanRenderer> renderer;   ///< null where it is not loaded
         std::uint64_t bytes = 0;                  ///< on the device, when it was there last
         std::uint64_t used = 0;                   ///< by a clock that counts uses
+        Load load{};                              ///< the last one
         std::size_t n_places = 0;                 ///< of spawned actors, that it was loaded with
     };
 

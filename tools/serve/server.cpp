@@ -17,6 +17,7 @@
 #include <relidar/error.hpp>
 
 #include "asset_shelf.hpp"
+#include "render_work.hpp"
 #include "sensorsim_service.hpp"
 #include "service.hpp"
 
@@ -108,6 +109,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
         impl_->device.emplace(options.device);
         impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device), *impl_->assets);
     });
+    if (ScanRenderer::default_side_by_side(*impl_->device) > 1) impl_->queue.begin_together(kCallsTogether);
     impl_->service.emplace(impl_->queue, *impl_->scenes);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->listen(options);

@@ -18,32 +18,39 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
     return names;
 }
 
-/// Whether an answer is points and nothing that a PointScan lacks: images, channels, second returns.
-bool points_are_all(const WantedScan& wanted, const Config& config, const Weather& weather) {
-    const SensorChoice& sensor = *wanted.sensor;
-    return wanted.points && !wanted.range_image && !wanted.drop_probability && config.render.channels.empty() &&
-           wanted.weather.value_or(weather).clear() && std::max(sensor.returns, config.sensor.returns) < 2 && sensor.rays.size() > 0;
+template <class Scan>
+void tell_times(const Timed<Scan>& timed, v1::LidarScan& answer) {
+    answer.set_queued_ms(timed.queued_ms);
+    answer.set_rendered_ms(timed.rendered_ms);
 }
 
 }  // namespace
 
+/// Whether an answer is points and nothing that a PointScan lacks: images, channels, second returns.
+bool RenderService::points_are_all(const WantedScan& wanted) const {
+    const Config& config = scenes_.outlines()[wanted.scene].config;
+    const SensorChoice& sensor = *wanted.sensor;
+    return wanted.points && !wanted.range_image && !wanted.drop_probability && config.render.channels.empty() &&
+           wanted.weather.value_or(scenes_.sources()[wanted.scene].weather).clear() &&
+           std::max(sensor.returns, config.sensor.returns) < 2 && sensor.rays.size() > 0;
+}
+
 void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
                            v1::LidarScan& answer) {
-    const Config& config = scenes_.outlines()[wanted.scene].config;
-    const auto tell_times = [&](const auto& timed) {
-        answer.set_queued_ms(timed.queued_ms);
-        answer.set_rendered_ms(timed.rendered_ms);
-    };
-    if (points_are_all(wanted, config, scenes_.sources()[wanted.scene].weather)) {
-        const Timed<PointScan> timed = render_points(place, scenes_, wanted, context);
-        write_scan(timed.scan, wanted, answer);
-        write_sparse_actors(wanted, {wanted.sensor->rays.origin, wanted.sensor->rays.direction}, answer);
-        return tell_times(timed);
-    }
     const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
-    write_scan(timed.scan, wanted, config, answer);
+    write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
     write_sparse_actors(wanted, {timed.scan.image.origin, timed.scan.image.direction}, answer);
-    tell_times(timed);
+    tell_times(timed, answer);
+}
+
+void RenderService::render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted, const grpc::ServerContext& context,
+                                  std::span<v1::LidarScan* const> answers) {
+    const Timed<std::vector<PointScan>> timed = serve::render_points(place, scenes_, wanted, context);
+    for (std::size_t i = 0; i < wanted.size(); ++i) {
+        write_scan(timed.scan[i], wanted[i], *answers[i]);
+        write_sparse_actors(wanted[i], {wanted[i].sensor->rays.origin, wanted[i].sensor->rays.direction}, *answers[i]);
+        tell_times(timed, *answers[i]);
+    }
 }
 
 grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse* answer) {
@@ -107,7 +114,9 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
 grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) {
     return answered([&] {
         RenderQueue::Place place = enter(queue_);
-        render(place, reader_.read(*request), *context, *answer);
+        const WantedScan wanted = reader_.read(*request);
+        if (points_are_all(wanted)) render_points(place, {&wanted, 1}, *context, {&answer, 1});
+        else render(place, wanted, *context, *answer);
     });
 }
 
@@ -116,11 +125,19 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
     return answered([&] {
         RenderQueue::Place place = enter(queue_);   // for all of them: a rig that has begun is not turned away in the middle
         const std::vector<WantedScan> wanted = reader_.read(*request);
-        for (std::size_t i = 0; i < wanted.size(); ++i) {
-            v1::RigScan scan;
-            scan.set_name(request->sensors(int(i)).name());
-            render(place, wanted[i], *context, *scan.mutable_scan());
-            if (!writer->Write(scan)) give_up(*context);
+        for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {
+            for (n = 0; n < kMostAtOnce && first + n < wanted.size() && points_are_all(wanted[first + n]);) ++n;
+            const bool of_points = n > 0;
+            n = std::max<std::size_t>(n, 1);
+            std::vector<v1::RigScan> scans(n);
+            std::vector<v1::LidarScan*> answers;
+            for (v1::RigScan& scan : scans) answers.push_back(scan.mutable_scan());
+            if (of_points) render_points(place, std::span(wanted).subspan(first, n), *context, answers);
+            else render(place, wanted[first], *context, *answers.front());
+            for (std::size_t i = 0; i < n; ++i) {
+                scans[i].set_name(request->sensors(int(first + i)).name());
+                if (!writer->Write(scans[i])) give_up(*context);
+            }
         }
     });
 }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <functional>
+#include <span>
 
 #include "refusal.hpp"
 #include "relidar/v1/render.grpc.pb.h"
@@ -34,7 +35,10 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
+    bool points_are_all(const WantedScan& wanted) const;
     void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context, v1::LidarScan& answer);
+    void render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted, const grpc::ServerContext& context,
+                       std::span<v1::LidarScan* const> answers);
 };
 
 }  // namespace relidar::serve

@@ -20,9 +20,10 @@ std::optional<double> copy_bytes_per_s(Device& device);
 struct ForcedWays {
     bool brute_force = false;                              ///< rays test every surfel in the place of a search
     std::optional<bool> coalesces = std::nullopt;          ///< threads beside each other read floats beside each other, as GPUs want it
+    std::optional<int> side_by_side = std::nullopt;        ///< see ScanRenderer::side_by_side()
 };
 
-/// While it lives, kernels that are made on a device are made so.
+/// While it lives, what is made on a device is made so.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

@@ -100,7 +100,8 @@ public:
 template <class T, class Meaning>
 Address<T, Meaning> address_of(const Array<T, Meaning>* array) { return array ? array->address() : Address<T, Meaning>(); }
 
-/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of the same Concurrent scope or of other Strands.
+/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of those in its Concurrent scope or in other
+/// Strands.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);

@@ -138,6 +138,10 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
     command.add_option("--scans", options.scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
         ->type_name("N");
     command
+        .add_option("--together", options.scans.together,
+                    "so many scans of --scans go to the device at once; a GPU renders them side by side (default: all of a rig, else 1)")
+        ->type_name("N");
+    command
         .add_option("--steps", options.n_steps,
                     "time so many steps of training on from --run instead, on its own batches, and what lies between their kernels")
         ->type_name("N");
@@ -146,8 +150,10 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
     command.add_option("--serve", service.address, "time calls of a running `relidar serve` at this address instead")
         ->type_name("HOST:PORT");
     command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")->type_name("NAME");
-    command.add_option("--sensor", service.sensor, "of these scans: one of `relidar sensors`, as HDL-32E:512x10 (default: the log's own)")
-        ->type_name("NAME");
+    command
+        .add_option("--sensor", service.sensor,
+                    "of these scans: one of `relidar sensors`, as HDL-32E:512x10, or with --scans a rig (default: the log's own)")
+        ->type_name("NAME|RIG.json");
     command.add_option("--clients", service.clients, "that call at the same time (default: 1)")->type_name("N");
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
@@ -202,6 +208,7 @@ void add_bench(CLI::App& app, Call& call) {
         "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
         "  relidar bench --run run --repeat 50\n"
         "  relidar bench --run run --scans 100\n"
+        "  relidar bench --run run --scans 400 --sensor rig.json\n"
         "  relidar bench --run run --steps 100\n"
         "  relidar bench --keep-hits 0 --deterministic\n"
         "  relidar bench --actors 1,1000\n"

@@ -14,26 +14,42 @@
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>
 #include <relidar/run.hpp>
+#include <relidar/sensor_files.hpp>
 
 namespace relidar::cli {
 namespace {
 
 constexpr int kMostInOneGo = 1'000'000;
+constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;   // the device has work while others are taken
 
-/// The log's own way, and moments on it.
+/// A sensor, or those of a rig in turn, on the log's own way.
 class Drive {
 public:
-    Drive(const Run& run, int n_scans)
-        : track_(shifted_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m)),
-          first_s_(track_.time_s.front()),
-          last_s_(track_.time_s.back()),
-          n_(n_scans) {}
-    ScanRequest at(int scan) const { return {first_s_ + (last_s_ - first_s_) * (scan + 0.5) / n_, track_}; }
+    Drive(const Run& run, const ScanBench& bench) {
+        const PoseTrack log = shifted_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
+        first_s_ = log.time_s.front(), last_s_ = log.time_s.back();
+        if (const auto rig = find_rig(bench.sensor)) {
+            for (const MountedSensor& mounted : *rig) {
+                sensors_.push_back(sensor_choice(mounted.sensor));
+                tracks_.push_back(moved_track(with_fine_turns(log), mounted.rig_from_sensor));
+            }
+        } else {
+            sensors_.push_back(choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence));
+            tracks_.push_back(log);
+        }
+        n_moments_ = (bench.n_scans - 1) / n_sensors() + 1;
+    }
+    int n_sensors() const { return int(sensors_.size()); }
+    const SensorChoice& sensor(int scan) const { return sensors_[std::size_t(scan % n_sensors())]; }
+    ScanRequest at(int scan) const {
+        return {first_s_ + (last_s_ - first_s_) * (scan / n_sensors() + 0.5) / n_moments_, tracks_[std::size_t(scan % n_sensors())]};
+    }
 
 private:
-    PoseTrack track_;
+    std::vector<SensorChoice> sensors_;
+    std::vector<PoseTrack> tracks_;
     double first_s_, last_s_;
-    int n_;
+    int n_moments_;
 };
 
 double kernel_ms(const KernelTimes& times) {
@@ -52,31 +68,47 @@ double thread_ms() {
 }  // namespace
 
 ScanTimes measure_scans(Device& device, const ScanBench& bench) {
+    using Send = ScanRenderer::Send;
     if (bench.n_scans < 1 || bench.n_scans > kMostInOneGo)
         throw UsageError(fmt::format("--scans: found {}, expected 1 to {}", bench.n_scans, kMostInOneGo));
+    if (bench.together < 0 || bench.together > kMostTogether)
+        throw UsageError(fmt::format("--together: found {}, expected 1 to {}", bench.together, kMostTogether));
     const Run run = load_run(bench.run);
-    const SensorChoice sensor = choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence);
     ScanRenderer renderer(device, run);
-    const Drive drive(run, bench.n_scans);
-    const auto ask = [&](int scan) {
-        const ScanRequest request = drive.at(scan);
-        renderer.ask_points(sensor, request, request.time_s, bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt);
+    const Drive drive(run, bench);
+    const int together = std::min(bench.together ? bench.together : drive.n_sensors(), std::min(kMostTogether, bench.n_scans));
+    const auto ask = [&](int first) {
+        const int end = std::min(first + together, bench.n_scans);
+        for (int scan = first; scan < end; ++scan) {
+            const ScanRequest request = drive.at(scan);
+            renderer.ask_points(drive.sensor(scan), request, request.time_s,
+                                bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
+                                scan + 1 < end ? Send::with_next : Send::now);
+        }
+        return end - first;
     };
-    ask(0);
-    ScanTimes result{.sensor = sensor.name, .n_scans = bench.n_scans, .rays = renderer.take_points().n_rays};
+    for (int n = ask(0); n > 0; --n) renderer.take_points();   // finds memory
+    ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
+                     .n_scans = bench.n_scans,
+                     .together = together,
+                     .side_by_side = std::min(together, renderer.side_by_side())};
     const double kernels_before_ms = kernel_ms(renderer.times());
     std::vector<double> scan_ms;
     const auto start = std::chrono::steady_clock::now();
     const double thread_begun_ms = thread_ms();
     PointScan scan;
-    ask(0);
-    for (int i = 0; i < bench.n_scans; ++i) {
+    for (int first = 0, n_asked = ask(0); n_asked > 0;) {
         stop_if_interrupted();
         const auto begun = std::chrono::steady_clock::now();
-        if (i + 1 < bench.n_scans) ask(i + 1);   // the device has work while the points of this one are taken
-        scan = renderer.take_points(std::move(scan.points));
-        result.points += double(scan.points.size()) / bench.n_scans;
-        scan_ms.push_back(ms_since(begun));
+        const int n_taken = n_asked;
+        first += n_taken;
+        n_asked = first < bench.n_scans ? ask(first) : 0;   // the device has work while the points of these are taken
+        for (int i = 0; i < n_taken; ++i) {
+            scan = renderer.take_points(std::move(scan.points));
+            result.points += double(scan.points.size()) / bench.n_scans;
+            result.rays += double(scan.n_rays) / bench.n_scans;
+        }
+        scan_ms.push_back(ms_since(begun) / n_taken);
     }
     result.host_ms = (thread_ms() - thread_begun_ms) / bench.n_scans;
     result.scans_per_s = 1e3 * bench.n_scans / ms_since(start);
@@ -86,16 +118,19 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
 }
 
 std::string scans_text(const ScanTimes& t) {
-    return fmt::format("{}: {} scans of {} rays, {:.0f} points each\n"
+    return fmt::format("{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
                        "{:.1f} scans/s, {:.2f} ms a scan (median), of it kernels {:.2f}; the thread that asks works {:.2f}\n",
-                       t.sensor, t.n_scans, t.rays, t.points, t.scans_per_s, t.scan_ms, t.device_ms, t.host_ms);
+                       t.sensor, t.n_scans, t.rays, t.points,
+                       t.together > 1 ? fmt::format(", {} sent at once, {} side by side", t.together, t.side_by_side) : "", t.scans_per_s,
+                       t.scan_ms, t.device_ms, t.host_ms);
 }
 
 std::string scans_json(const ScanTimes& t, const Device& device, const std::string& command_line) {
     const nlohmann::ordered_json json = {{"format", "relidar bench scans"}, {"version", 1},
                                          {"relidar", RELIDAR_VERSION},      {"command", command_line},
                                          {"device", device.info().name},    {"sensor", t.sensor},
-                                         {"scans", t.n_scans},              {"rays", t.rays},
+                                         {"scans", t.n_scans},              {"together", t.together},
+                                         {"side_by_side", t.side_by_side},  {"rays", t.rays},
                                          {"points", t.points},              {"scans_per_s", t.scans_per_s},
                                          {"scan_ms", t.scan_ms},            {"kernels_ms", t.device_ms},
                                          {"host_ms", t.host_ms}};
