@@ -166,11 +166,13 @@ if wants bench; then bench; fi
 if wants suites; then suites gpu:60 scene:90 loss:60 optimizer:60 densify:90 refine:90 render:60 train:400; fi
 if wants demo; then
     step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
-    # What a simulation gets from its run, and what a step of training costs there, kernel by kernel.
-    for part in scans:200 steps:50; do
+    # What a simulation gets from its run, one by one and side by side, and what a step of training costs there, kernel by kernel.
+    for part in "scans --scans 200" "together --scans 200 --together 4" "steps --steps 50"; do
         [[ -d $out/demo/run ]] || continue
-        step "run_${part%:*}" 60 "$relidar" bench --run "$out/demo/run" "--${part%:*}" "${part#*:}" --json "$out/run_${part%:*}.json" "${options[@]}" &&
-            tail -n 40 "$out/run_${part%:*}.log" || true
+        read -r -a words <<<"$part"
+        name=run_${words[0]}
+        step "$name" 60 "$relidar" bench --run "$out/demo/run" "${words[@]:1}" --json "$out/$name.json" "${options[@]}" &&
+            tail -n 40 "$out/$name.log" || true
     done
     rm -rf "$out/demo"   # the scans and pictures; its table is in the log
 fi
