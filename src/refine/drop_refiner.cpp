@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Asking a trained network.
+#include <algorithm>
+#include <list>
 #include <optional>
 
 #include <fmt/format.h>
@@ -44,25 +46,53 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
     const refine::DropLoss loss(device, 1, storage);
 }
 
-struct DropPass::Impl {
-    Device& device;
-    DropNetwork network;
+namespace {
+
+/// The network with room for images of one shape.
+struct ShapedNetwork {
+    refine::Grid grid{};
     refine::DropInputs inputs;
     refine::Unet unet;
-    std::optional<refine::DropLoss> loss;
-    Array<float, shared::DropProbabilities> probability;
-    refine::Grid grid{};   ///< of the last image
+    std::optional<refine::DropLoss> loss = {};
+    Array<float, shared::DropProbabilities> probability = {};
 
-    Impl(Device& d, const DropNetwork& n, refine::Precision precision)
-        : device(d), network(checked(n)), inputs(d, n), unet(d, n, precision) {}
+    ShapedNetwork(Device& device, const DropNetwork& network, refine::Precision precision)
+        : inputs(device, network), unet(device, network, precision) {}
 
-    void reserve(Stream& stream, const refine::Grid& of_image) {
-        if (loss && of_image.rows == grid.rows && of_image.columns == grid.columns) return;
-        stream.finish();   // what is there may be in use
+    void reserve(Device& device, const refine::Grid& of_image) {
         grid = of_image;
         unet.reserve(device, grid, false);
         probability = {device, grid.pixels(), "drop probabilities"};
         loss.emplace(device, grid.pixels());
+    }
+};
+
+}  // namespace
+
+struct DropPass::Impl {
+    static constexpr std::size_t kShapes = 2;   // kept: a rig's large sensor and its small ones are rendered by turns
+
+    Device& device;
+    DropNetwork network;
+    refine::Precision precision;
+    std::list<ShapedNetwork> shaped;   ///< the one used last first
+
+    Impl(Device& d, const DropNetwork& n, refine::Precision p) : device(d), network(checked(n)), precision(p) {
+        shaped.emplace_front(device, network, precision);
+    }
+
+    ShapedNetwork& network_for(Stream& stream, const refine::Grid& image) {
+        auto place = std::ranges::find(shaped, image, &ShapedNetwork::grid);
+        const bool is_new = place == shaped.end();
+        if (is_new) place = std::ranges::find(shaped, refine::Grid{}, &ShapedNetwork::grid);
+        if (place == shaped.end() && shaped.size() < kShapes) place = shaped.emplace(shaped.end(), device, network, precision);
+        if (place == shaped.end()) {
+            stream.finish();   // what is there may be in use
+            --place;
+        }
+        shaped.splice(shaped.begin(), shaped, place);
+        if (is_new) place->reserve(device, image);
+        return *place;
     }
 };
 
@@ -79,16 +109,16 @@ const Array<float, shared::DropProbabilities>& DropPass::run(Stream& stream, int
         throw DataError(fmt::format("refining ray-drop: found {} x {} pixels, expected at least {} of each", rows, columns, side));
     const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
-    r.reserve(stream, grid);
+    ShapedNetwork& shaped = r.network_for(stream, grid);
     const refine::DropInputs::Chosen whole{};
-    r.inputs.make(stream, {&whole, 1}, channels.address(), r.unet.inputs());
-    r.unet.evaluate(stream);
-    r.loss->run(stream, grid.pixels(),
-                {.logit = r.unet.logit().address().as<shared::DropLogits>(),
-                 .start = r.network.residual ? r.inputs.start().address() : Address<float, shared::StartLogits>(),
-                 .probability = r.probability.address()},
-                0);
-    return r.probability;
+    shaped.inputs.make(stream, {&whole, 1}, channels.address(), shaped.unet.inputs());
+    shaped.unet.evaluate(stream);
+    shaped.loss->run(stream, grid.pixels(),
+                     {.logit = shaped.unet.logit().address().as<shared::DropLogits>(),
+                      .start = r.network.residual ? shaped.inputs.start().address() : Address<float, shared::StartLogits>(),
+                      .probability = shaped.probability.address()},
+                     0);
+    return shaped.probability;
 }
 
 struct DropRefiner::Impl {

@@ -66,6 +66,9 @@ TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
     EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);   // 0.7 by always saying "returned"
     EXPECT_GT(accuracy_of(refiner.refine(larger), larger), 0.97);
     EXPECT_EQ(refiner.refine(larger), refiner.refine(larger));
+    const DropImage shapes[] = {seen_first_now, larger, dark_neighbours(20, 50, options, 97)};   // more than it keeps room for
+    for (const int which : {0, 1, 0, 2, 1, 2, 0})
+        EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which])) << which;
 }
 
 TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {

@@ -11,6 +11,7 @@
 #include <relidar/render.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/context.hpp"
 
 namespace relidar {
 namespace {
@@ -250,6 +251,14 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
         ask_together(beside);
         for (const PointScan& scan_expected : expected_beside) expect_equal(renderer->take_points(), scan_expected, "refined side by side");
     }
+    renderer->side_by_side(1);
+    std::vector<std::uint64_t> buffers;
+    for (int round = 0; round < 3; ++round) {   // one network has images of two shapes by turns
+        expect_equal(alone(beside[2]), expected_beside[2], "by turns");
+        expect_equal(alone(beside[3]), expected_beside[3], "by turns");
+        buffers.push_back(impl_of(device()).n_buffers);
+    }
+    EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
 TEST_F(Points, HaveTheStepsOfTheLog) {

@@ -24,7 +24,7 @@ public:
 
     const DropNetwork& network() const;
     /// Records a pass over one image. @param channels [network().inputs, rows, columns] as DropImage::channels
-    /// @return [rows, columns] drop probabilities, there until an image of another shape
+    /// @return [rows, columns] drop probabilities, there until an image of a third shape
     /// @throws DataError for an image smaller than network().smallest_side()
     const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,
                                                        const Array<float, shared::DropSamples>& channels);
