@@ -2,7 +2,7 @@
 // Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward pass kept, front to back, and adds the
 // gradient of every hit to its surfel's record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
 // Input: scene, rendered, upstream, kept, geometry, d_geometry, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit).
-// Output: d_rays, hits, rows.
+// Output: touched, d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and is right. The background needs no term
 // of its own: it is in the final value that Eq. 9 subtracts from.
 #version 460
@@ -56,6 +56,7 @@ struct BlendedHit {
 uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     InstanceEntry m = scene.instances.at[b.instance];
     uint row = b.surfel - m.first_surfel + m.first_row;
+    if (!is_null(params.touched)) params.touched.at[b.surfel] = 1u;
     float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);   // Eq. 9
     bool recorded = GATHER != 0u && b.slot < params.capacity;
     if (recorded) {

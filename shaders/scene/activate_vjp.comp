@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameter gradients from record gradients: the chain rule of activate.comp, once a frame instead of once a hit (docs/method.md
-// section 4, reduction a). One thread a surfel of any model.
-// Input: surfels, d_records, models, more_rows, view_origins, phases. Output: d_surfels (sh only where SH are evaluated a surfel),
-// touched, d_view.
+// section 4, reduction a). One thread a surfel of any model; with a list (list_touched.comp) only of those that may have a gradient, which
+// is for CPUs: lanes without one cost as much as the others.
+// Input: surfels, d_records, models, more_rows, view_origins, phases, rows, n_listed. Output: d_surfels (sh only where SH are evaluated a
+// surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
@@ -96,10 +97,8 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
-void main() {
-    uint surfel = thread_index();
-    bool is_surfel = surfel < params.n_surfels;
-    if (!STAGED && !is_surfel) return;   // else its threads move rows of others
+/// Every thread of the workgroup must call it where harmonics are staged.
+void chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];
     bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
@@ -123,4 +122,17 @@ void main() {
         if (params.zero_untouched != 0u) store_zero(surfel);
         store_view(surfel, vec3(0.0));
     }
+}
+
+void main() {
+    uint i = thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
+    if (STAGED) {
+        chain_rule(i, i < n);   // threads without a surfel move rows of others
+        return;
+    }
+    if (i >= n) return;
+    do {
+        chain_rule(is_null(params.rows) ? i : params.rows.at[i], true);
+        i += thread_count();
+    } while (i < n);
 }

@@ -24,6 +24,7 @@ struct BackwardParams {
     RayGradients upstream;                           // input [n_rays]
     RELIDAR_OF(Floats, RecordGradients) d_records;   // accumulated [n_rows,16], rows as InstanceEntry counts them
     RELIDAR_OF(Floats, Harmonics) d_sh;              // accumulated [n,3,16], where SH are evaluated a hit
+    RELIDAR_OF(Uints, TouchedSurfels) touched;       // output [n] 1 at surfels that a hit with a gradient is of, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;   // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Uints, FirstHits) first_hit;          // input [n_rays] slot of each ray's first hit (gather)
     HitRecords hits;                                 // output [capacity] (gather)

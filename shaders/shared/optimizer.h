@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam over one parameter group, and the rows that it is made for.
+// Adam over one parameter group.
 #ifndef RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
 #include "relidar/shared/surfels.h"
-
-#define RELIDAR_LIST_STRETCH 16u   // rows of a thread of optimizer/list_touched
 
 RELIDAR_SHARED_BEGIN
 
@@ -34,13 +32,6 @@ struct AdamParams {
     uint block;                                    // columns a block: column 0 of each block has its own rate
     uint n_blocks;                                 // of a row
     uint n_active;                                 // columns updated in each block, the first ones
-};
-
-struct ListTouchedParams {
-    RELIDAR_OF(Uints, TouchedSurfels) touched;   // input [n_rows] 0 or 1
-    RELIDAR_OF(Uints, TouchedRows) rows;         // output [n_rows] at most
-    RELIDAR_OF(Uints, TouchedCount) count;       // in place [1], 0 before
-    uint n_rows;
 };
 
 RELIDAR_SHARED_END

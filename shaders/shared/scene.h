@@ -5,6 +5,8 @@
 #define RELIDAR_INCLUDED_SHARED_SCENE_H
 #include "relidar/shared/surfels.h"
 
+#define RELIDAR_LIST_STRETCH 16u   // rows of a thread of scene/list_touched
+
 RELIDAR_SHARED_BEGIN
 
 /// Parameters, gradients or moments of all surfels: one array a group.
@@ -41,7 +43,9 @@ struct ActivateVjpParams {
     Vec3s view_origins;                              // input [n_models] as of the activation
     RELIDAR_OF(Floats, GaitPhases) phases;           // input [n_models] as of the activation
     SurfelPointers d_surfels;                        // output; sh is accumulated where SH are evaluated a hit
-    RELIDAR_OF(Uints, TouchedSurfels) touched;       // output [n] 1 where any record gradient is not zero
+    RELIDAR_OF(Uints, TouchedSurfels) touched;       // output [n] 1 where any record gradient is not zero; of listed surfels alone
+    RELIDAR_OF(Uints, TouchedRows) rows;             // input [n_listed] the surfels that may have a gradient, or address 0 = all
+    RELIDAR_OF(Uints, TouchedCount) n_listed;        // input [1]
     // output [n,3] dL/d(view origin) by way of each surfel (SH a surfel only), or address 0
     RELIDAR_OF(Floats, ViewGradients) d_view;
     uint n_surfels;
@@ -49,6 +53,14 @@ struct ActivateVjpParams {
     uint sh_degree;
     uint sh_per_surfel;
     uint zero_untouched;                             // 1: write zeros where touched is 0
+};
+
+/// Numbers of rows (scene/list_touched.comp).
+struct ListTouchedParams {
+    RELIDAR_OF(Uints, TouchedSurfels) touched;   // input [n_rows] 0 or 1
+    RELIDAR_OF(Uints, TouchedRows) rows;         // output [n_rows] at most
+    RELIDAR_OF(Uints, TouchedCount) count;       // in place [1], 0 before
+    uint n_rows;
 };
 
 RELIDAR_SHARED_END

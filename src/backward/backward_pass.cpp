@@ -89,13 +89,14 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
-    const bool wants_poses = gradients.poses.size() > 0;
+    const bool wants_poses = gradients.poses.size() > 0, lists = scene.lists_touched() && !gradients.zero_untouched;
     shared::BackwardParams params{};
     params.scene = trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
     params.d_sh = gradients.surfels.sh.address();
+    if (lists) params.touched = gradients.touched.address();
     params.d_rays = gradients.rays.address();
     if (batch.kept) {
         RELIDAR_ASSERT_EQ(batch.kept->hold(batch.rays), true);
@@ -117,6 +118,8 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         const Concurrent zeros(stream);
         stream.fill(gradients.records);
         if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
+        if (lists) stream.fill(gradients.touched);
+        if (lists && wants_poses) stream.fill(gradients.pose_sums->d_view);
     }
     relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->run(stream, params);
@@ -125,7 +128,8 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
                         .d_surfels = &gradients.surfels,
                         .touched = &gradients.touched,
                         .d_view = wants_poses ? &gradients.pose_sums->d_view : nullptr,
-                        .zero_untouched = gradients.zero_untouched});
+                        .zero_untouched = gradients.zero_untouched,
+                        .touched_is_marked = lists});
     if (wants_poses) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of optimizer/adam, one launch a parameter group, and of optimizer/list_touched.
+// Binding of optimizer/adam, one launch a parameter group.
 #include <relidar/stages/optimizer.hpp>
 
 #include <algorithm>
@@ -23,36 +23,10 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 namespace {
 
 constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
-// at most, where the device alone knows how many rows there are; on a CPU few, so that each of its threads has as much to do
-constexpr std::size_t kListThreads = 1 << 17, kListThreadsOfCpu = 1 << 12;
 
 std::vector<Constant> adam_constants(bool per_float) {
     return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
-
-/// The rows of a step that have a gradient.
-struct TouchedList {
-    Device& device;
-    Array<std::uint32_t, shared::TouchedRows> rows;
-    Array<std::uint32_t, shared::TouchedCount> count;
-    Kernel<shared::ListTouchedParams> kernel;
-
-    explicit TouchedList(Device& d)
-        : device(d),
-          rows(d, 0, "rows with a gradient"),
-          count(d, 1, "number of rows with a gradient"),
-          kernel(d, "optimizer/list_touched", {{ConstantId::WORKGROUP_SIZE, kStreamingThreads}}) {}
-
-    void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows) {
-        if (rows.size() < n_rows) {
-            stream.finish();   // what is there may be in use
-            rows.reserve(device, n_rows, "rows with a gradient");
-        }
-        stream.fill(count);
-        run(stream, kernel, (n_rows + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
-            {.touched = touched, .rows = rows.address(), .count = count.address(), .n_rows = n_rows});
-    }
-};
 
 }  // namespace
 
@@ -111,14 +85,14 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? std::min(n_threads, a.per_float ? kListThreads : kListThreadsOfCpu) : n_threads,
+        run(stream, a.kernel, listed ? a.list->threads(n_threads) : n_threads,
             {.values = group.device(p).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
              .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
              .touched = touched && !listed ? touched->address(first) : Address<std::uint32_t, shared::TouchedSurfels>{},
-             .rows = listed ? a.list->rows.address() : Address<std::uint32_t, shared::TouchedRows>{},
-             .n_listed = listed ? a.list->count.address() : Address<std::uint32_t, shared::TouchedCount>{},
+             .rows = listed ? a.list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
+             .n_listed = listed ? a.list->count() : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float, shared::ScaleBounds>{},
              .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{}).as<shared::ModelRates>(),
              .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},

@@ -110,6 +110,7 @@ struct DeviceScene::Impl {
     float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
+    std::optional<TouchedList> list;   ///< where harmonics are not staged
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(layout_of(scene)),
@@ -120,7 +121,9 @@ struct DeviceScene::Impl {
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", activation_constants(stage_harmonics)),
-          activate_vjp(device, "scene/activate_vjp", activation_constants(stage_harmonics)) {}
+          activate_vjp(device, "scene/activate_vjp", activation_constants(stage_harmonics)) {
+        if (!stage_harmonics) list.emplace(device);
+    }
 
     std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
@@ -202,9 +205,13 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
+bool DeviceScene::lists_touched() const { return impl_->list.has_value(); }
+
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& g) {
     if (size() == 0) return;
-    run(stream, impl_->activate_vjp, size(),
+    const bool listed = g.touched_is_marked && lists_touched() && !g.zero_untouched;
+    if (listed) impl_->list->find(stream, g.touched->address(), size());
+    run(stream, impl_->activate_vjp, listed ? impl_->list->threads(size()) : size(),
         {.surfels = pointers_of(impl_->parameters),
          .d_records = g.d_records->address(),
          .models = impl_->models.address(),
@@ -213,6 +220,8 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
          .phases = impl_->phases(stream).as<shared::GaitPhases>(),
          .d_surfels = pointers_of(*g.d_surfels),
          .touched = g.touched->address(),
+         .rows = listed ? impl_->list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
+         .n_listed = listed ? impl_->list->count() : Address<std::uint32_t, shared::TouchedCount>{},
          .d_view = address_of(g.d_view),
          .n_surfels = size(),
          .n_models = impl_->n_models(),

@@ -2,6 +2,7 @@
 // backward/gather and backward/gather_heads: surfels with thousands of hits, rays without a gradient, and the promise for which they
 // exist: every gradient the same bit for bit in every run, however the hits are found and however much room there is. (Their values against
 // the double reference: device_gradient_test.cpp.)
+#include <algorithm>
 #include <cmath>
 
 #include <relidar/error.hpp>
@@ -59,6 +60,37 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
         Passes triangles(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
         triangles.run();
         EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
+    }
+}
+
+/// Where zeros of the others are not wanted, a CPU goes over the surfels that a hit has marked alone. Bits are compared, which gathered
+/// sums alone have; atomics mark the same ones.
+TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
+    for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
+        reference::Settings settings;
+        settings.image.sh_direction = direction;
+        test::RandomSceneOptions options;
+        options.seed = 52, options.rays = 30, options.background_surfels = 400, options.actor_surfels = 9;
+        const test::RandomScene scene = test::make_random_scene(options, settings);
+        const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
+        std::vector<std::uint32_t> touched;
+        for (const Reduction reduction : {Reduction::gather, Reduction::atomics}) {
+            Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = reduction});
+            passes.run();
+            Gradients& gradients = passes.gradients();
+            const std::vector<float> first = all_gradients(gradients);
+            if (touched.empty()) touched = gradients.touched.download();
+            EXPECT_EQ(gradients.touched.download(), touched);
+            EXPECT_GT(std::ranges::count(touched, 0u), 100);
+            EXPECT_GT(std::ranges::count(touched, 1u), 20);
+            Stream stream(device());
+            gradients.surfels.fill_zero(stream);   // what is not written stays so
+            stream.finish();
+            gradients.zero_untouched = false;
+            passes.run();
+            EXPECT_EQ(gradients.touched.download(), touched);
+            if (reduction == Reduction::gather) EXPECT_EQ(all_gradients(gradients), first);
+        }
     }
 }
 

@@ -14,7 +14,7 @@
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
-#include "shared/optimizer.h"
+#include "shared/scene.h"
 
 namespace relidar {
 namespace {
@@ -137,7 +137,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
     const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}}, of_32{{ConstantId::WORKGROUP_SIZE, 32}};
     const auto pipeline_of = [&](const std::vector<Constant>& constants, Subgroups subgroups = Subgroups::any) {
-        return Kernel<shared::ListTouchedParams>(opened, "optimizer/list_touched", constants, subgroups).impl().pipeline();
+        return Kernel<shared::ListTouchedParams>(opened, "scene/list_touched", constants, subgroups).impl().pipeline();
     };
     const VkPipeline first = pipeline_of(of_64);
     EXPECT_NE(first, VK_NULL_HANDLE);
@@ -160,7 +160,7 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     impl_of(opened).compiles_ahead = true;
     const auto begin = [&](std::uint32_t size) {
         return std::make_unique<Kernel<shared::ListTouchedParams>>(
-            opened, KernelName<shared::ListTouchedParams>("optimizer/list_touched"),
+            opened, KernelName<shared::ListTouchedParams>("scene/list_touched"),
             std::vector<Constant>{{ConstantId::WORKGROUP_SIZE, size}});
     };
     const auto used = begin(32), alike = begin(32), unused = begin(64);

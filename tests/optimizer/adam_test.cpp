@@ -152,31 +152,6 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     }
 }
 
-/// Every row with a gradient is in the list once, whatever the number of rows; none else.
-TEST_F(AdamTest, ListsTheRowsWithAGradient) {
-    const Kernel<shared::ListTouchedParams> kernel(device(), "optimizer/list_touched");
-    std::mt19937 random(3);
-    for (const std::uint32_t n : {1u, 15u, 16u, 17u, 1000u, 70001u}) {
-        std::vector<std::uint32_t> touched(n), expected;
-        for (std::uint32_t row = 0; row < n; ++row) {
-            touched[row] = random() % 3 == 0 || row + 1 == n;
-            if (touched[row] != 0u) expected.push_back(row);
-        }
-        const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
-        const Array<std::uint32_t, shared::TouchedRows> rows(device(), n, "rows");
-        const Array<std::uint32_t, shared::TouchedCount> count(device(), std::vector<std::uint32_t>{0u}, "count");
-        Stream stream(device());
-        run(stream, kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
-            {.touched = on_device.address(), .rows = rows.address(), .count = count.address(), .n_rows = n});
-        stream.finish();
-        ASSERT_EQ(count.download()[0], expected.size());
-        std::vector<std::uint32_t> listed = rows.download();
-        listed.resize(expected.size());
-        std::sort(listed.begin(), listed.end());
-        EXPECT_EQ(listed, expected) << n;
-    }
-}
-
 /// 65535 workgroups is all a device need take in one dimension; a launch of more must reach the last row all the same.
 TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     const std::uint32_t n = 2200000;

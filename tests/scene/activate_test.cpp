@@ -11,6 +11,9 @@
 #include <relidar/error.hpp>
 #include <relidar/stages/scene.hpp>
 
+#include "gpu/stream.hpp"
+#include "shared/scene.h"
+
 #include "../support/device.hpp"
 #include "../support/floats.hpp"
 #include "../support/gradient_check.hpp"
@@ -235,6 +238,70 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
         EXPECT_EQ(after.mean[i] == glm::vec3(7.0f), i % 3 == 1) << "surfel " << i;
         for (std::size_t k = 0; k < kShFloats; ++k)
             EXPECT_EQ(after.sh[kShFloats * i + k] == 7.0f, i % 3 == 1) << "surfel " << i << " coefficient " << k;
+    }
+}
+
+/// Marked are more surfels than have a gradient, in no order of workgroups; what is not marked is not even read.
+TEST_P(Activate, VjpOverAListIsThatOverAll) {
+    const std::vector<reference::Surfel> surfels = some_surfels();
+    const auto n = static_cast<std::uint32_t>(surfels.size());
+    std::vector<float> d_records = some_record_gradients(n);
+    std::vector<std::uint32_t> marks;
+    for (std::uint32_t i = 0; i < n; ++i) marks.push_back(i % 5 != 2);
+    for (std::uint32_t i = 0; i < n; ++i)
+        if (marks[i] == 0u) std::fill_n(d_records.begin() + 16 * i, 16, 0.0f);
+    const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
+    EXPECT_EQ(placed->lists_touched(), !stages_harmonics());
+    const auto run = [&](bool is_marked) {
+        const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
+        SurfelArrays d_surfels(device(), n, "gradient", parameters());
+        Array<std::uint32_t, shared::TouchedSurfels> touched(device(), std::span<const std::uint32_t>(marks), "touched");
+        Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
+        Stream stream(device());
+        d_surfels.fill_zero(stream);
+        stream.fill(d_view);
+        placed->activate_vjp(stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
+                             {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
+        stream.finish();
+        return std::tuple(d_surfels.download(), touched.download(), d_view.download());
+    };
+    const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
+    if (placed->lists_touched())   // as if it were there: it must not be taken
+        for (std::uint32_t i = 0; i < n; ++i)
+            if (marks[i] == 0u) d_records[16 * i] = 1.0f;
+    const auto [surfels_listed, touched_listed, view_listed] = run(true);
+    EXPECT_EQ(touched_listed, touched_of_all);
+    EXPECT_EQ(view_listed, view_of_all);
+    for (const ParameterGroup& group : groups_of(parameters())) {
+        const std::span<const float> found = group.values(surfels_listed), expected = group.values(surfels_of_all);
+        EXPECT_TRUE(std::ranges::equal(found, expected)) << group.name;
+    }
+}
+
+class TouchedRows : public test::DeviceTest {};
+
+/// Every row with a gradient is in the list once, whatever the number of rows; none else.
+TEST_F(TouchedRows, AreListed) {
+    const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
+    std::mt19937 random(3);
+    for (const std::uint32_t n : {1u, 15u, 16u, 17u, 1000u, 70001u}) {
+        std::vector<std::uint32_t> touched(n), expected;
+        for (std::uint32_t row = 0; row < n; ++row) {
+            touched[row] = random() % 3 == 0 || row + 1 == n;
+            if (touched[row] != 0u) expected.push_back(row);
+        }
+        const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<std::uint32_t, shared::TouchedRows> rows(device(), n, "rows");
+        const Array<std::uint32_t, shared::TouchedCount> count(device(), std::vector<std::uint32_t>{0u}, "count");
+        Stream stream(device());
+        run(stream, kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
+            {.touched = on_device.address(), .rows = rows.address(), .count = count.address(), .n_rows = n});
+        stream.finish();
+        ASSERT_EQ(count.download()[0], expected.size());
+        std::vector<std::uint32_t> listed = rows.download();
+        listed.resize(expected.size());
+        std::sort(listed.begin(), listed.end());
+        EXPECT_EQ(listed, expected) << n;
     }
 }
 

@@ -30,6 +30,8 @@ struct ThirdLogScales;
 struct Gaits;
 struct RecordGradients;
 struct TouchedSurfels;
+struct TouchedRows;
+struct TouchedCount;
 struct ViewGradients;
 }  // namespace shared
 
@@ -147,6 +149,24 @@ struct SurfelPointers;   // of kernels
 /// The arrays as kernels are given them.
 shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
 
+/// Numbers of the rows that are marked, found in a stream and read by the kernels that follow: lanes of a CPU that have nothing to do cost
+/// as much as the others.
+class TouchedList {
+public:
+    explicit TouchedList(Device& device);
+    ~TouchedList();
+    /// Records the search. Waits for the stream where there are more rows than ever. @param touched [n_rows] 0 or 1
+    void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows);
+    Address<std::uint32_t, shared::TouchedRows> rows() const;     ///< [count] in no order
+    Address<std::uint32_t, shared::TouchedCount> count() const;   ///< [1]
+    /// Threads for a step over the list, of which the device alone knows how long it is. @param most  for the longest list
+    std::size_t threads(std::size_t most) const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
 /// What the activation's derivative reads and writes.
 struct ActivationGradients {
     const Array<float, shared::RecordGradients>* d_records = nullptr;   ///< [gradient_rows,16] input
@@ -155,6 +175,9 @@ struct ActivationGradients {
     /// [n,3] output with ShDirection::surfel: dL/d(view origin) by way of each surfel, model frame; null where not wanted
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;                    ///< write zeros for surfels without a gradient
+    /// touched is 1 already where a surfel may have a gradient, else 0. With lists_touched() and without zero_untouched the other surfels
+    /// are not looked at then, and what d_view has of them stays.
+    bool touched_is_marked = false;
 };
 
 /// A scene on a device: parameters, the records that hits read, and the instance table.
@@ -179,6 +202,8 @@ public:
     /// @throws UsageError where the model is of another primitive than the scene
     /// @param view_origin_m [3] world. A model placed twice sees it from its first instance (see own_models).
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
+    /// Whether the chain rule can go over a list of surfels: on CPUs, where harmonics are not staged.
+    bool lists_touched() const;
     /// Records the chain rule back from record gradients to parameters.
     /// SH gradients are written with ShDirection::surfel; with ShDirection::ray the hits have accumulated them already.
     void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& gradients);

@@ -6,7 +6,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../common/kernel.glsl"
-#include "../shared/optimizer.h"
+#include "../shared/scene.h"
 RELIDAR_PARAMS(ListTouchedParams);
 
 void main() {

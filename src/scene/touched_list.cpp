@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of scene/list_touched.
+#include <relidar/stages/scene.hpp>
+
+#include <algorithm>
+
+#include "gpu/stream.hpp"
+#include "shared/scene.h"
+
+namespace relidar {
+
+struct TouchedList::Impl {
+    Device& device;
+    Array<std::uint32_t, shared::TouchedRows> rows;
+    Array<std::uint32_t, shared::TouchedCount> count;
+    Kernel<shared::ListTouchedParams> kernel;
+};
+
+TouchedList::TouchedList(Device& device)
+    : impl_(new Impl{device,
+                     {},
+                     {device, 1, "number of rows with a gradient"},
+                     {device, "scene/list_touched", {{ConstantId::WORKGROUP_SIZE, 128u}}}}) {}
+TouchedList::~TouchedList() = default;
+
+void TouchedList::find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows) {
+    Impl& l = *impl_;
+    if (l.rows.size() < n_rows) {
+        stream.finish();   // what is there may be in use
+        l.rows.reserve(l.device, n_rows, "rows with a gradient");
+    }
+    stream.fill(l.count);
+    run(stream, l.kernel, (n_rows + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
+        {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
+}
+
+Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return impl_->rows.address(); }
+Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
+
+std::size_t TouchedList::threads(std::size_t most) const {
+    const bool is_cpu = !coalesces(impl_->device);   // on a CPU few, so that each of its threads has as much to do
+    return std::min(most, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
+}
+
+}  // namespace relidar
