@@ -30,12 +30,17 @@ constexpr double kLeastGain = 20.0;   // twice it is chi-square with 23 degrees 
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;   // that quantiles are taken from
 
-/// What is known of the returns: rows of bins, one a feature.
+/// What is known of a return.
+struct Return {
+    std::array<std::uint8_t, kFeatures> bins;
+    std::uint8_t of_class;
+    float value;
+};
+
+/// Those of a node lie side by side, so that whoever counts them reads memory in its order.
 struct Returns {
-    std::vector<std::array<std::uint8_t, kFeatures>> bins;
-    std::vector<std::uint8_t> of_class;
-    std::vector<float> value;
-    std::array<std::vector<float>, kFeatures> cuts;   ///< upper ends of all bins but the last
+    std::vector<Return> all;
+    std::array<std::vector<float>, kFeatures> cuts = {};   ///< upper ends of all bins but the last
 };
 
 /// Where a sorted list is parted into n parts; none twice.
@@ -83,7 +88,7 @@ Features features_of(std::span<const MeasuredIntensities> images, ReturnPlace pl
 }
 
 Returns read_returns(std::span<const MeasuredIntensities> images, const std::vector<ReturnPlace>& places) {
-    Returns result;
+    Returns result{std::vector<Return>(places.size())};
     const std::size_t stride = places.size() / kQuantileReturns + 1;
     std::vector<Features> some((places.size() + stride - 1) / stride);
     for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
@@ -92,14 +97,15 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
         for (const Features& features : some) values.push_back(features[std::size_t(f)]);
         result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
     });
-    for (const ReturnPlace& place : places) result.value.push_back(images[place.image].measured[place.ray]);
-    const std::vector<float> classes = quantiles(result.value, kClasses);
-    result.bins.resize(places.size());
-    result.of_class.resize(places.size());
+    std::vector<float> values;
+    for (const ReturnPlace& place : places) values.push_back(images[place.image].measured[place.ray]);
+    const std::vector<float> classes = quantiles(values, kClasses);
     for_each_block(places.size(), [&](std::size_t i) {
         const Features features = features_of(images, places[i]);
-        for (std::size_t f = 0; f < kFeatures; ++f) result.bins[i][f] = bin(result.cuts[f], features[f]);
-        result.of_class[i] = bin(classes, result.value[i]);
+        Return& one = result.all[i];
+        for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = bin(result.cuts[f], features[f]);
+        one.of_class = bin(classes, values[i]);
+        one.value = values[i];
     });
     return result;
 }
@@ -167,12 +173,12 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     return best;
 }
 
-/// The best cut of a few features from `first` on. @param order  positions in `returns`, those of the node
-Cut find_cut_of_some(const Returns& returns, std::span<const std::uint32_t> order, std::size_t first, const Terms& terms) {
+/// The best cut of a few features from `first` on.
+Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first, const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
     std::array<Bins, kTogether> counts{};
-    for (const std::uint32_t i : order)
-        for (std::size_t f = 0; f < n; ++f) ++counts[f][returns.bins[i][first + f]].of[returns.of_class[i]];
+    for (const Return& one : of_node)
+        for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first + f]].of[one.of_class];
     Cut best;
     for (std::size_t f = 0; f < n; ++f)
         if (const Cut cut = find_cut_of(counts[f], first + f, returns.cuts[first + f].size(), terms); cut.gain > best.gain) best = cut;
@@ -181,12 +187,12 @@ Cut find_cut_of_some(const Returns& returns, std::span<const std::uint32_t> orde
 
 /// The best cut of a node; of equal ones that of the first feature. @param each  runs a task for 0, 1, ... below a number
 template <class Each>
-Cut find_cut(const Returns& returns, std::span<const std::uint32_t> order, const Terms& terms, const Each& each) {
+Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
     Cut best;
-    if (order.size() < 2 * kFewestOfLeaf) return best;
+    if (of_node.size() < 2 * kFewestOfLeaf) return best;
     std::array<Cut, (kFeatures + kTogether - 1) / kTogether> cuts;
     each(int(cuts.size()), [&](int k) {
-        cuts[std::size_t(k)] = find_cut_of_some(returns, order, std::size_t(k) * kTogether, terms);
+        cuts[std::size_t(k)] = find_cut_of_some(returns, of_node, std::size_t(k) * kTogether, terms);
     });
     for (const Cut& cut : cuts)
         if (cut.gain > best.gain) best = cut;
@@ -194,11 +200,10 @@ Cut find_cut(const Returns& returns, std::span<const std::uint32_t> order, const
 }
 
 /// Cuts of the nodes from `first` on, at the same time; of a large node the features as well.
-std::vector<Cut> find_cuts(const Returns& returns, const std::vector<std::uint32_t>& order, const Terms& terms,
-                           std::span<const IntensityScatter::Node> nodes) {
+std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms, std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
     std::vector<Cut> cuts(nodes.size());
-    const auto part = [&](std::size_t k) { return std::span(order).subspan(nodes[k].first, nodes[k].count); };
+    const auto part = [&](std::size_t k) { return std::span(returns.all).subspan(nodes[k].first, nodes[k].count); };
     run_parallel(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
@@ -209,17 +214,16 @@ std::vector<Cut> find_cuts(const Returns& returns, const std::vector<std::uint32
     return cuts;
 }
 
-/// Parts the nodes from `first` on where it pays. @param order  of the returns; those of a node come to lie side by side
-void part_layer(const Returns& returns, const Terms& terms, std::vector<std::uint32_t>& order, std::vector<IntensityScatter::Node>& nodes,
-                std::size_t first) {
-    const std::vector<Cut> cuts = find_cuts(returns, order, terms, std::span(nodes).subspan(first));
+/// Parts the nodes from `first` on where it pays, and their returns with them.
+void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes, std::size_t first) {
+    const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     run_parallel(int(cuts.size()), [&](int k) {
         const Cut& cut = cuts[std::size_t(k)];
         if (cut.feature < 0) return;
         const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
-        const auto own = std::span(order).subspan(node.first, node.count);
-        const auto is_low = [&](std::uint32_t i) { return returns.bins[i][std::size_t(cut.feature)] <= cut.bin; };
+        const auto own = std::span(returns.all).subspan(node.first, node.count);
+        const auto is_low = [&](const Return& one) { return one.bins[std::size_t(cut.feature)] <= cut.bin; };
         n_low[std::size_t(k)] = std::uint32_t(std::stable_partition(own.begin(), own.end(), is_low) - own.begin());
     });
     for (std::size_t k = 0; k < cuts.size(); ++k) {
@@ -283,17 +287,15 @@ IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
     const std::vector<ReturnPlace> places = returns_of(images, kMostReturns);
     IntensityScatter result;
     if (places.size() < kFewestReturns) return result;
-    const Returns returns = read_returns(images, places);
-    std::vector<std::uint32_t> order(places.size());
-    std::iota(order.begin(), order.end(), 0u);
-    result.nodes = {{.first = 0, .count = std::uint32_t(order.size())}};
-    const Terms terms(order.size());
+    Returns returns = read_returns(images, places);
+    result.nodes = {{.first = 0, .count = std::uint32_t(places.size())}};
+    const Terms terms(places.size());
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
-        part_layer(returns, terms, order, result.nodes, first);
+        part_layer(returns, terms, result.nodes, first);
         first = end;
     }
-    for (const std::uint32_t i : order) result.values.push_back(returns.value[i]);
+    for (const Return& one : returns.all) result.values.push_back(one.value);
     result.step = find_step(result.values);
     return result;
 }
