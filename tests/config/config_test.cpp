@@ -118,7 +118,8 @@ TEST_F(ConfigFile, FilesOfEarlierVersionsSayWhatPresetsSay) {
                     [&](const std::string& note) { notes.push_back(note); });
         Config preset = make_preset(name);
         if (preset.preset == "quick") {
-            preset.refine.epochs = 6;   // 12 since its network sees a part of each frame
+            preset.refine.epochs = 6;   // 4 at ten times the rate since its network sees a part of each frame
+            preset.refine.rate = 2e-3;
             preset.image.sh_degree = 1, preset.train.intensity_factor = 0.25;   // 2 and 0.5 since intensities are means
             preset.train.iterations = 600, preset.train.sh_degree_interval = 200;   // a tenth more since a step meets fewer surfels,
             preset.train.opacity_rate = 0.1, preset.train.scale_rate = 4e-2;   // and rates to match
