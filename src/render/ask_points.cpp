@@ -128,7 +128,10 @@ PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint
 
 /// Has nothing in flight any more.
 void ScanRenderer::Impl::settle() {
-    send();
+    if (together) {   // perhaps with a scan that was refused half-way, for which nobody waits
+        send();
+        scene.renderer().stream().finish();
+    }
     for (AskedPoints& scan : asked) scan.ready = points_of(scan);
 }
 
