@@ -192,7 +192,8 @@ public:
     /// Leaves out every instance that is not shown, from the next scan on. @param shown [instances]
     void show_only(const std::vector<bool>& shown);
     /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. A network of the sensor's rays works on every scan
-    /// with image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone.
+    /// with image order, rows and columns enough, before it is binned into a grid; one of a grid's cells on images of that grid alone. What
+    /// the sensor cannot see it does not bring back.
     /// @throws DataError where its arrays do not fit its shape
     void refine_drops(const DropNetwork& network);
     /// Adds channels to every scan from now on, beside those of config.render.channels. @throws UsageError for an unknown one, and for one

@@ -111,6 +111,19 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
+/// Beams of which some parts are within the limits of the sensor, but not what they measure together.
+void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
+    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+        if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i])) scan.image.drop_prob[i] = 1.0f;
+}
+
+/// Takes a network's drop probabilities. It brings nothing back that a sensor cannot see: 1 stays 1.
+void take_refined(RenderedScan& scan, std::span<const float> refined) {
+    std::vector<float>& drop_prob = scan.image.drop_prob;
+    for (std::size_t i = 0; i < drop_prob.size(); ++i)
+        if (drop_prob[i] < 1.0f) drop_prob[i] = refined[i];
+}
+
 }  // namespace
 
 Pose RenderedScan::world_from_firing(std::size_t ray) const {
@@ -295,11 +308,13 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
 RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams) {
     RenderedScan scan = join_footprints(parts, whole, beams);
     const std::vector<std::size_t> edges = find_edges(parts, whole, beams);
-    if (edges.empty() || edges.size() * kEdgeParts > kMaxRays) return scan;
-    const RayTable rays = some_rays(whole, edges);
-    beams.sub_rays = kEdgeParts;
-    const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * beams.divergence_mrad), parts.time_s);
-    replace_rays(scan, edges, join_footprints(better, rays, beams));
+    if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
+        const RayTable rays = some_rays(whole, edges);
+        beams.sub_rays = kEdgeParts;
+        const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * beams.divergence_mrad), parts.time_s);
+        replace_rays(scan, edges, join_footprints(better, rays, beams));
+    }
+    drop_beyond(scan, sensor.limits);
     return scan;
 }
 
@@ -315,7 +330,7 @@ bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable
 
 /// Drop probabilities as the network of the run has them.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
-    scan.image.drop_prob = first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m));
+    take_refined(scan, first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m)));
 }
 
 /// Probability that a sensor never sees anything along a ray.
@@ -445,7 +460,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     add_scan_channels(scan, log, s.wanted);
     tell_unseen(scan, log);
     if (of_rays && parts) s.refine(scan);
-    else if (of_rays) std::ranges::copy(s.first.known_rays.front()->refined(s.scene.renderer().stream()), scan.image.drop_prob.begin());
+    else if (of_rays) take_refined(scan, s.first.known_rays.front()->refined(s.scene.renderer().stream()));
     const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
     if (of_cells) {
         scan = project_scan(scan, *sensor.grid);

@@ -261,6 +261,35 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
+/// Of beams and of their parts, with a network that has learnt that all but one return.
+TEST_F(Points, NetworksBringNothingBackFromBeyondTheLimits) {
+    config.sensor.divergence_mrad = 3.0;
+    make_renderer();
+    Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
+    const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
+    DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options), first_origin(log));
+    image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
+    image.dropped[0] = 1.0f;   // else there is nothing to learn
+    renderer->refine_drops(train_drop_network(device(), {image}, options, 3,
+                                              [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
+    wish.sensor.limits = {2.0, 12.0};
+    const auto farthest = [](const RenderedScan& scan) {
+        float most_m = 0.0f;
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
+            if (scan.image.drop_prob[i] < kDropThreshold) most_m = std::max(most_m, scan.image.range_m[i]);
+        return most_m;
+    };
+    const RenderedScan of_beams = renderer->render(wish.sensor, wish.request);
+    EXPECT_LE(farthest(of_beams), 12.0f);
+    EXPECT_GT(farthest(of_beams), 11.0f);
+    expect_same(alone(wish), on_host(wish), "limits");
+    SensorChoice parted = wish.sensor;
+    parted.returns = 2;
+    const RenderedScan of_parts = renderer->render(parted, wish.request);
+    EXPECT_LE(farthest(of_parts), 12.0f);
+    EXPECT_GT(farthest(of_parts), 11.0f);
+}
+
 TEST_F(Points, HaveTheStepsOfTheLog) {
     make_renderer();
     const Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
