@@ -23,6 +23,7 @@
 namespace relidar {
 
 struct Run;
+struct MountedSensor;
 
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
@@ -162,6 +163,8 @@ SensorChoice choose_sensor(const std::string& name_or_file, const Config& config
 
 /// A sensor in the place of a LiDAR of the log.
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
+/// The same of a rig's sensor, with its returns.
+SensorChoice sensor_choice(const MountedSensor& mounted, int lidar = 0);
 
 /// Scans of a rig's sensors, taken together, as one without image order: rays in the frame of the rig, which is the sensor of the scan;
 /// rings are counted through; a channel that some scans have is `none` in the others. @param scans  at the same time

@@ -95,6 +95,12 @@ SensorChoice sensor_choice(const SensorModel& sensor, int lidar) {
             .lidar = lidar};
 }
 
+SensorChoice sensor_choice(const MountedSensor& mounted, int lidar) {
+    SensorChoice choice = sensor_choice(mounted.sensor, lidar);
+    choice.returns = mounted.returns;
+    return choice;
+}
+
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
     if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
     if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence, lidar);

@@ -2,6 +2,7 @@
 // What one submission can carry, values that come back with it, and the copy that is measured (gpu/copy).
 #include <map>
 #include <numeric>
+#include <optional>
 
 #include <stdlib.h>
 
@@ -112,12 +113,23 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
 }
 
 /// The validation layer's own tracking of hazards is the judge: it sees fills and copies.
-TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
-    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
-        GTEST_SKIP() << "no validation layer asked for";
-    ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
-    Device watched({.index = device().info().index, .validation = true});
-    ::unsetenv("VK_LAYER_ENABLES");
+class StreamHazards : public StreamTest {
+protected:
+    std::optional<Device> hazards;   ///< a device that looks for them
+
+    void SetUp() override {
+        StreamTest::SetUp();
+        if (IsSkipped() || HasFatalFailure()) return;
+        if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
+            GTEST_SKIP() << "no validation layer asked for";
+        ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
+        hazards.emplace(DeviceOptions{.index = device().info().index, .validation = true});
+        ::unsetenv("VK_LAYER_ENABLES");
+    }
+};
+
+TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
+    Device& watched = *hazards;
     const Array<std::uint32_t> a(watched, 100, "a"), b(watched, 100, "b"), c(watched, 100, "c");
     Stream stream(watched, true);
     {
@@ -147,13 +159,8 @@ TEST_F(StreamTest, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     EXPECT_GT(validation_messages(watched), 0u) << "no barrier inside the scope";
 }
 
-/// Here too.
-TEST_F(StreamTest, StrandsHaveABarrierBehindEachOfTheirSteps) {
-    if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
-        GTEST_SKIP() << "no validation layer asked for";
-    ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
-    Device watched({.index = device().info().index, .validation = true});
-    ::unsetenv("VK_LAYER_ENABLES");
+TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
+    Device& watched = *hazards;
     std::vector<Array<std::uint32_t>> arrays;
     for (int i = 0; i < 6; ++i) arrays.emplace_back(watched, 100, "test");
     const auto copy = [&](Stream& stream, std::size_t from, std::size_t to) {

@@ -30,7 +30,7 @@ public:
         first_s_ = log.time_s.front(), last_s_ = log.time_s.back();
         if (const auto rig = find_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
-                sensors_.push_back(sensor_choice(mounted.sensor));
+                sensors_.push_back(sensor_choice(mounted));
                 tracks_.push_back(moved_track(with_fine_turns(log), mounted.rig_from_sensor));
             }
         } else {

@@ -190,10 +190,7 @@ std::vector<Wanted> wanted_sensors(const RenderOptions& options, const Rig& rig,
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
     std::vector<Wanted> wanted;
-    for (const MountedSensor& mounted : *rig) {
-        wanted.push_back({mounted.name, sensor_choice(mounted.sensor, lidar), mounted.rig_from_sensor});
-        wanted.back().sensor.returns = mounted.returns;
-    }
+    for (const MountedSensor& mounted : *rig) wanted.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
     return wanted;
 }
 
