@@ -30,7 +30,7 @@ struct DensifyOptions {
     double max_extent_share = 0.01;       ///< of the extent: larger ones are removed ...
     int large_from = 3000;                ///< ... after this step
     int opacity_reset_every = 3000;       ///< adaptive, until `until`; 0 = never
-    double reset_opacity = 0.01;
+    double reset_opacity = 0.01;          ///< at least 2.5 times ImageModel::alpha_min, which is traced
     int max_surfels = 4000000;            ///< no growth beyond; a scene that starts larger is not cut
     double growth = 0.05;                 ///< mcmc: share of surfels added each time
     double noise = 0.2;                   ///< mcmc: standard deviation of the noise a step on the means of faint surfels, in scales

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Exploration of the Monte Carlo strategy: means move at random in their surfel's plane (3D Gaussians: along all axes), by scales of the
 // surfel, and only those of faint surfels, which have nothing to lose (gate of "3D Gaussian Splatting as Markov Chain Monte Carlo":
-// sigmoid(-100 (s - 0.005))). One thread a surfel. In place: surfels.mean.
+// sigmoid(-100 (s - faint)), faint = 0.005 there). One thread a surfel. In place: surfels.mean.
 // @differs the paper's noise is the covariance (m^2) times a number that only suits the length unit of its scenes; here it is in scales.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -15,7 +15,7 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
-    float gate = 1.0 / (1.0 + exp(100.0 * (opacity - 0.005)));
+    float gate = 1.0 / (1.0 + exp(100.0 * (opacity - params.faint_opacity)));
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * i + k];
     mat3 r = rotation_matrix(q);

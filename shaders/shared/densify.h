@@ -110,6 +110,7 @@ struct ResetOpacityParams {
 struct JitterParams {
     SurfelPointers surfels;   // means in place
     float amount;             // standard deviation, in scales of the surfel
+    float faint_opacity;      // half of the noise is left there
     uint n_surfels;
     uint key;
 };

@@ -25,6 +25,7 @@ namespace relidar {
 namespace {
 
 using config_detail::Accepts;
+using config_detail::added_keys;
 using config_detail::describe;
 using config_detail::find_moved;
 using config_detail::find_removed;
@@ -116,6 +117,9 @@ std::vector<std::string> take_all(Config& config, const std::map<std::string, Fo
     return former;
 }
 
+/// Whether a file is that of a run, which names every value there was when it was written; other files name those that somebody chose.
+bool names_all(const std::map<std::string, Found>& settings) { return settings.size() > all_keys().size() / 2; }
+
 /// Text in TOML's basic quotes.
 std::string quoted(const std::string& text) {
     std::string result = "\"";
@@ -157,6 +161,8 @@ void load_config(Config& config, const std::filesystem::path& path, const std::f
         if (const toml::node* preset = table.get("preset")) set_found(result, "preset", found_in(*preset, "preset"));
         std::map<std::string, Found> settings;
         flatten(table, "", settings);
+        if (names_all(settings))
+            for (const auto& [key, before] : added_keys()) settings.try_emplace(key, Found{before, Found::Quotes::no});
         former = take_all(result, settings);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));
@@ -184,6 +190,7 @@ void update_settings(std::map<std::string, std::string>& settings) {
     }
     for (const ConfigKey& key : config_keys(config))
         if (successors.contains(key.key)) settings[key.key] = key.value;
+    for (const auto& [key, before] : added_keys()) settings.try_emplace(key, before);
 }
 
 namespace {

@@ -66,6 +66,10 @@ const MovedKey kMoved[] = {
     {"sensor.calibrate_range", "sensor.calibrate", [](Config& c, const std::string& v) { calibrate(c, "range", as_bool(v)); }},
 };
 
+const AddedKey kAdded[] = {
+    {"image.alpha_min", "0.003921569"},
+};
+
 /// Always the same value, and one that follows from the settings `c`.
 #define RELIDAR_ALWAYS(text) [](const Config&, const std::string&) -> std::string { return text; }
 #define RELIDAR_FOLLOWS(text) [](const Config& c, const std::string&) -> std::string { return text; }
@@ -94,7 +98,6 @@ const RemovedKey kRemoved[] = {
     {"densify.prune_unseen", RELIDAR_ALWAYS("false"), kGainedNothing},
     {"densify.reset_opacity", RELIDAR_ALWAYS("0.01"), kConstant},
     {"image.alpha_max", RELIDAR_ALWAYS("0.99"), kConstant},
-    {"image.alpha_min", RELIDAR_ALWAYS("0.003921569"), kConstant},
     {"image.near_m", RELIDAR_ALWAYS("0.2"), kConstant},
     {"init.actor_margin_m", RELIDAR_ALWAYS("0.2"), kConstant},
     {"init.actor_min_step_m", RELIDAR_ALWAYS("0.01"), kConstant},
@@ -148,6 +151,8 @@ const Key* find(const Key (&keys)[n], const std::string& name) {
 }
 
 }  // namespace
+
+std::span<const AddedKey> added_keys() { return kAdded; }
 
 const RemovedKey* find_removed(const std::string& key) { return find(kRemoved, key); }
 const MovedKey* find_moved(const std::string& key) { return find(kMoved, key); }

@@ -2,6 +2,7 @@
 // Settings of earlier versions, as config.toml of their runs and their checkpoints hold them. Private to config.
 #pragma once
 
+#include <span>
 #include <string>
 
 #include <relidar/config.hpp>
@@ -23,6 +24,13 @@ struct MovedKey {
     /// Takes a value over. @throws UsageError where there is no such value any more
     void (*take)(Config& config, const std::string& value);
 };
+
+/// A setting that was a constant of the code until some version: what a run of before was trained with.
+struct AddedKey {
+    const char* key;
+    const char* before;
+};
+std::span<const AddedKey> added_keys();
 
 /// @return null for another key
 const RemovedKey* find_removed(const std::string& key);

@@ -94,16 +94,17 @@ Config quick() {
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
     config.image.transmittance_min = 9e-3f;             // below 1 - alpha_max, else an opaque surfel would end the ray unseen
+    config.image.alpha_min = 0.04f;                     // a step takes four fifths of its time, scores change by 1 % (docs/performance.md)
     config.image.sh_degree = 2;
-    config.train.iterations = 660;
+    config.train.iterations = 540;
     // few steps, each of which meets few surfels: rates that get there (docs/results.md). Discs that grow this fast need train.max_growth
-    config.train.opacity_rate = 0.13;
-    config.train.scale_rate = 5.5e-2;
-    config.train.rotation_rate = 4e-3;
+    config.train.opacity_rate = 0.15;
+    config.train.scale_rate = 6.5e-2;
+    config.train.rotation_rate = 5e-3;
     config.train.sh_rate = 8e-2;
     config.train.intensity_factor = 0.5;
-    config.train.rays_per_iteration = 16384;
-    config.train.sh_degree_interval = 220;
+    config.train.rays_per_iteration = 24576;
+    config.train.sh_degree_interval = 180;
     config.train.only_touched = true;   // saves up to a sixth of a step on a CPU, costs 2 % of RMSE and Chamfer (docs/performance.md)
     config.train.log_every = 20;
     config.refine.network = "pixel";    // nearly all of what "small" gains, for a quarter of its time

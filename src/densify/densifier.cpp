@@ -35,12 +35,16 @@ struct Rules {
 /// What each use of random numbers is mixed with.
 enum class Draw : std::uint64_t { classify = 1, phase = 2, noise = 3 };
 
+constexpr double kResetOverAlphaMin = 2.5;   // what is reset stays visible, or it would never learn again
+constexpr double kFaintOpacity = 0.005;      // of 3D Gaussian Splatting as Markov Chain Monte Carlo, a little above its alpha_min
+
 }  // namespace
 
 struct Densifier::Impl {
     Device& device;
     DensifyOptions options;
     float min_opacity;
+    double reset_opacity_to, faint_opacity;
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
@@ -53,7 +57,9 @@ struct Densifier::Impl {
     std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();   ///< surfels, once it has been met
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
-        : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)), seed(random_seed),
+        : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)),
+          reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
+          faint_opacity(std::max(kFaintOpacity, double(alpha_min))), seed(random_seed),
           arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.parameters()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "densify/observe"), classify(d, "densify/classify"), spawn(d, "densify/spawn"),
@@ -218,13 +224,14 @@ void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int s
         relidar::run(stream, impl_->jitter, scene.size(),
                      {.surfels = pointers_of(scene.parameters()),
                       .amount = static_cast<float>(o.noise * rate_share),
+                      .faint_opacity = static_cast<float>(impl_->faint_opacity),
                       .n_surfels = scene.size(),
                       .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
     if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0)
         return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
                  {.opacity_logit = scene.parameters().opacity_logit.address(),
-                  .max_logit = static_cast<float>(logit(o.reset_opacity)),
+                  .max_logit = static_cast<float>(logit(impl_->reset_opacity_to)),
                   .n_surfels = scene.size()});
     stream.fill(adam.moment1().opacity_logit);
     stream.fill(adam.moment2().opacity_logit);

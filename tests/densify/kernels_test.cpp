@@ -67,11 +67,11 @@ struct Trained {
     DeviceScene device_scene;
     Adam adam;
     Densifier densifier;
-    Trained(Device& device, Scene initial, const DensifyOptions& options)
+    Trained(Device& device, Scene initial, const DensifyOptions& options, float alpha_min = 1.0f / 255.0f)
         : scene(std::move(initial)),
           device_scene(device, scene),
           adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive),
-          densifier(device, scene, options, 1.0f / 255.0f, 3, 9) {}
+          densifier(device, scene, options, alpha_min, 3, 9) {}
 };
 
 TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
@@ -101,16 +101,34 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     EXPECT_EQ(after.log_scale, tags.log_scale);
 }
 
-class Jitter : public DensifyKernels, public testing::WithParamInterface<Primitive> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, Jitter, testing::Values(Primitive::surfel, Primitive::gaussian));
+/// Else nothing would ever learn again.
+TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
+    DensifyOptions options;
+    options.strategy = DensifyStrategy::adaptive;
+    constexpr float kAlphaMin = 0.04f;
+    Trained t(device(), test::random_model_scene({200}, 3), options, kAlphaMin);
+    const std::vector<float> before = t.scene.surfels.opacity_logit;
+    Stream stream(device());
+    t.densifier.after_step(stream, t.device_scene, t.adam, 3000, 1.0);
+    stream.finish();
+    const std::vector<float> after = t.device_scene.parameters().download().opacity_logit;
+    const float limit = std::log(0.1f / 0.9f);   // opacity 2.5 * 0.04
+    for (std::size_t i = 0; i < after.size(); ++i) EXPECT_NEAR(after[i], std::min(before[i], limit), 1e-6);
+}
+
+class Jitter : public DensifyKernels, public testing::WithParamInterface<std::pair<Primitive, float>> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, Jitter,
+                         testing::Values(std::pair{Primitive::surfel, 1.0f / 255.0f}, std::pair{Primitive::gaussian, 1.0f / 255.0f},
+                                         std::pair{Primitive::surfel, 0.04f}));
 
 TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     DensifyOptions options;
     options.strategy = DensifyStrategy::mcmc;
     options.noise = 0.4;
     Scene scene = test::random_model_scene({300}, 5);
-    if (GetParam() == Primitive::gaussian) make_primitive(scene.surfels, Primitive::gaussian, 0.7);
-    Trained t(device(), scene, options);
+    const auto [primitive, alpha_min] = GetParam();
+    if (primitive == Primitive::gaussian) make_primitive(scene.surfels, Primitive::gaussian, 0.7);
+    Trained t(device(), scene, options, alpha_min);
     const Surfels before = t.scene.surfels;
     Stream stream(device());
     t.densifier.after_step(stream, t.device_scene, t.adam, 17, 0.5);
@@ -120,7 +138,7 @@ TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     std::size_t moved = 0;
     for (std::uint32_t i = 0; i < before.size(); ++i) {
         const reference::DensifiedSurfel s = test::densified(before, i);
-        const double gate = 1.0 / (1.0 + std::exp(100.0 * (s.opacity - 0.005)));
+        const double gate = 1.0 / (1.0 + std::exp(100.0 * (s.opacity - std::max(0.005, double(alpha_min)))));
         const glm::dvec3 expected =
             reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0), 0.2 * gate * reference::random_normal2(key, i, 1).x);
         EXPECT_LT(glm::length(glm::dvec3(after.mean[i]) - expected), 1e-5 * (1.0 + glm::length(expected)));

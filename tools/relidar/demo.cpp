@@ -31,7 +31,7 @@ constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rm
 struct DemoOptions {
     std::string out = "demo";
     std::string seed = "1";
-    std::string iterations = "250";   // of the 660 of preset quick: one to two minutes in all on two cores
+    std::string iterations = "250";   // of the 540 of preset quick: one to two minutes in all on two cores
     std::vector<std::string> sets;
     DeviceChoice device;
     bool quiet = false;
@@ -163,7 +163,7 @@ void add_demo(CLI::App& app, Call& call) {
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")->type_name("S");
-    command->add_option("--iterations", options->iterations, "optimiser steps (default: 250; preset quick has 660)")->type_name("N");
+    command->add_option("--iterations", options->iterations, "optimiser steps (default: 250; preset quick has 540)")->type_name("N");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
