@@ -74,19 +74,23 @@ std::vector<float> mean_factors(const Scene& layout, double background_extent_m)
 /// Active degree of the spherical harmonics; the image's own may be lower.
 int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
 
-/// Where most surfels are fixed, fitting trees to the few that learn is most of an iteration. It is done every kFitEvery iterations then,
-/// around boxes that are a tenth larger: at the rates of training a surfel moves by millimetres and grows by some per cent in between. One
-/// that has just begun to be visible at all may grow by more, and is met from the next fit on.
-constexpr int kFitEvery = 4;
+/// How often trees are fitted to what has been learnt, and how much larger their boxes are so that no hit is lost in between.
+struct TreeFits {
+    int every = 1;   ///< iterations
+    AccelOptions accel;
+};
 
-AccelOptions tree_options(std::uint32_t n_fixed) {
-    AccelOptions options;
-    if (n_fixed > 0) options.margin_scale = 1.1f, options.margin_m = 0.01f;
-    return options;
+/// At the rates of training a surfel moves by millimetres and grows by some per cent an iteration. One that has just begun to be visible
+/// at all may grow by more, and is met from the next fit on. Where most surfels are fixed, fitting trees to the few that learn would be
+/// most of an iteration. Without harmonics per surfel only a fit brings the records of hits up to date.
+TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
+    if (config.image.sh_direction == ShDirection::ray) return {};
+    if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
+    return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
 RendererOptions renderer_options(const Config& config, const TrainingFrames& frames, std::uint32_t n_fixed) {
-    return {.accel = tree_options(n_fixed),
+    return {.accel = tree_fits(config, n_fixed).accel,
             .trace = training_trace_options(config),
             .n_rays = most_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
@@ -176,8 +180,8 @@ const FrameData& TrainLoop::bring(std::size_t frame_index, bool surfels_changed)
 
 const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
     renderer_.set_sh_degree(sh_degree_at(config_.train, step));
-    // without harmonics per surfel, move() would leave the records of hits as they were
-    return bring(frame_index, n_fixed_ == 0 || config_.image.sh_direction == ShDirection::ray || step % kFitEvery == 1);
+    const int every = tree_fits(config_, n_fixed_).every;
+    return bring(frame_index, every == 1 || step % every == 1);
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
@@ -301,9 +305,10 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     some_rays.loss.intensity_ssim = some_rays.loss.normal = 0.0f;   // no windows: rays from all directions
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
+    renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
     const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());   // of a frame
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        const FrameData& frame = k == 0 ? place(k, config_.train.iterations) : bring(k, false);
+        const FrameData& frame = bring(k, k == 0);   // the last step has moved surfels
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
         const auto passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, batches.n_batches(frame)));
