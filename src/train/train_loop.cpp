@@ -89,6 +89,13 @@ TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
+/// Whether trees are fitted in a step: in every one as long as surfels may outgrow the margin between two fits.
+bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
+    constexpr double kShare = 0.9;   // of the margin; opacities make surfels larger, too
+    const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
+    return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
+}
+
 RendererOptions renderer_options(const Config& config, const TrainingFrames& frames, std::uint32_t n_fixed) {
     return {.accel = tree_fits(config, n_fixed).accel,
             .trace = training_trace_options(config),
@@ -180,8 +187,7 @@ const FrameData& TrainLoop::bring(std::size_t frame_index, bool surfels_changed)
 
 const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
     renderer_.set_sh_degree(sh_degree_at(config_.train, step));
-    const int every = tree_fits(config_, n_fixed_).every;
-    return bring(frame_index, every == 1 || step % every == 1);
+    return bring(frame_index, is_fit_due(tree_fits(config_, n_fixed_), config_.train, step));
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
