@@ -287,10 +287,10 @@ rendering() {
     bad 2 "weather: found \"hail\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES" render run --out x --weather hail
     good render run --out sprayed --frames 2:4 --sample 7 --weather spray,bloom,sun=90:10
     check "scans.json does not say all of the weather" grep -q '"weather": "spray=0.5,bloom=0.00012,sun=90:10"' sprayed/scans.json
+    check "the log's own place is called unseen" test -z "$(grep -o 'look where no ray of the log did' err)"
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz
-    check "the log's own place is called unseen" test -z "$(grep -o 'look where no ray of the log did' err)"
     good render run --out below --frames 2:4 --offset 0,0,-5
     check "a sensor under the ground is not warned of" \
         grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays look where no ray of the log did, in number [23] 9" err
