@@ -149,7 +149,7 @@ void visit_scene(C& c, Visitor&& f) {
       expert("an actor with fewer points is filled up with random points of its box; 0: not; paper: 8000"));
     f("init.actor_min_points", c.init.actor_min_points, between(10, 1e6), expert("a box with fewer points is masked instead"));
     f("image.alpha_min", c.image.alpha_min, between(1e-6, 0.5),
-      expert("a surfel ends where its alpha is less (paper: 1/255): at a higher value rays meet fewer"));
+      expert("a surfel ends where its alpha falls below this (paper: 1/255); the higher, the fewer surfels a ray meets"));
     f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5),
       expert("a surfel that would bring the transmittance below this ends the ray unseen; less than 0.01, or opaque surfels do"));
     f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
