@@ -203,6 +203,9 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
+    constexpr std::size_t kNothingBytes = 64 << 10;
+    nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::MemoryUse::parameters, "arrays that are left out");
+    std::memset(nothing->mapped, 0, kNothingBytes);
 }
 
 namespace {
@@ -317,7 +320,7 @@ void Device::Impl::read_limits() {
 }
 
 void Device::Impl::make_pipeline_layout() {
-    const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, 8};
+    const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, 2 * sizeof(std::uint64_t)};
     VkPipelineLayoutCreateInfo layout{VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
     layout.pushConstantRangeCount = 1;
     layout.pPushConstantRanges = &range;
@@ -328,6 +331,7 @@ Device::Impl::Impl() = default;
 
 Device::Impl::~Impl() {
     if (!device) return;
+    nothing.reset();
     transfers.reset();
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {

@@ -119,7 +119,8 @@ struct Device::Impl {
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
     std::mutex queue_mutex;
-    VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: one 8-byte push constant
+    VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: two addresses as push constants
+    std::unique_ptr<Buffer::Impl> nothing;   ///< zeros that kernels get in place of an array that a launch leaves out
     std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
     bool compile_only = false;
     ForcedWays forced;                      ///< by tests

@@ -40,6 +40,9 @@ std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> 
 std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
                                                const std::map<std::uint32_t, std::uint32_t>& constants);
 
+/// Offsets in bytes of all addresses in the module's block of parameters.
+std::vector<std::uint32_t> parameter_addresses(std::span<const std::uint32_t> words);
+
 /// Ids of the module's specialisation constants.
 std::set<std::uint32_t> constant_ids(std::span<const std::uint32_t> words);
 

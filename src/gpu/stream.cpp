@@ -163,18 +163,29 @@ void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<con
     });
 }
 
+std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes) {
+    std::vector<std::byte> params(n_bytes);
+    std::memcpy(params.data(), bytes, n_bytes);
+    for (const std::uint32_t offset : kernel.impl().addresses) {
+        std::uint64_t address;
+        std::memcpy(&address, params.data() + offset, sizeof(address));
+        if (address == 0) std::memcpy(params.data() + offset, &device->nothing->address, sizeof(address));
+    }
+    return store(params.data(), n_bytes).address;
+}
+
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {
     if (device->compile_only)
         throw Error(ExitCode::bug,
                     fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().pipeline();
-    const std::uint64_t address = store(bytes, n_bytes).address;
+    const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes), device->nothing->address};
     constexpr std::uint32_t kMaxGroups = 65535;   // in one dimension, on every Vulkan device
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1, columns = (n_groups - 1) / rows + 1;
-    record(kernel.impl().name, [layout = device->pipeline_layout, pipeline, address, rows, columns](VkCommandBuffer c) {
+    record(kernel.impl().name, [layout = device->pipeline_layout, pipeline, pushed, rows, columns](VkCommandBuffer c) {
         vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
-        vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, 8, &address);
+        vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
         vkCmdDispatch(c, columns, rows, 1);
     });
 }

@@ -21,6 +21,7 @@ struct KernelBase::Impl {
     std::vector<Constant> constants;
     Subgroups subgroups = Subgroups::any;
     std::uint32_t workgroup_size = 0;   ///< threads
+    std::vector<std::uint32_t> addresses = {};   ///< offsets of those in its parameters
 
     /// Owned by the device, which may still be making it. @throws DeviceError where the driver rejects it
     VkPipeline pipeline();
@@ -110,6 +111,8 @@ struct Stream::Impl {
     void collect_times(Slot& slot);
 
 private:
+    /// Stores the parameters of a launch, with `Device::Impl::nothing` in place of each address 0. @return their address
+    std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
     void keep(const std::string& name, Command command);
     /// What is recorded later sees what was recorded before. In a Concurrent scope one barrier is left for its end.
     void barrier();

@@ -62,8 +62,6 @@ using uint = std::uint32_t;
 #define RELIDAR_OF(pointer, meaning) pointer
 // Addresses are never numbers here: not every device has 64-bit integers. A pointer becomes one of another type through uvec2, as not
 // every compiler (SwiftShader's) casts pointers.
-/// Whether a pointer is address 0: how the host says that there is no such array.
-#define is_null(pointer) (uvec2(pointer) == uvec2(0u))
 #endif
 
 RELIDAR_SHARED_BEGIN
