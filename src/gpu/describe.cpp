@@ -96,6 +96,10 @@ bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
            std::pair(major, minor) < std::pair(24, 1);
 }
 
+/// SwiftShader's compiler ends the process on kernels that trace (docs/platform.md).
+bool is_swiftshader(const VkPhysicalDeviceDriverProperties& driver) { return driver.driverID == VK_DRIVER_ID_GOOGLE_SWIFTSHADER; }
+constexpr const char* kNoCompiler = "a compiler for kernels that trace, which SwiftShader's is not";
+
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags wanted) {
@@ -177,7 +181,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     if (!optional.halves) info.why_not_halves = "storageBuffer16BitAccess";
     describe_matrix_units(physical, is_13, info);
     info.known_subgroups = known_subgroups(sizes, optional);
-    info.why_not_software = missing_for_software(subgroup, sizes, optional);
+    info.why_not_software = is_swiftshader(driver) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();
     return info;
 }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdio>
 #include <map>
 #include <set>
 
@@ -30,13 +31,24 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
 /// Kernels whose lanes work together behind branches and in loops that they leave at different times.
 constexpr std::array<std::string_view, 2> kReconverging{"accel/bvh_cluster", "backward/trace"};
 
+/// Returns true for the versions of lavapipe that execute no load in a branch that no lane takes: 25.0 and older.
+bool loads_by_mask(const std::string& driver) {
+    int major = 0, minor = 0;
+    const std::size_t version = driver.find("Mesa ");
+    if (version == std::string::npos || std::sscanf(driver.c_str() + version, "Mesa %d.%d", &major, &minor) != 2) return false;
+    return major < 25 || (major == 25 && minor == 0);
+}
+
 /// The module as this device is to have it.
 std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem,
                                         const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const Constant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words = gpu::with_read_only_parameters(gpu::with_branches_taken(find_words(name), values));
-    if (device.info.driver.starts_with("llvmpipe")) words = gpu::with_parameters_first(words);
+    if (device.info.driver.starts_with("llvmpipe")) {
+        if (!loads_by_mask(device.info.driver)) words = gpu::with_indices_by_lane(words);
+        words = gpu::with_parameters_first(words);
+    }
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
         if (device.optional.maximal_reconvergence) return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
         if (device.optional.subgroup_uniform_control_flow) return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);

@@ -92,6 +92,7 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
 void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_) return;
+    if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;   // Mesa 26.2's lavapipe returns 20 bytes, which are no cache
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS)
         write_file(path_, std::string_view(bytes).substr(0, n_bytes));

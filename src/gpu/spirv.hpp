@@ -34,6 +34,11 @@ std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32
 /// what has one address for all lanes lane by lane, which was two fifths of Adam's time. A GPU chooses better when to read them.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
 
+/// The module with indices into arrays that the compiler takes for different ones in each lane. Mesa's lavapipe after 25.0 executes a load
+/// with one address for all lanes even in a branch that no lane takes. There the index is any number, and the load may crash. A load with
+/// an address for each lane is executed for active lanes only. Use it before with_parameters_first(), which moves parameters.
+std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
+
 /// The module with branches that its specialisation constants decide made unconditional. The blocks that are not reached stay where they
 /// are. A driver drops them too, but only after it has put all functions into one: Mesa's lavapipe makes forward/trace in half the time
 /// when they are unreachable from the start. @param constants  values by id; those not given are as the module has them

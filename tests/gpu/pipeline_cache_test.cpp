@@ -66,6 +66,14 @@ protected:
         const PrefixSum prefix_sum(opened);
         return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
     }
+    /// Whether the bytes of the driver's own cache are long enough for Vulkan's header.
+    static bool driver_keeps_pipelines() {
+        Device opened(from_environment());
+        std::size_t n_bytes = 0;
+        const Device::Impl& impl = impl_of(opened);
+        vkGetPipelineCacheData(impl.device, impl.pipeline_cache->handle(), &n_bytes, nullptr);
+        return n_bytes >= sizeof(VkPipelineCacheHeaderVersionOne);
+    }
     static std::size_t files(const fs::path& in) {
         return static_cast<std::size_t>(std::distance(fs::directory_iterator(in), fs::directory_iterator()));
     }
@@ -79,6 +87,7 @@ TEST_F(PipelineCacheFile, IsFoundByTheNextDevice) {
     const Opened first = open();
     EXPECT_EQ(first.path.parent_path(), folder / "made" / "for it");
     EXPECT_EQ(first.read_bytes, 0u);
+    if (!driver_keeps_pipelines()) GTEST_SKIP() << "the driver returns no header of a pipeline cache";
     ASSERT_TRUE(fs::is_regular_file(first.path));
     const std::string bytes = contents(first.path);
     const auto written = fs::last_write_time(first.path);
@@ -90,6 +99,7 @@ TEST_F(PipelineCacheFile, IsFoundByTheNextDevice) {
 }
 
 TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
+    if (!driver_keeps_pipelines()) GTEST_SKIP() << "the driver returns no header of a pipeline cache";
     const fs::path path = open().path;
     const std::string good = contents(path);
     const auto changed = [&](std::size_t at) {

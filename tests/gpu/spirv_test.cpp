@@ -155,6 +155,32 @@ TEST(SpirvParameters, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_parameters_first(gpu::with_read_only_parameters(words)); });
 }
 
+TEST(SpirvLanes, AreAcceptedBySpirvVal) {
+    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_parameters_first(gpu::with_indices_by_lane(words)); });
+}
+
+/// Every index into an array is a sum. The places of parameters have no index that is not constant.
+TEST(SpirvLanes, AreInEveryIndex) {
+    enum : std::uint32_t { name = 5, type_pointer = 32, load = 61, chain = 65, add = 128, storage = 5349 };
+    for (const EmbeddedKernel& kernel : embedded_kernels()) {
+        std::uint32_t block = 0, block_pointer = 0;
+        std::set<std::uint32_t> addresses, parameters, sums;
+        int n_indices = 0;
+        for (const Words& i : instructions(gpu::with_indices_by_lane(kernel.words))) {
+            const std::uint32_t opcode = i[0] & 0xffffu;
+            if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock") block = i[1];
+            if (opcode == type_pointer && i[2] == storage) addresses.insert(i[1]);
+            if (opcode == type_pointer && i[2] == storage && i[3] == block) block_pointer = i[1];
+            if (opcode == load && i[1] == block_pointer) parameters.insert(i[2]);
+            if (opcode == add) sums.insert(i[2]);
+            if (opcode != chain || !addresses.contains(i[1]) || parameters.contains(i[3])) continue;
+            ++n_indices;
+            EXPECT_TRUE(i.size() > 5 && sums.contains(i[5])) << kernel.name;
+        }
+        EXPECT_GT(n_indices, 0) << kernel.name;
+    }
+}
+
 /// Values other than the module's own for all constants but the workgroup's size.
 std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };

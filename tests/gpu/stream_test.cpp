@@ -49,6 +49,18 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
 }
 
 /// gpu/copy, by which a device's memory is measured, copies what it is asked to and nothing beyond.
+/// An array that a launch leaves out is a few zeros, not address 0.
+TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
+    constexpr std::uint32_t n = 64;
+    const std::vector<glm::vec4> ones(n, glm::vec4(1.0f));
+    const Array<glm::vec4, shared::CopyTarget> to(device(), std::span<const glm::vec4>(ones), "copy");
+    const Kernel<shared::CopyParams> copy(device(), "gpu/copy");
+    Stream stream(device());
+    run(stream, copy, n, {.from = {}, .to = to.address(), .n = n});
+    stream.finish();
+    EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
+}
+
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);

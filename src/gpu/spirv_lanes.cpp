@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adds a zero to every index into an array, one that a compiler takes for another number in each lane:
+//   %lane_zero = LocalInvocationIndex & push.nothing.x & 255      `nothing` is a multiple of 256 (shaders/common/kernel.glsl)
+//   %place = OpAccessChain %pointer %array %int_0 %index    with    %index + %lane_zero    in place of    %index
+#include <set>
+#include <string>
+
+#include "gpu/spirv.hpp"
+#include "gpu/spirv_words.hpp"
+
+namespace relidar::gpu {
+
+namespace {
+
+class LaneIndices {
+public:
+    explicit LaneIndices(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
+        for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
+        is_new_lane_ = lane_ == 0;
+        for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_, &constant_1_, &constant_255_})
+            *id = next_++;
+        if (is_new_lane_) lane_ = next_++;
+    }
+
+    std::vector<std::uint32_t> written() {
+        result_.assign(words_.begin(), words_.begin() + kHeaderWords);
+        for_each_instruction(words_, [&](std::uint32_t op, Instruction i) { write(op, i); });
+        result_[3] = next_;
+        return result_;
+    }
+
+private:
+    enum Number : std::uint32_t {
+        entry_point = 15, type_int = 21, type_pointer = 32, constant = 43, function = 54, variable = 59, load = 61, store = 62,
+        access_chain = 65, decorate = 71, iadd = 128, bitwise_and = 199, label = 248, line = 8, no_line = 317,   // instructions
+        input = 1, in_private = 6, push_constant = 9, physical_storage = 5349,                                    // storage classes
+        built_in = 11, local_invocation_index = 29                                                               // decorations
+    };
+
+    std::span<const std::uint32_t> words_;
+    std::vector<std::uint32_t> result_;
+    std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
+    std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0, constant_1_ = 0,
+                  constant_255_ = 0;
+    std::set<std::uint32_t> storage_pointers_, parameters_;   ///< types of addresses; addresses of the block of parameters
+    bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
+
+    void read(std::uint32_t op, Instruction i) {
+        if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block_ = i[1];
+        if (op == entry_point) entry_ = i[2];
+        if (op == type_int && i[2] == 32 && i[3] == 0) uint_ = i[1];
+        if (op == type_pointer && i[2] == physical_storage) storage_pointers_.insert(i[1]);
+        if (op == type_pointer && i[2] == physical_storage && i[3] == block_) block_pointer_ = i[1];
+        if (op == variable && i[3] == push_constant) push_ = i[2];
+        if (op == decorate && i[2] == built_in && i[3] == local_invocation_index) lane_ = i[1];
+        if (op == load && i[1] == block_pointer_) parameters_.insert(i[2]);
+    }
+
+    void emit(Number op, std::initializer_list<std::uint32_t> operands) {
+        result_.push_back(std::uint32_t(operands.size() + 1) << 16 | op);
+        result_.insert(result_.end(), operands);
+    }
+
+    void declare() {
+        emit(type_pointer, {input_pointer_, input, uint_});
+        emit(type_pointer, {private_pointer_, in_private, uint_});
+        emit(type_pointer, {push_pointer_, push_constant, uint_});
+        emit(constant, {uint_, constant_0_, 0});
+        emit(constant, {uint_, constant_1_, 1});
+        emit(constant, {uint_, constant_255_, 255});
+        emit(variable, {private_pointer_, zero_, in_private});
+        if (is_new_lane_) emit(variable, {input_pointer_, lane_, input});
+    }
+
+    void fill() {
+        const std::uint32_t place = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3, value = next_ + 4;
+        next_ += 5;
+        emit(access_chain, {push_pointer_, place, push_, constant_1_, constant_0_});
+        emit(load, {uint_, nothing, place});
+        emit(bitwise_and, {uint_, low, nothing, constant_255_});
+        emit(load, {uint_, lane, lane_});
+        emit(bitwise_and, {uint_, value, lane, low});
+        emit(store, {zero_, value});
+    }
+
+    void write(std::uint32_t op, Instruction i) {
+        if (op == decorate && !decorated_) {
+            if (is_new_lane_) emit(decorate, {lane_, built_in, local_invocation_index});
+            decorated_ = true;
+        }
+        if (op == function && !declared_) {
+            declare();
+            declared_ = true;
+        }
+        in_entry_ = in_entry_ || (op == function && i[2] == entry_);
+        const bool begins = op == function || op == label || op == variable || op == line || op == no_line;
+        if (in_entry_ && !filled_ && !begins) {
+            fill();
+            filled_ = true;
+        }
+        const std::size_t at = result_.size();
+        if (op == access_chain && i.size() >= 6 && storage_pointers_.contains(i[1]) && !parameters_.contains(i[3])) {
+            const std::uint32_t zero = next_++, index = next_++;
+            emit(load, {uint_, zero, zero_});
+            emit(iadd, {uint_, index, i[5], zero});
+            append(result_, i);
+            result_[result_.size() - i.size() + 5] = index;
+            return;
+        }
+        append(result_, i);
+        if (op != entry_point) return;
+        result_.push_back(zero_);
+        if (is_new_lane_) result_.push_back(lane_);
+        result_[at] = std::uint32_t(result_.size() - at) << 16 | entry_point;
+    }
+};
+
+}  // namespace
+
+std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words) { return LaneIndices(words).written(); }
+
+}  // namespace relidar::gpu
