@@ -116,6 +116,12 @@ TEST_F(DeviceGradient, ShAlongRayWithInstances) {
                      "triangles, SH along the ray, 3 instances");
 }
 
+TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
+    const test::RandomSceneOptions options{.seed = 38, .rays = 60, .moving = true};
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles}, "models that move");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::normal, .chunk = 4}, "normals of models that move");
+}
+
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
     expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60},
                      {.every_way = true}, "boxes, SH along sensor -> mean, 2 instances");

@@ -12,6 +12,7 @@ RELIDAR_SHARED_BEGIN
 struct DeviceRay {
     vec3 origin;      // world, m
     vec3 direction;   // world, unit
+    float time_s;     // when it is fired, from the sweep's reference time
 };
 RELIDAR_POINTER(Rays, DeviceRay);
 

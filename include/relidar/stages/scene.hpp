@@ -192,6 +192,8 @@ public:
 
     /// Poses of all instances, world_from_model, one each: all present. Blocking upload.
     void set_poses(const std::vector<Pose>& world_from_instance);
+    /// The same with motions; instances may be absent.
+    void set_poses(const std::vector<InstancePose>& placed);
     /// The same as part of a stream, without a wait; instances may be absent. The acceleration structure follows with its next update or
     /// move.
     void place(Stream& stream, const std::vector<InstancePose>& placed);
