@@ -6,7 +6,7 @@
 struct Ray {
     vec3 origin;      // world, m
     vec3 direction;   // world, unit
-    float time_s;     // when it is fired, from the sweep's reference time
+    float time_s;     // when it is fired, from the sweep's reference time, or RELIDAR_NO_TIME
 };
 
 Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
@@ -62,6 +62,7 @@ void follow_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
     precise float since_s = clamp(time_s - scene.instances.at[instance].middle_s, -span_s, span_s);
+    if (time_s == RELIDAR_NO_TIME) since_s = 0.0;
     precise vec3 origin = entered_origin - since_s * velocity;
     precise vec3 turn = since_s * turn_rate;
     entered_turn = rodrigues_vector(turn);
