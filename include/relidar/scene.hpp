@@ -227,28 +227,14 @@ struct InitialiseOptions {
     bool operator==(const InitialiseOptions&) const = default;
 };
 
-/// How an instance moves during a sweep: at constant velocity and turn rate, within a span of time. Before and after the span it stands.
-/// All zero: it does not move.
-struct InstanceMotion {
-    glm::dvec3 velocity_mps{0.0};   ///< world
-    glm::dvec3 turn_radps{0.0};     ///< rotation vector per second in the world's axes, about the model's origin
-    double middle_s = 0.0;          ///< middle of the span, from the reference time of the sweep: when it is at InstancePose::world_from_model
-    double half_span_s = 0.0;
-};
-
 /// Where an instance is, or that it is absent.
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
     double time_s = 0.0;   ///< place_instances: the time at which its track is at world_from_model
     double phase = 0.0;    ///< turns of its model's gait
-    InstanceMotion motion{};
-
-    /// Pose that a ray meets which is fired `after_s` seconds after the reference time of the sweep.
-    Pose at(double after_s) const;
+    PoseMotion motion{};       ///< during the sweep, about world_from_model
 };
-/// Whether an instance is at another pose for some rays of its sweep than for others.
-bool moves(const InstancePose& placed);
 
 /// What moves without a label: returns of training frames, within 40 m, that others see through, linked and placed as upright boxes of one
 /// size, x along a smooth path; seen in 6 frames, 0.6 m and 0.9 of its size far, no part of the sensor's vehicle. A size is a guess
@@ -283,19 +269,10 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 /// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Poses of all instances in a sweep, each with its motion while the LiDAR's head faces its box. The pose is the track's own at the begin
-/// and the end of that time. A box is absent outside its first and last label.
+/// Poses and motions of all instances in a sweep (pose_in_sweep()). A box is absent outside its first and last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep);
 
-/// Pose and motion of a tracked box in a sweep, as place_instances() takes them. The pose is the track's own at the first and the last time
-/// at which a ray may meet the box, and is interpolated between these times. A box behind a spinning sensor is met at the begin and at the
-/// end of the sweep.
-/// @param half_size_m [3] of the box; 0: not known, then any ray may meet it
-InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
-                           const SweepMoment& sweep);
-
-/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at.
-/// Those not named are absent.
+/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), taken as PoseTrack::at. Others are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
 /// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
 /// @throws UsageError for a name that no instance has, naming the nearest

@@ -183,7 +183,7 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
             for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
         row.instanceCustomIndex = static_cast<std::uint32_t>(i) & 0xffffffu;
         row.mask = RELIDAR_STANDING_MASK;
-        if (moves(scene.poses()[i])) {
+        if (!scene.poses()[i].motion.is_none()) {
             row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
             of_motion.push_back({static_cast<std::uint32_t>(i), layout.instances[i].model, row.mask});
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where an actor is while the head of a LiDAR faces it.
-#include <relidar/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -81,7 +81,7 @@ InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from
     const Pose first = world_from_box.at(span.first_s), last = world_from_box.at(span.last_s);
     const Twist twist = twist_between(first, last);
     const double per_s = 0.5 / half_s;
-    const InstanceMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]), per_s * glm::dvec3(twist[3], twist[4], twist[5]),
+    const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]), per_s * glm::dvec3(twist[3], twist[4], twist[5]),
                                 middle_s - sweep.time_s, (1.0 + kBeyond) * half_s};
     return {interpolate(first, last, 0.5), true, middle_s, 0.0, motion};
 }

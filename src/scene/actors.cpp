@@ -2,6 +2,7 @@
 // Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the box's pose at the time it is looked at
 // (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include <algorithm>
 #include <cmath>

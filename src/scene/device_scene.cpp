@@ -134,7 +134,7 @@ struct DeviceScene::Impl {
         poses = placed;
         std::vector<shared::InstanceEntry> entries;
         for (std::size_t i = 0; i < placed.size(); ++i) {
-            const InstanceMotion& motion = placed[i].motion;
+            const PoseMotion& motion = placed[i].motion;
             const Pose model_from_world = inverse(placed[i].world_from_model);
             const glm::mat4 m(to_matrix(model_from_world));
             const Model& model = layout.models[layout.instances[i].model];
@@ -144,7 +144,7 @@ struct DeviceScene::Impl {
                                model.first,
                                placed[i].present ? model.count : 0u,
                                placements.first_row[i],
-                               moves(placed[i]) ? 1u : 0u,
+                               motion.is_none() ? 0u : 1u,
                                glm::vec3(model_from_world.rotation * motion.velocity_mps),
                                static_cast<float>(motion.middle_s),
                                glm::vec3(model_from_world.rotation * motion.turn_radps),

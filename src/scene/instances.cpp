@@ -11,17 +11,6 @@
 
 namespace relidar {
 
-bool moves(const InstancePose& placed) {
-    const glm::dvec3 none(0.0);
-    return placed.motion.half_span_s > 0.0 && (placed.motion.velocity_mps != none || placed.motion.turn_radps != none);
-}
-
-Pose InstancePose::at(double after_s) const {
-    const double since_s = std::clamp(after_s - motion.middle_s, -motion.half_span_s, motion.half_span_s);
-    const glm::dvec3 way_m = since_s * motion.velocity_mps, turn = since_s * motion.turn_radps;
-    return moved(world_from_model, {way_m.x, way_m.y, way_m.z, turn.x, turn.y, turn.z});
-}
-
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model) {
     Model added = other.models[model];   // with its box and stride
     const Surfels surfels = other.surfels.slice(added.first, added.count);

@@ -39,7 +39,7 @@ struct Sight {
 
 private:
     bool meets(const WorldRay& ray, double after_s, double grown_m) const {
-        const glm::dvec2 inside = PlacedBox{inverse(placed.at(after_s)), half_size_m}.interval(ray, grown_m);
+        const glm::dvec2 inside = PlacedBox{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m}.interval(ray, grown_m);
         return inside.x <= inside.y;
     }
 };

@@ -122,7 +122,8 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     for (const float x : {-2.0f, 2.0f})
         add_wall(posts, {x, -1.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, std::sqrt(0.5f)), {1.0f, 0.02f});
     const PoseAt sensor = [](double) { return Pose{}; };
-    const PoseAt car = [](double t_s) { return Pose{{1, 0, 0, 0}, {kSpeed_mps * (t_s - 0.475), 7.0, 0.0}}; };   // beside it when it is faced
+    // beside the sensor when it is faced
+    const PoseAt car = [](double t_s) { return Pose{{1, 0, 0, 0}, {kSpeed_mps * (t_s - 0.475), 7.0, 0.0}}; };
     const RenderedScan scan = render(one_actor(posts, size_m), drive(7200, sensor, car, size_m), 0.5);
     double n[2] = {}, x_m[2] = {}, t_s[2] = {};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {

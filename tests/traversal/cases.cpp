@@ -268,7 +268,8 @@ std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays) {
     for (int i = 0; i < 12; ++i)
         many.instances.push_back({150, 50, {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 3.0)}});
     return {that_moves(equal_depth_case(), seed), that_moves(random_case(seed, 800, n_rays), seed), that_moves(many, seed + 2),
-            that_moves(as_gaussians(random_case(seed + 3, 400, n_rays), seed), seed), that_moves(crowded_case(seed + 4, 120, n_rays), seed)};
+            that_moves(as_gaussians(random_case(seed + 3, 400, n_rays), seed), seed),
+            that_moves(crowded_case(seed + 4, 120, n_rays), seed)};
 }
 
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays) {

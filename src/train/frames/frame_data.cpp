@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include <relidar/stages/scene.hpp>
+
 #include "core/parallel.hpp"
 #include "train/poses/placed_box.hpp"
 #include "train/drops/sensor_drop.hpp"
@@ -23,7 +25,7 @@ struct MaskedBox {
         const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
         return glm::distance(to_centre, along_m * ray.direction) <= reach_m;
     }
-    PlacedBox at(double after_s) const { return {inverse(placed.at(after_s)), half_size_m}; }
+    PlacedBox at(double after_s) const { return {inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m}; }
 };
 
 std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMoment& sweep, const Unknown& masks) {
