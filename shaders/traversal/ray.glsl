@@ -57,7 +57,7 @@ vec3 rodrigues_vector(vec3 turn) {
     return g;
 }
 
-/// Moves the entered ray into the frame of a model that moves while the sweep is fired, as the model is when the ray is fired.
+/// Moves the entered ray into the frame that a moving model has at the ray's firing time.
 void follow_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
@@ -70,8 +70,8 @@ void follow_motion(TraceScene scene, uint instance, float time_s) {
     entered_direction = turned_by(-entered_turn, entered_direction);
 }
 
-/// Makes an instance the one that was entered last: the ray in the frame of its model when the ray is fired. The one place that says where
-/// a model is; every kernel and backend uses it.
+/// Enters an instance: moves the ray into the frame of its model, at the pose that the model has at the ray's firing time. All kernels and
+/// backends use this function.
 void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (entered_instance == instance) return;
     InstanceEntry m = scene.instances.at[instance];

@@ -39,7 +39,8 @@ struct Sight {
 
 private:
     bool meets(const WorldRay& ray, double after_s, double grown_m) const {
-        const glm::dvec2 inside = PlacedBox{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m}.interval(ray, grown_m);
+        const PlacedBox box{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m};
+        const glm::dvec2 inside = box.interval(ray, grown_m);
         return inside.x <= inside.y;
     }
 };
