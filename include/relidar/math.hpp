@@ -64,6 +64,23 @@ inline Twist twist_between(const Pose& from, const Pose& to) {
     return {v.x, v.y, v.z, w.x, w.y, w.z};
 }
 
+/// How something moves during a sweep: at constant velocity and turn rate, within a span of time. Before and after the span it stands.
+/// All zero: it does not move.
+struct PoseMotion {
+    glm::dvec3 velocity_mps{0.0};   ///< world
+    glm::dvec3 turn_radps{0.0};     ///< rotation vector per second in the world's axes, about its own origin
+    double middle_s = 0.0;          ///< middle of the span, from the reference time of the sweep
+    double half_span_s = 0.0;
+
+    bool is_none() const { return !(half_span_s > 0.0) || (velocity_mps == glm::dvec3(0.0) && turn_radps == glm::dvec3(0.0)); }
+    /// Pose that a ray meets which is fired `after_s` seconds after the reference time. @param pose  in the middle of the span
+    Pose at(const Pose& pose, double after_s) const {
+        const double since_s = glm::clamp(after_s - middle_s, -half_span_s, half_span_s);
+        const glm::dvec3 v = since_s * velocity_mps, w = since_s * turn_radps;
+        return moved(pose, {v.x, v.y, v.z, w.x, w.y, w.z});
+    }
+};
+
 /// 4x4 matrix of a pose (GLM, column-major).
 inline glm::dmat4 to_matrix(const Pose& pose) {
     glm::dmat4 m = glm::mat4_cast(pose.rotation);

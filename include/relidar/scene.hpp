@@ -227,12 +227,13 @@ struct InitialiseOptions {
     bool operator==(const InitialiseOptions&) const = default;
 };
 
-/// Where an instance stands, or that it is not there.
+/// Where an instance is, or that it is absent.
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
-    double time_s = 0.0;   ///< place_instances: the moment at which its track was asked
+    double time_s = 0.0;   ///< place_instances: the time at which its track is at world_from_model
     double phase = 0.0;    ///< turns of its model's gait
+    PoseMotion motion{};       ///< during the sweep, about world_from_model
 };
 
 /// What moves without a label: returns of training frames, within 40 m, that others see through, linked and placed as upright boxes of one
@@ -268,11 +269,10 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 /// Their tracks and classes in a few words, at most eight of them by name: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Poses of all instances in a sweep, each taken when the LiDAR's head faces its box; a box is absent outside its first and last label.
+/// Poses and motions of all instances in a sweep (pose_in_sweep()). A box is absent outside its first and last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep);
 
-/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), interpolated and extrapolated as PoseTrack::at.
-/// Those not named are absent.
+/// Where actors are, by their tracks' names: centres of their boxes (relidar's world), taken as PoseTrack::at. Others are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
 /// The same with the actors where the caller has them. The sequence says how the sensor turns and where it is.
 /// @throws UsageError for a name that no instance has, naming the nearest

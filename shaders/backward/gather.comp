@@ -21,7 +21,7 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     entered_instance = kNoInstance;   // another ray
     ray_basis_instance = kNoInstance;
     if (WITH_GEOMETRY) take_ray(scene, h.ray, params.d_geometry.at[h.ray], params.rendered.at[h.ray].transmittance);
-    HitGradient d = hit_gradient(scene, Ray(entry.origin, entry.direction), params.upstream.at[h.ray], h.instance,
+    HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
                                  row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
     if (SH_PER_SURFEL == 0u)

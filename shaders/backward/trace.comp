@@ -185,7 +185,7 @@ void main() {
     bool any_gradient = g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
     if (WITH_GEOMETRY) any_gradient = take_geometry(i, final) || any_gradient;
-    uint blended = backward(params.scene, Ray(entry.origin, entry.direction), i, final, g, inside && any_gradient);
+    uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && any_gradient);
     if (!inside) return;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;

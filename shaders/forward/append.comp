@@ -14,7 +14,7 @@ void main() {
     if (i < params.scene.n_rays) {
         DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
         listed = params.lists;
-        next_hits(params.scene, Ray(entry.origin, entry.direction), first_key(params.scene), least_of_rest(params.scene, 1.0));
+        next_hits(params.scene, ray_of(entry), first_key(params.scene), least_of_rest(params.scene, 1.0));
         length = n_hits | (hits_closed ? RELIDAR_LIST_CLOSED : 0u);
         if (n_hits > params.lists.room) {
             length = RELIDAR_LIST_UNFIT;

@@ -50,7 +50,7 @@ void main() {
     uint length = params.lists.lengths.at[list];
     if (length == RELIDAR_LIST_UNFIT) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
-    Ray ray = Ray(entry.origin, entry.direction);
+    Ray ray = ray_of(entry);
     Blended b = start_blending(params.scene, i);
     uint n = length & ~RELIDAR_LIST_CLOSED;
     bool ended = n > 0u && blend_list(list, n, ray, b);

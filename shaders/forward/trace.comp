@@ -38,5 +38,5 @@ void main() {
     if (i >= params.scene.n_rays) return;
     if (!is_null(params.lists.lengths) && params.lists.lengths.at[thread_index()] != RELIDAR_LIST_UNFIT) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
-    render(params.scene, Ray(entry.origin, entry.direction), i);
+    render(params.scene, ray_of(entry), i);
 }

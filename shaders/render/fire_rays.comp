@@ -13,5 +13,5 @@ void main() {
     if (i >= params.n_rays) return;
     SensorRay ray = params.rays.at[i];
     Firing firing = firing_at(params.poses, params.n_poses, ray.time_offset_s);
-    params.fired.at[i] = DeviceRay(placed_point(firing, ray.origin), placed_direction(firing, ray.direction));
+    params.fired.at[i] = DeviceRay(placed_point(firing, ray.origin), placed_direction(firing, ray.direction), ray.time_offset_s);
 }

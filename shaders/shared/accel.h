@@ -21,5 +21,20 @@ struct ProxyParams {
     uint n_surfels;
 };
 
+#define RELIDAR_RADIUS_STRETCH 64u   // surfels of a thread of accel/model_radii
+
+/// How far from its origin each model reaches (accel/model_radii.comp).
+struct ModelRadiiParams {
+    Records records;                       // input [n], of all surfels
+    Models models;                         // input [n_models]
+    RELIDAR_OF(Uints, ModelRadii) radii;   // maximum [n_models] m, bits of floats
+    float alpha_min;                       // a surfel ends where sigma G = alpha_min
+    float margin_m;                        // added to each radius
+    float margin_scale;                    // and its factor
+    uint n_models;
+    uint first_surfel;                     // of the range
+    uint n_surfels;                        // of the range
+};
+
 RELIDAR_SHARED_END
 #endif

@@ -15,6 +15,8 @@ struct TraceScene {
     TlasHandle tlas;                                  // acceleration structure (ray query)
     // input [1] m: how far behind a hit its icosahedron may end (ray query, 3D Gaussians), else address 0
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
+    MovingInstances moving;                           // input [n_moving] (ray query)
+    RELIDAR_OF(Floats, ModelRadii) model_radii;       // input [n_models] m, about the models' origins (ray query)
     BvhPointers bvh;                                  // the tree (software traversal)
     Rays rays;                                        // input
     Records records;                                  // input
@@ -30,6 +32,7 @@ struct TraceScene {
     float transmittance_min;
     float likelihood_scale_m;                         // of the kernel about a measured range
     uint n_instances;
+    uint n_moving;                                    // 0 in the software traversal
     uint sh_degree;
     uint n_rays;
     uint first_ray;

@@ -16,5 +16,5 @@ void main() {
     PoseKnot knot = knot_at(params.knots, params.places.at[i]);
     DeviceRay ray = params.rays.at[i];
     params.moved.at[i] = DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation,
-                                   normalize(turned(knot.rotation, ray.direction)));
+                                   normalize(turned(knot.rotation, ray.direction)), ray.time_s);
 }

@@ -10,7 +10,7 @@ void main() {
     uint ray_index = traced_ray(params.scene);
     if (ray_index >= params.scene.n_rays) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
-    Ray ray = Ray(entry.origin, entry.direction);
+    Ray ray = ray_of(entry);
     Key after = first_key(params.scene);
     uint count = 0u;
     bool more = true;

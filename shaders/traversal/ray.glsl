@@ -6,13 +6,17 @@
 struct Ray {
     vec3 origin;      // world, m
     vec3 direction;   // world, unit
+    float time_s;     // when it is fired, from the sweep's reference time, or RELIDAR_NO_TIME
 };
+
+Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
 // The ray in the frame of the model that was met last: candidates come in runs of one instance.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
+vec3 entered_turn = vec3(0.0);   // how far the model has turned, in its own axes; see turned_by()
 
 /// The ray of this thread, in the order of the batch; n_rays and more: none. In an image, 8 threads in sequence are 4 x 2 neighbours, and
 /// 32 are 16 x 2, for columns lie closer than rows: they open the same nodes. Tiles run down the image, then across: a driver that gives
@@ -32,8 +36,42 @@ vec3 model_point(InstanceEntry m, vec3 p) {
 vec3 model_vector(InstanceEntry m, vec3 d) {
     return vec3(exact_dot(m.row0.xyz, d), exact_dot(m.row1.xyz, d), exact_dot(m.row2.xyz, d));
 }
-vec3 world_vector(InstanceEntry m, vec3 g) { return m.row0.xyz * g.x + m.row1.xyz * g.y + m.row2.xyz * g.z; }
 
+vec3 exact_cross(vec3 a, vec3 b) {
+    precise vec3 product = vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+    return product;
+}
+
+/// Turns a vector by the rotation whose Rodrigues vector (axis times tangent of half the angle) is g. It keeps lengths for every g, so that
+/// t is the same in the world and in a model that turns.
+vec3 turned_by(vec3 g, vec3 p) {
+    vec3 q = exact_cross(g, p), r = exact_cross(g, q);
+    precise vec3 result = p + 2.0 / (1.0 + exact_dot(g, g)) * (q + r);
+    return result;
+}
+
+/// The Rodrigues vector of a rotation vector, by the series of the tangent: exact to float for turns of up to half a radian.
+vec3 rodrigues_vector(vec3 turn) {
+    float x = 0.25 * exact_dot(turn, turn);
+    precise vec3 g = 0.5 * (1.0 + x * (1.0 / 3.0 + x * (2.0 / 15.0 + x * (17.0 / 315.0 + x * (62.0 / 2835.0))))) * turn;
+    return g;
+}
+
+/// Moves the entered ray into the frame that a moving model has at the ray's firing time.
+void follow_motion(TraceScene scene, uint instance, float time_s) {
+    vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
+    float span_s = scene.instances.at[instance].half_span_s;
+    precise float since_s = clamp(time_s - scene.instances.at[instance].middle_s, -span_s, span_s);
+    if (time_s == RELIDAR_NO_TIME) since_s = 0.0;
+    precise vec3 origin = entered_origin - since_s * velocity;
+    precise vec3 turn = since_s * turn_rate;
+    entered_turn = rodrigues_vector(turn);
+    entered_origin = turned_by(-entered_turn, origin);
+    entered_direction = turned_by(-entered_turn, entered_direction);
+}
+
+/// Enters an instance: moves the ray into the frame of its model, at the pose that the model has at the ray's firing time. All kernels and
+/// backends use this function.
 void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (entered_instance == instance) return;
     InstanceEntry m = scene.instances.at[instance];
@@ -41,5 +79,15 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     entered_first_surfel = m.first_surfel;
     entered_origin = model_point(m, ray.origin);
     entered_direction = model_vector(m, ray.direction);
+    entered_turn = vec3(0.0);
+    if (m.moves != 0u) follow_motion(scene, instance, ray.time_s);
 }
+
+/// A vector of the entered instance's model in the world, and back.
+vec3 world_vector(InstanceEntry m, vec3 g) {
+    vec3 v = g;
+    if (m.moves != 0u) v = turned_by(entered_turn, g);
+    return m.row0.xyz * v.x + m.row1.xyz * v.y + m.row2.xyz * v.z;
+}
+vec3 entered_vector(InstanceEntry m, vec3 d) { return turned_by(-entered_turn, model_vector(m, d)); }
 #endif

@@ -5,31 +5,69 @@
 // encloses the hit: it is crossed before and behind. The far crossing lies behind the hit, so behind the start, wherever the near one is,
 // and at most `reach` behind it. So the ray is shortened to `reach` behind the last hit, and what it crosses there is not lost, though it
 // may begin before the start or hold the sensor. A hit that is offered at both crossings is known the second time.
+//
+// The driver has each model at one pose. A model that moves during the sweep needs a query of its own, with the ray moved as the model is
+// moved back to that pose. The first query finds the models that stand still, by the cull mask. No hit of a moving model is lost: its
+// radius holds all that can be hit, and the rounding of the moved ray is far below the margin of the proxies.
 #ifndef RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
+/// Whether the entered ray comes within the radius of its model.
+bool comes_near(float radius) {
+    float along = dot(entered_origin, entered_direction);
+    vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
+    float reached = 1.00001 * radius + 1e-5 * length(entered_origin);
+    return dot(nearest, nearest) <= reached * reached;
+}
+
+/// What one query looks for.
+struct Search {
+    vec3 origin;      // world, m
+    vec3 direction;
+    uint mask;
+    uint instance;    // the only one whose candidates count; RELIDAR_NO_INSTANCE: all
+};
+
+/// @return false where the ray cannot meet the instance
+bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
+    enter_instance(scene, ray, moving.instance);
+    InstanceEntry m = scene.instances.at[moving.instance];
+    vec3 from_model = entered_origin - vec3(m.row0.w, m.row1.w, m.row2.w);
+    search.origin = m.row0.xyz * from_model.x + m.row1.xyz * from_model.y + m.row2.xyz * from_model.z;
+    search.direction = m.row0.xyz * entered_direction.x + m.row1.xyz * entered_direction.y + m.row2.xyz * entered_direction.z;
+    search.mask = moving.mask;
+    search.instance = moving.instance;
+    return comes_near(scene.model_radii.at[moving.model]);
+}
+
 void find_hits(TraceScene scene, Ray ray, Key after) {
     float start = search_start(after);
-    rayQueryEXT query;
-    rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT, 0xffu,
-                          ray.origin + start * ray.direction, 0.0, ray.direction, 1e30);
     float reach = BOXES == 0u && proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
-    float end = 1e30;   // where the query has been told to stop
-    while (rayQueryProceedEXT(query)) {
-        uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
-        uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-        offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
-        if (!hits_closed) continue;
-        float bound = max(last_hit_t() - start, 0.0);
-        bound += 1e-4 + 1e-5 * last_hit_t();
-        if (BOXES != 0u) {
-            if (bound < end) {
-                rayQueryGenerateIntersectionEXT(query, bound);
-                end = bound;
+    rayQueryEXT query;
+    for (uint k = 0u; k <= scene.n_moving; ++k) {
+        Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
+        if (k > 0u && !search_moving(scene, ray, scene.moving.at[k - 1u], search)) continue;
+        float end = 1e30;   // where the query stops
+        if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;   // by the queries before
+        rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT, search.mask,
+                              search.origin + start * search.direction, 0.0, search.direction, end);
+        while (rayQueryProceedEXT(query)) {
+            uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
+            uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
+            if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;   // has the same mask
+            offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
+            if (!hits_closed) continue;
+            float bound = max(last_hit_t() - start, 0.0);
+            bound += 1e-4 + 1e-5 * last_hit_t();
+            if (BOXES != 0u) {
+                if (bound < end) {
+                    rayQueryGenerateIntersectionEXT(query, bound);
+                    end = bound;
+                }
+            } else if (rayQueryGetIntersectionTEXT(query, false) > bound + reach) {
+                rayQueryConfirmIntersectionEXT(query);
             }
-        } else if (rayQueryGetIntersectionTEXT(query, false) > bound + reach) {
-            rayQueryConfirmIntersectionEXT(query);
         }
     }
 }

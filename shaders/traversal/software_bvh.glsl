@@ -17,6 +17,8 @@
 //   far planes farther by more than that.
 // - A direction component of less than kLeastSlope is taken as that: over 100 km the ray is off by 10^-7 m, less than the slack. So no
 //   division by zero and, for coordinates under 10^25 m, no NaN; the comparisons open a node should there be one.
+// - A model that moves is in its box of the top tree whenever a ray is fired: the box holds all that the model sweeps in its span, and a
+//   ray's time is clamped to that span (enter_instance()).
 // - A node is left out behind `end` and before `start` only. Both keep 1e-4 m + 1e-5 t for the rounding of the canonical t, as every
 //   backend's (README.md).
 //

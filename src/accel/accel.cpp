@@ -103,8 +103,10 @@ void Accel::check_growth(Stream& stream) {
 }
 
 AccelAddresses Accel::addresses() const {
-    if (impl_->software) return {.tlas = {}, .proxy_reach = {}, .bvh = impl_->software->pointers()};
-    return {.tlas = impl_->hardware->tlas(), .proxy_reach = impl_->hardware->reach_address(), .bvh = {}};
+    AccelAddresses addresses;
+    if (impl_->software) addresses.bvh = impl_->software->pointers();
+    else impl_->hardware->fill(addresses);
+    return addresses;
 }
 
 Proxy Accel::proxy() const { return impl_->proxy; }

@@ -114,19 +114,28 @@ struct HardwareAccel::Impl {
     std::vector<std::uint64_t> blas_scratch;        ///< offset of each: they are built at the same time
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
+    Kernel<shared::ModelRadiiParams> model_radii;
+    Array<std::uint32_t, shared::ModelRadii> radii;   ///< [models]
+    Array<shared::MovingInstance> moving;             ///< [instances] room for all
+    std::uint32_t n_moving = 0;
     Buffer scratch;
     std::uint64_t scratch_address = 0;
 
-    Impl(Device& device, Proxy p, Primitive primitive)
+    Impl(Device& device, const Scene& layout, Proxy p, Primitive primitive)
         : proxy(p),
           mesh(kind_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
           proxies(device, "accel/proxies",
-                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}) {
+                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
+          model_radii(device, "accel/model_radii", {{ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
+          radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
+          moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
         if (&mesh == &kIcosahedron && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
     void describe_model(const Model& model);
     void make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
+    void measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
+    void write_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all);
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
@@ -155,10 +164,16 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
     input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR | VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
+void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all) {
+    n_moving = static_cast<std::uint32_t>(all.size());
+    if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
+}
+
 /// Writes the instances of models that have surfels into memory of the stream. @return their device address
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
+    std::vector<shared::MovingInstance> of_motion;
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const Structure* model = blas[layout.instances[i].model].get();
         if (!model || !scene.poses()[i].present) continue;
@@ -167,17 +182,22 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
         for (int r = 0; r < 3; ++r)
             for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
         row.instanceCustomIndex = static_cast<std::uint32_t>(i) & 0xffffffu;
-        row.mask = 0xff;
+        row.mask = RELIDAR_STANDING_MASK;
+        if (!scene.poses()[i].motion.is_none()) {
+            row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
+            of_motion.push_back({static_cast<std::uint32_t>(i), layout.instances[i].model, row.mask});
+        }
         row.instanceShaderBindingTableRecordOffset = 0;
         row.flags = VK_GEOMETRY_INSTANCE_TRIANGLE_FACING_CULL_DISABLE_BIT_KHR;
         row.accelerationStructureReference = model->address;
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
+    write_moving(stream, of_motion);
     return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
 HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy)
-    : impl_(std::make_unique<Impl>(device, proxy, scene.primitive())) {
+    : impl_(std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive())) {
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
@@ -232,6 +252,19 @@ void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene,
          .n_surfels = range.count});
 }
 
+void HardwareAccel::Impl::measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+    run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
+        {.records = scene.records().address(),
+         .models = scene.models().address(),
+         .radii = radii.address(),
+         .alpha_min = scene.alpha_min(),
+         .margin_m = options.margin_m,
+         .margin_scale = options.margin_scale,
+         .n_models = static_cast<std::uint32_t>(scene.layout().models.size()),
+         .first_surfel = range.first,
+         .n_surfels = range.count});
+}
+
 void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges,
                            bool refit) {
     Impl& a = *impl_;
@@ -239,6 +272,8 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     for (const SurfelRange& range : ranges) n += range.count;
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);   // else that of the others is in it
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
+    if (n == scene.size()) stream.fill(a.radii);   // else the radii of the other models stay
+    for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         const auto is_in = [&](const SurfelRange& range) { return range.holds(scene.layout().models[i].first); };
@@ -258,10 +293,13 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     record_builds(s, "accel/top_level", {a.tlas_input});
 }
 
-shared::TlasHandle HardwareAccel::tlas() const { return {impl_->tlas->address}; }
-
-Address<float, shared::ProxyReach> HardwareAccel::reach_address() const {
-    return impl_->reach.address_as<float, shared::ProxyReach>();   // of bits that grow as the float does
+void HardwareAccel::fill(AccelAddresses& addresses) const {
+    const Impl& a = *impl_;
+    addresses.tlas = {a.tlas->address};
+    addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();   // of bits that grow as the float does
+    addresses.moving = a.moving.address();
+    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();   // likewise
+    addresses.n_moving = a.n_moving;
 }
 
 std::uint64_t HardwareAccel::memory_bytes() const {

@@ -25,9 +25,8 @@ public:
     /// Records the top level alone.
     void move(Stream& stream, const DeviceScene& scene);
 
-    shared::TlasHandle tlas() const;
-    /// Of how far behind a hit an icosahedron may end (shared::TraceScene); nowhere where there is none.
-    Address<float, shared::ProxyReach> reach_address() const;
+    /// Fills in what ray query reads.
+    void fill(AccelAddresses& addresses) const;
     std::uint64_t memory_bytes() const;
 
 private:

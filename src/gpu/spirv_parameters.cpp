@@ -174,12 +174,12 @@ private:
         next_ += 2;
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage = pointer(storage_pointer_, kPhysicalStorage, v.type);
-            Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, next_, block};
+            const std::uint32_t at = next_++, value = next_++;   // before index() makes further ids
+            Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at, block};
             for (const std::uint32_t member : path) place.push_back(index(member));
             append(code, place);
-            append(code, instruction(kLoad, {v.type, next_ + 1, next_, kAligned, *align_of(v.type)}));
-            append(code, instruction(kStore, {v.id, next_ + 1}));
-            next_ += 2;
+            append(code, instruction(kLoad, {v.type, value, at, kAligned, *align_of(v.type)}));
+            append(code, instruction(kStore, {v.id, value}));
         }
         return code;
     }

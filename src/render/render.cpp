@@ -381,6 +381,7 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         const glm::dvec3 foot_m = pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
         mirrored.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
         mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
+        mirrored.time_s.push_back(scan.time_offset_s[i]);
         of_ray.push_back(i);
     }
     if (of_ray.empty()) return wet;

@@ -2,6 +2,7 @@
 // Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the box's pose at the time it is looked at
 // (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene.hpp>
+#include <relidar/stages/scene.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -151,15 +152,6 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     scene.surfels.append(surfels);
 }
 
-/// An actor at the moment the head of a LiDAR faces it, the one at which its only transform of the sweep is taken.
-InstancePose facing_pose(const Sequence& sequence, const PoseTrack& world_from_box, const SweepMoment& sweep) {
-    const Pose world_from_sensor =
-        sequence.world_from_vehicle.at(sweep.time_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
-    const double facing_s =
-        facing_time(sequence, inverse(world_from_sensor) * world_from_box.at(sweep.time_s).translation, sweep);
-    return {world_from_box.at(facing_s), true, facing_s};
-}
-
 /// How far an actor had come when a caller's track of it begins: as far as on its own track where it was nearest, and how far it is ahead
 /// of that place now. Steps follow the way wherever it is put.
 double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
@@ -181,8 +173,9 @@ std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence,
             continue;
         }
         const PoseTrack* track = track_of(instance.track);
-        placed.push_back(track ? facing_pose(sequence, *track, sweep) : InstancePose{{}, false});
-        const double stride_m = double(scene.models[instance.model].stride_m);
+        const Model& model = scene.models[instance.model];
+        placed.push_back(track ? pose_in_sweep(sequence, *track, model.half_size_m, sweep) : InstancePose{{}, false});
+        const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
         const BoxTrack* own = find_box(sequence, instance.track);
         const bool is_own = own && &own->world_from_box == track;

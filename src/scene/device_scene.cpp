@@ -16,7 +16,7 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 64 && sizeof(shared::ModelEntry) == 32);
+static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 96 && sizeof(shared::ModelEntry) == 32);
 
 namespace {
 
@@ -134,7 +134,9 @@ struct DeviceScene::Impl {
         poses = placed;
         std::vector<shared::InstanceEntry> entries;
         for (std::size_t i = 0; i < placed.size(); ++i) {
-            const glm::mat4 m(to_matrix(inverse(placed[i].world_from_model)));
+            const PoseMotion& motion = placed[i].motion;
+            const Pose model_from_world = inverse(placed[i].world_from_model);
+            const glm::mat4 m(to_matrix(model_from_world));
             const Model& model = layout.models[layout.instances[i].model];
             entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x},
                                {m[0].y, m[1].y, m[2].y, m[3].y},
@@ -142,7 +144,11 @@ struct DeviceScene::Impl {
                                model.first,
                                placed[i].present ? model.count : 0u,
                                placements.first_row[i],
-                               0});
+                               motion.is_none() ? 0u : 1u,
+                               glm::vec3(model_from_world.rotation * motion.velocity_mps),
+                               static_cast<float>(motion.middle_s),
+                               glm::vec3(model_from_world.rotation * motion.turn_radps),
+                               static_cast<float>(motion.half_span_s)});
         }
         return entries;
     }
@@ -180,8 +186,10 @@ DeviceScene::~DeviceScene() = default;
 void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
     std::vector<InstancePose> placed;
     for (const Pose& pose : world_from_instance) placed.push_back({pose});
-    impl_->instances.upload(impl_->instance_table(placed));
+    set_poses(placed);
 }
+
+void DeviceScene::set_poses(const std::vector<InstancePose>& placed) { impl_->instances.upload(impl_->instance_table(placed)); }
 
 void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
     const std::vector<shared::InstanceEntry> entries = impl_->instance_table(placed);

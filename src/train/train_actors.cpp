@@ -23,19 +23,23 @@ constexpr double kReach_sigmas = 3.5;          // of a surfel: beyond, its alpha
 constexpr std::size_t kTogether = 1'500'000;   // surfels of the blocks that go into one training, of which it takes what is near actors
 constexpr float kBlind = 0.5f;                 // of the sensor's own drop probability: such rays tell nothing of actors
 
-/// An actor at the moment at which the sensor faces it.
+/// An actor in a sweep, and where the sensor is when it faces the actor.
 struct Sight {
     glm::dvec3 sensor_m;
-    PlacedBox box;
+    InstancePose placed;
+    glm::dvec3 half_size_m;
 
-    bool is_met_by(const WorldRay& ray) const { return meets(ray, kBeside_m); }
+    /// @param after_s  when the ray is fired, from the reference time of the sweep
+    bool is_met_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
     /// Whether a ball is on the way of rays that meet it, before or behind.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
-        return meets({sensor_m, glm::normalize(point_m - sensor_m)}, kBeside_m + kSweep_m + reach_m);
+        const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
+        return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s, kBeside_m + kSweep_m + way_m + reach_m);
     }
 
 private:
-    bool meets(const WorldRay& ray, double grown_m) const {
+    bool meets(const WorldRay& ray, double after_s, double grown_m) const {
+        const PlacedBox box{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m};
         const glm::dvec2 inside = box.interval(ray, grown_m);
         return inside.x <= inside.y;
     }
@@ -76,7 +80,7 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
     for (std::size_t i = 0; i < placed.size(); ++i) {
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
-        const Sight sight{world_from_sensor.at(placed[i].time_s).translation, {inverse(placed[i].world_from_model), 0.5 * box->size_m}};
+        const Sight sight{world_from_sensor.at(placed[i].time_s).translation, placed[i], 0.5 * box->size_m};
         if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < result.reach_m + 0.5 * glm::length(box->size_m))
             result.sights.push_back(sight);
     }
@@ -109,7 +113,8 @@ Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_s
     Scan scan;
     for (std::size_t i = 0; i < all.range_m.size(); ++i) {
         const WorldRay ray = world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
-        if (std::none_of(sights.begin(), sights.end(), [&](const Sight& sight) { return sight.is_met_by(ray); })) continue;
+        const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
+        if (std::none_of(sights.begin(), sights.end(), [&](const Sight& sight) { return sight.is_met_by(ray, after_s); })) continue;
         const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
         if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
         near.push_back(i);

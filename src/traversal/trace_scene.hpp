@@ -16,6 +16,8 @@ namespace relidar {
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel, const ImageModel& model) {
     return {.tlas = accel.tlas,
             .proxy_reach = accel.proxy_reach,
+            .moving = accel.moving,
+            .model_radii = accel.model_radii,
             .bvh = accel.bvh,
             .rays = {},
             .records = scene.records().address(),
@@ -30,6 +32,7 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
             .transmittance_min = model.transmittance_min,
             .likelihood_scale_m = 1.0f,
             .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
+            .n_moving = accel.n_moving,
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
             .n_rays = 0,
             .first_ray = 0,

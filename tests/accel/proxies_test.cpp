@@ -2,12 +2,15 @@
 // accel/proxies and the acceleration structure (M3, Fig. 3): proxies hold all of sigma G >= alpha_min (rays at the rim are found), a
 // refit follows moved surfels, moving an instance builds no bottom level.
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
-#include <relidar/stages/forward.hpp>
+#include <relidar/measure/scene.hpp>
 #include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"
+#include "gpu/stream.hpp"
+#include "shared/accel.h"
 
 namespace relidar {
 namespace {
@@ -46,6 +49,45 @@ WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0)
         rays.direction.push_back({1.0f, 0.0f, 0.0f});
     }
     return rays;
+}
+
+/// accel/model_radii: the rim of every ellipse lies within its model's radius, and not far within.
+TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
+    constexpr std::uint32_t kFirst = 150, kAll = 230;   // more than a thread goes over
+    constexpr double kAlphaMin = 1.0 / 255.0;
+    Surfels surfels = make_benchmark_street(kAll);
+    for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
+    surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};   // never hit
+    Scene scene = make_background_scene(surfels);
+    scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
+    DeviceScene on_device(device(), scene);
+    Stream stream(device());
+    on_device.activate(stream, {}, glm::vec3(0.0f));
+    Kernel<shared::ModelRadiiParams> kernel(device(), "accel/model_radii");
+    const Array<std::uint32_t, shared::ModelRadii> radii(device(), 2, "radii");
+    stream.fill(radii);
+    run(stream, kernel, (kAll + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
+        {.records = on_device.records().address(),
+         .models = on_device.models().address(),
+         .radii = radii.address(),
+         .alpha_min = float(kAlphaMin),
+         .margin_m = 0.0f,
+         .margin_scale = 1.0f,
+         .n_models = 2,
+         .first_surfel = 0,
+         .n_surfels = kAll});
+    stream.finish();
+    const std::vector<std::uint32_t> found = radii.download();
+    for (const std::uint32_t m : {0u, 1u}) {
+        double expected = 0.0;
+        for (std::uint32_t i = scene.models[m].first; i < scene.models[m].first + scene.models[m].count; ++i) {
+            const double opacity = 1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[i])));
+            if (opacity <= kAlphaMin) continue;
+            const double largest = std::exp(double(std::max(surfels.log_scale[i].x, surfels.log_scale[i].y)));
+            expected = std::max(expected, double(glm::length(surfels.mean[i])) + std::sqrt(2.0 * std::log(opacity / kAlphaMin)) * largest);
+        }
+        EXPECT_NEAR(double(std::bit_cast<float>(found[m])), expected, 1e-5 * expected) << "model " << m;
+    }
 }
 
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {

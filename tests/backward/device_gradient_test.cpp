@@ -116,6 +116,15 @@ TEST_F(DeviceGradient, ShAlongRayWithInstances) {
                      "triangles, SH along the ray, 3 instances");
 }
 
+TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
+    const test::RandomSceneOptions options{.seed = 38, .rays = 60, .moving = true};
+    // A kernel turns the ray's origin, 8 m away, in float: that rounds it once more by 1e-6 m.
+    const double tolerance = 3.0 * test::kKernelGradient;
+    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.tolerance = tolerance, .outputs = Outputs::normal, .chunk = 4},
+                     "normals of models that move");
+}
+
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
     expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60},
                      {.every_way = true}, "boxes, SH along sensor -> mean, 2 instances");

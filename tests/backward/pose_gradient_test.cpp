@@ -50,7 +50,7 @@ struct PoseProblem {
         s.view_origin += v;
         std::vector<reference::Ray> rays = scene.rays;
         for (reference::Ray& ray : rays)
-            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction};
+            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction, 0.0, ray.time_s};
         return terms(rays, s);
     }
 };
@@ -91,13 +91,16 @@ protected:
             reference::Placement& placed = p.scene.world.instances[k];
             const Pose start = placed.world_from_model;
             const std::vector<double> differences = twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
-                placed.world_from_model = {test::turn_by(w) * start.rotation, start.translation + v};
+                const Pose changed{test::turn_by(w) * start.rotation, start.translation + v};
+                if (options.moving) placed.change = inverse(start) * changed;
+                else placed.world_from_model = changed;
                 return p.terms(p.scene.rays, p.settings);
             });
-            placed.world_from_model = start;
+            placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        add_twist(table, "differences, sensor",
+        if (!options.moving)   // whose gradient takes all rays of an instance at one time
+            add_twist(table, "differences, sensor",
                   twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
                   lanes(passes.gradients().sensor.download().data(), 6));
         table.print(title);
@@ -112,6 +115,12 @@ TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
     test::RandomSceneOptions options;
     options.seed = 41, options.rays = 60, options.actor_instances = 3;
     expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
+}
+
+TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
+    test::RandomSceneOptions options;
+    options.seed = 47, options.rays = 60, options.actor_instances = 3, options.moving = true;
+    expect_agreement(ShDirection::ray, options, "poses, models that drive and turn");
 }
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {

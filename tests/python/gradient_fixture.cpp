@@ -82,7 +82,7 @@ void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAn
     }
     for (std::size_t i = 0; i < placed.scene.instances.size(); ++i) {
         table.add("instance/model", placed.scene.instances[i].model);
-        const glm::dmat4 rows = glm::transpose(to_matrix(placed.world_from_instance[i]));  // GLM holds columns
+        const glm::dmat4 rows = glm::transpose(to_matrix(placed.world_from_instance[i].world_from_model));  // GLM holds columns
         table.add("instance/pose", &rows[0][0], 16);
     }
     table.add("view_origin", scene.view_origin, 3);

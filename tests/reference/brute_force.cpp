@@ -41,10 +41,11 @@ void BruteForce::collect(const Ray& ray, const HitKey& after, std::vector<Hit>& 
     for (std::uint32_t i = 0; i < instances_.size(); ++i) {
         const Placement& p = instances_[i];
         if (precision_ == Precision::float_record) {
-            const LocalRay<float> local = to_model(rows_[i], glm::vec3(ray.origin), glm::vec3(ray.direction));
+            const LocalRay<float> still = to_model(rows_[i], glm::vec3(ray.origin), glm::vec3(ray.direction));
+            const LocalRay<float> local = follow(still, p.world_from_model, p.motion, ray.time_s);
             for (std::uint32_t s = p.first; s < p.first + p.count; ++s) offer(float_hit(float_records_[s], local, model_), i, s);
         } else {
-            const LocalRay<double> local = to_model(p.world_from_model, ray);
+            const LocalRay<double> local = to_model(p.at(ray.time_s), ray);
             for (std::uint32_t s = p.first; s < p.first + p.count; ++s) offer(double_hit(double_records_[s], local, model_), i, s);
         }
     }

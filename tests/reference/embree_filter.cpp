@@ -2,6 +2,7 @@
 // Traversal by Embree: a two-level scene of proxy triangle pairs (M3). The filter callback sees every triangle along the ray, asks
 // the canonical function (M1, M2) and keeps the nearest `chunk` keys. Embree's own t only shortens the ray, with a margin of twice the
 // largest proxy: canonical and Embree hit lie on one ray in one proxy, so their t cannot differ by more than its diameter.
+// A model that moves is not in the top scene: its own scene is asked with the ray in the model's frame at the ray's time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -85,6 +86,7 @@ struct EmbreeFilter::State {
     ImageModel model;
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
+    std::vector<Placement> instances;
     std::vector<ModelScene> models;   // one an instance: simple, and instances of one model are few in tests
     double t_margin = 1e-3;
     Device device{rtcNewDevice("threads=1,set_affinity=0")};
@@ -104,6 +106,7 @@ struct Query {
     std::size_t chunk;
     double t_margin;
     std::vector<Hit>* hits;
+    std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;   // the instance whose own scene is asked
 
     /// Inserts a candidate into the sorted buffer, if it is a hit, new, and among the nearest.
     void offer(std::uint32_t instance, std::uint32_t triangle) {
@@ -123,7 +126,8 @@ struct Query {
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     if (args->valid[0] != -1) return;
     Query& query = *reinterpret_cast<Query*>(args->context);
-    query.offer(RTCHitN_instID(args->hit, args->N, 0, 0), RTCHitN_primID(args->hit, args->N, 0));
+    const std::uint32_t instance = RTCHitN_instID(args->hit, args->N, 0, 0);
+    query.offer(instance == RTC_INVALID_GEOMETRY_ID ? query.moving : instance, RTCHitN_primID(args->hit, args->N, 0));
     args->valid[0] = query.may_shorten(RTCRayN_tfar(args->ray, args->N, 0)) ? -1 : 0;
 }
 
@@ -135,8 +139,9 @@ EmbreeFilter::State::State(const World& world, const ImageModel& image_model, co
     for (std::uint32_t i = 0; i < world.instances.size(); ++i) {
         const Placement& p = world.instances[i];
         rows.push_back(model_from_world_rows(p.world_from_model));
+        instances.push_back(p);
         models.push_back(build_model(world, p, margin));
-        if (!models.back().ids.empty()) place(i, models.back().scene.handle, p.world_from_model);
+        if (!models.back().ids.empty() && p.motion.is_none()) place(i, models.back().scene.handle, p.world_from_model);
     }
     rtcCommitScene(top.handle);
     check(device.handle, "EmbreeFilter");
@@ -189,21 +194,14 @@ EmbreeFilter::EmbreeFilter(const World& world, const ImageModel& model, ProxyMar
 
 EmbreeFilter::~EmbreeFilter() = default;
 
-void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const {
-    hits.clear();
-    std::vector<LocalRay<float>> local;
-    std::vector<const std::vector<std::uint32_t>*> ids;
-    const glm::vec3 origin(ray.origin), direction(ray.direction);
-    const double t_margin = state_->t_margin / glm::length(ray.direction);   // t counts lengths of the direction
-    for (std::size_t i = 0; i < state_->rows.size(); ++i) {
-        local.push_back(to_model(state_->rows[i], origin, direction));
-        ids.push_back(&state_->models[i].ids);
-    }
-    Query query{{}, state_->records.data(), &state_->model, ids.data(), local.data(), after, std::size_t(chunk), t_margin, &hits};
+namespace {
+
+/// Offers what a ray meets in a scene to a query.
+void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query) {
     RTCRayHit target{};
-    target.ray.org_x = origin.x, target.ray.org_y = origin.y, target.ray.org_z = origin.z;
-    target.ray.dir_x = direction.x, target.ray.dir_y = direction.y, target.ray.dir_z = direction.z;
-    target.ray.tnear = float(std::max(0.0, after.t - t_margin));
+    target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
+    target.ray.dir_x = ray.direction.x, target.ray.dir_y = ray.direction.y, target.ray.dir_z = ray.direction.z;
+    target.ray.tnear = near;
     target.ray.tfar = std::numeric_limits<float>::infinity();
     target.ray.mask = ~0u;
     target.hit.geomID = RTC_INVALID_GEOMETRY_ID;
@@ -213,11 +211,34 @@ void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std
     RTCIntersectArguments arguments;
     rtcInitIntersectArguments(&arguments);
     arguments.context = &query.context;
-    rtcIntersect1(state_->top.handle, &target, &arguments);
+    rtcIntersect1(scene, &target, &arguments);
 #else
     rtcInitIntersectContext(&query.context);
-    rtcIntersect1(state_->top.handle, &query.context, &target);
+    rtcIntersect1(scene, &query.context, &target);
 #endif
+}
+
+}  // namespace
+
+void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const {
+    hits.clear();
+    std::vector<LocalRay<float>> local;
+    std::vector<const std::vector<std::uint32_t>*> ids;
+    const glm::vec3 origin(ray.origin), direction(ray.direction);
+    const double t_margin = state_->t_margin / glm::length(ray.direction);   // t counts lengths of the direction
+    for (std::size_t i = 0; i < state_->rows.size(); ++i) {
+        const Placement& p = state_->instances[i];
+        local.push_back(follow(to_model(state_->rows[i], origin, direction), p.world_from_model, p.motion, ray.time_s));
+        ids.push_back(&state_->models[i].ids);
+    }
+    Query query{{}, state_->records.data(), &state_->model, ids.data(), local.data(), after, std::size_t(chunk), t_margin, &hits};
+    const float near = float(std::max(0.0, after.t - t_margin));
+    search(state_->top.handle, {origin, direction}, near, query);
+    for (std::uint32_t i = 0; i < local.size(); ++i) {
+        if (state_->instances[i].motion.is_none() || ids[i]->empty()) continue;
+        query.moving = i;
+        search(state_->models[i].scene.handle, local[i], near, query);
+    }
 }
 
 }  // namespace relidar::reference

@@ -70,7 +70,7 @@ RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t) {
 
 ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit) {
     const Surfel& surfel = world.surfels[hit.surfel];
-    const Pose& pose = world.instances[hit.instance].world_from_model;
+    const Pose pose = world.instances[hit.instance].at(ray.time_s);
     const Activated a = activate(surfel);
     const LocalRay<double> local = to_model(pose, ray);
     ShadedHit s{};
@@ -84,7 +84,7 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     const double alpha_max = double(settings.image.alpha_max);
     s.alpha_clamped = a.opacity * s.gauss > alpha_max;
     s.alpha = s.alpha_clamped ? alpha_max : a.opacity * s.gauss;
-    const glm::dvec3 view = to_model(pose, {settings.view_origin, glm::dvec3(0.0)}).origin;
+    const glm::dvec3 view = to_model(world.instances[hit.instance].world_from_model, {settings.view_origin, glm::dvec3(0.0)}).origin;
     const glm::dvec3 direction = settings.image.sh_direction == ShDirection::ray ? local.direction : glm::normalize(a.mean - view);
     s.value = sh_values(surfel, direction, settings.image.sh_degree);
     s.raw_intensity = s.value[0];

@@ -84,6 +84,8 @@ std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_
 /// Gradient with respect to an instance's pose.
 ///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation): the rotation vector is
 ///   expressed in the world and turns the model about its own origin; the translation is not turned.
+/// Of a model that moves during a sweep these are the axes in which it is at world_from_model: the pose that a ray meets is changed as
+///   R(t) R^-1 (translation, rotation), so that the model moves in its own axes, alike for all rays.
 struct PoseGradient {
     glm::dvec3 translation{0.0};
     glm::dvec3 rotation{0.0};

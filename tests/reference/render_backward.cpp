@@ -144,16 +144,19 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
 }
 
 /// From the model's frame to the world: x_m = R^T (x_w - translation), and R -> exp([w]x) R turns x_m by -R^T (w cross ...).
-void pose_backward(const Pose& pose, const Ray& ray, const glm::dvec3& view_origin, const LocalGradient& d_local, PoseGradient& d_pose,
-                   RayGradient& d_ray, glm::dvec3& d_view) {
-    const glm::dmat3 r = glm::mat3_cast(pose.rotation);
-    const glm::dvec3 origin = r * d_local.origin, direction = r * d_local.direction, view = r * d_local.view;
+/// A model that moves is changed in its own axes, alike for all rays: PoseGradient says how.
+void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin, const LocalGradient& d_local,
+                   PoseGradient& d_pose, RayGradient& d_ray, glm::dvec3& d_view) {
+    const Pose pose = placed.at(ray.time_s), &viewed = placed.world_from_model;
+    const glm::dvec3 origin = pose.rotation * d_local.origin, direction = pose.rotation * d_local.direction,
+                     view = viewed.rotation * d_local.view;
     d_ray.origin += origin;
     d_ray.direction += direction;
     d_view += view;
-    d_pose.translation -= origin + view;
-    d_pose.rotation -= glm::cross(ray.origin - pose.translation, origin) + glm::cross(ray.direction, direction) +
-                       glm::cross(view_origin - pose.translation, view);
+    d_pose.translation -= placed.unturned(ray.time_s) * origin + view;
+    d_pose.rotation -=
+        placed.unturned(ray.time_s) * (glm::cross(ray.origin - pose.translation, origin) + glm::cross(ray.direction, direction)) +
+        glm::cross(view_origin - viewed.translation, view);
 }
 
 }  // namespace
@@ -176,9 +179,10 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
         const Surfel& surfel = world.surfels[s.hit.surfel];
-        const Pose& pose = world.instances[s.hit.instance].world_from_model;
+        const Placement& placed = world.instances[s.hit.instance];
+        const Pose pose = placed.at(ray.time_s);
         const LocalRay<double> local = to_model(pose, ray);
-        const glm::dvec3 view = to_model(pose, {settings.view_origin, glm::dvec3(0.0)}).origin;
+        const glm::dvec3 view = to_model(placed.world_from_model, {settings.view_origin, glm::dvec3(0.0)}).origin;
         Surfel& d_surfel = gradients.surfels[s.hit.surfel];
         LocalGradient d_local;
         glm::dvec3 d_value = d_hits[i].value;
@@ -189,9 +193,10 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         } else {
             const glm::dvec3 d_normal = s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
             geometry_backward(surfel, local, s, d_hits[i], d_normal, d_surfel, d_local);
-            gradients.instances[s.hit.instance].rotation += glm::cross(s.normal, d_hits[i].normal);   // n turns with the model
+            gradients.instances[s.hit.instance].rotation +=   // n turns with the model
+                placed.unturned(ray.time_s) * glm::cross(s.normal, d_hits[i].normal);
         }
-        pose_backward(pose, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
+        pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
     }
     return d_ray;
 }

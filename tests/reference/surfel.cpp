@@ -3,6 +3,8 @@
 // (docs/method.md section 2, M1 and M2). Plain formulas; speed does not matter here.
 #include "surfel.hpp"
 
+#include <glm/gtc/quaternion.hpp>
+
 namespace relidar::reference {
 namespace {
 
@@ -134,6 +136,35 @@ FloatRecord make_float_record(const Surfel& surfel) {
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray) {
     const glm::dmat3 model_from_world = glm::transpose(glm::mat3_cast(world_from_model.rotation));
     return {model_from_world * (ray.origin - world_from_model.translation), model_from_world * ray.direction};
+}
+
+Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s) {
+    const double since_s = motion.since(time_s), rate = glm::length(motion.turn_rate);
+    Pose pose = world_from_model;
+    pose.translation += since_s * motion.velocity;
+    if (rate > 0.0) pose.rotation = glm::angleAxis(since_s * rate, motion.turn_rate / rate) * pose.rotation;
+    return pose;
+}
+
+namespace {
+
+/// Rotation by the angle 2 atan |g| about g: p + 2 / (1 + g.g) (g x p + g x (g x p)).
+glm::vec3 turned(const glm::vec3& g, const glm::vec3& p) {
+    const glm::vec3 q = glm::cross(g, p), r = glm::cross(g, q);
+    return p + 2.0f / (1.0f + glm::dot(g, g)) * (q + r);
+}
+
+}  // namespace
+
+LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion, double time_s) {
+    if (motion.is_none()) return local;
+    const glm::dquat model_from_world = glm::conjugate(world_from_model.rotation);
+    const glm::vec3 velocity(model_from_world * motion.velocity), turn_rate(model_from_world * motion.turn_rate);
+    const float span_s = float(motion.half_span_s), since_s = std::clamp(float(time_s) - float(motion.middle_s), -span_s, span_s);
+    const glm::vec3 turn = since_s * turn_rate;
+    const float half = 0.5f * glm::length(turn);
+    const glm::vec3 g = (half > 0.0f ? std::tan(half) / half : 1.0f) * 0.5f * turn;
+    return {turned(-g, local.origin - since_s * velocity), turned(-g, local.direction)};
 }
 
 FloatRows model_from_world_rows(const Pose& world_from_model) {

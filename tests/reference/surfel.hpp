@@ -85,8 +85,25 @@ struct Ray {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{1.0, 0.0, 0.0};
     double measured_m = 0.0;   ///< range that it measured; 0 = none
+    double time_s = 0.0;       ///< when it is fired, from the sweep's reference time
 };
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
+
+/// A model placed for a sweep: at t it is at world_from_model, moved by `velocity` and turned by `turn_rate` (rotation vector in the
+/// world's axes, about its own origin) for clamp(t - middle_s, -half_span_s, half_span_s) seconds.
+struct Motion {
+    glm::dvec3 velocity{0.0};   ///< m/s, world
+    glm::dvec3 turn_rate{0.0};  ///< rad/s
+    double middle_s = 0.0;
+    double half_span_s = 0.0;
+
+    double since(double time_s) const { return std::clamp(time_s - middle_s, -half_span_s, half_span_s); }
+    bool is_none() const { return !(half_span_s > 0.0) || (velocity == glm::dvec3(0.0) && turn_rate == glm::dvec3(0.0)); }
+};
+/// Where such a model is at a time.
+Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s);
+/// A ray in a model's frame with a motion in the axes of that frame, in float as a kernel moves it.
+LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion, double time_s);
 
 /// Rows of the 3x4 matrix model_from_world, computed in double and rounded.
 struct FloatRows {

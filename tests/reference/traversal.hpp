@@ -19,6 +19,14 @@ struct Placement {
     std::uint32_t first = 0;
     std::uint32_t count = 0;
     Pose world_from_model;
+    Motion motion = {};
+    Pose change = {};   ///< of the model in its own frame, at every time: for differences; the float record does not know it
+
+    Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }   ///< when a ray is fired
+    /// Takes back how far it has turned then.
+    glm::dquat unturned(double time_s) const {
+        return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
+    }
 };
 
 /// All that can be hit. Surfel ids are indices into `surfels`, instance ids indices into `instances`.

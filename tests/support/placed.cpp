@@ -15,7 +15,9 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
             for (std::uint32_t i = 0; i < p.count; ++i) result.original.push_back(p.first + i);
         }
         result.scene.instances.push_back({model, ""});
-        result.world_from_instance.push_back(p.world_from_model);
+        const reference::Motion& m = p.motion;
+        result.world_from_instance.push_back(
+            {.world_from_model = p.world_from_model, .motion = {m.velocity, m.turn_rate, m.middle_s, m.half_span_s}});
     }
     result.scene.surfels = take(surfels, result.original);
     return result;
@@ -26,6 +28,7 @@ WorldRays to_world_rays(const std::vector<reference::Ray>& rays) {
     for (const reference::Ray& ray : rays) {
         result.origin.push_back(glm::vec3(ray.origin));
         result.direction.push_back(glm::vec3(ray.direction));
+        result.time_s.push_back(float(ray.time_s));
     }
     return result;
 }

@@ -12,7 +12,7 @@ namespace relidar::test {
 /// overlap become copies; a surfel that no range holds is left out.
 struct SceneAndPoses {
     Scene scene;
-    std::vector<Pose> world_from_instance;
+    std::vector<InstancePose> world_from_instance;
     std::vector<std::uint32_t> original;   ///< [n] the world's number of each surfel of the scene, ascending within a model
 };
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);

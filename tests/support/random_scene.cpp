@@ -95,6 +95,9 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
         const glm::dquat turn = glm::angleAxis(angle, unit_vector(random));
         const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
         scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
+        if (options.moving)
+            scene.world.instances.back().motion = {5.0 * unit_vector(random), 3.0 * unit_vector(random), double(float(0.01 * i)),
+                                                   double(0.05f)};
     }
     scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
     return scene;
@@ -106,7 +109,8 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
         const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3));
         const glm::dvec3 towards(8.0, uniform(random, -0.8, 0.8), uniform(random, -0.8, 0.8));
-        const reference::Ray ray{glm::dvec3(glm::vec3(origin)), glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
+        reference::Ray ray{glm::dvec3(glm::vec3(origin)), glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
+        if (options.moving) ray.time_s = double(float(uniform(random, -0.07, 0.07)));
         if (keeps_margins(scene.world, settings, ray, margins)) scene.rays.push_back(ray);
     }
 }
@@ -127,7 +131,7 @@ void add_measured_ranges(const RandomSceneOptions& options, const reference::Set
 
 bool keeps_margins(const reference::World& world, const reference::Settings& settings, const reference::Ray& ray, const Margins& margins) {
     for (const reference::Placement& p : world.instances) {
-        const auto local = reference::to_model(p.world_from_model, ray);
+        const auto local = reference::to_model(p.at(ray.time_s), ray);
         for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
             if (!surfel_is_smooth(world.surfels[s], ray, local, settings, margins)) return false;
     }

@@ -20,6 +20,7 @@ struct RandomSceneOptions {
     int rays = 24;
     double opacity_low = 0.05, opacity_high = 0.6;
     Primitive primitive = Primitive::surfel;
+    bool moving = false;           ///< actors drive and turn during a sweep, and rays are fired at their own times
 };
 
 /// What must hold between every ray and every surfel, and along every ray.

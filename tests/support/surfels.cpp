@@ -48,7 +48,9 @@ std::vector<reference::FloatRecord> to_records(const Surfels& surfels) {
 
 std::vector<reference::Ray> to_reference(const WorldRays& rays) {
     std::vector<reference::Ray> result;
-    for (std::size_t i = 0; i < rays.size(); ++i) result.push_back({glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i])});
+    for (std::size_t i = 0; i < rays.size(); ++i) 
+        result.push_back({glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), 0.0,
+                          rays.time_s.empty() ? 0.0 : double(rays.time_s[i])});
     return result;
 }
 

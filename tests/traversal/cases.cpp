@@ -247,6 +247,31 @@ std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays) {
     return cases;
 }
 
+TraversalCase that_moves(TraversalCase c, std::uint64_t seed) {
+    Random random(seed);
+    for (std::size_t i = 0; i < c.instances.size(); ++i) {
+        if (i % 4 == 2) continue;
+        reference::Motion& m = c.instances[i].motion;
+        m.velocity = uniform(random, 5.0, 40.0) * unit_vector(random);
+        if (i % 2 == 1) m.turn_rate = uniform(random, 0.5, 6.0) * unit_vector(random);
+        m.half_span_s = double(float(i % 3 == 0 ? 0.05 : uniform(random, 0.002, 0.03)));
+        m.middle_s = double(float(i % 3 == 0 ? 0.0 : uniform(random, -0.03, 0.03)));
+    }
+    for (std::size_t i = 0; i < c.rays.size(); ++i) c.rays.time_s.push_back(float(uniform(random, -0.07, 0.07)));
+    c.name += " that moves";
+    return c;
+}
+
+std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays) {
+    TraversalCase many = random_case(seed + 1, 200, n_rays);   // more than there are bits of a mask
+    Random random(seed);
+    for (int i = 0; i < 12; ++i)
+        many.instances.push_back({150, 50, {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 3.0)}});
+    return {that_moves(equal_depth_case(), seed), that_moves(random_case(seed, 800, n_rays), seed), that_moves(many, seed + 2),
+            that_moves(as_gaussians(random_case(seed + 3, 400, n_rays), seed), seed),
+            that_moves(crowded_case(seed + 4, 120, n_rays), seed)};
+}
+
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays) {
     return {empty_case(),           single_case(),     equal_depth_case(),
             long_list_case(),       degenerate_case(), outline_case(seed, n_rays),

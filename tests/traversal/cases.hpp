@@ -54,6 +54,12 @@ TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
 /// 3D Gaussians, at sizes that take seconds on a slow device.
 std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays);
 
+/// The case with instances that move and turn during a sweep of 0.1 s, some for a part of it and one not at all, and rays that are fired at
+/// times during and beyond it.
+TraversalCase that_moves(TraversalCase c, std::uint64_t seed);
+/// Both primitives, at sizes that take seconds on a slow device.
+std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays);
+
 /// All surfels but street_case, at sizes that take seconds on a slow device.
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays);
 

@@ -55,6 +55,8 @@ void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
 TEST_F(DeviceHits, ConformanceCases) { expect_conformance(test::conformance_cases(11, 1000)); }
 TEST_F(DeviceHits, ConformanceCasesOfGaussians) { expect_conformance(test::gaussian_cases(13, 500)); }
 
+TEST_F(DeviceHits, CasesThatMove) { expect_conformance(test::moving_cases(17, 200)); }
+
 class ChunkSize : public DeviceHits, public testing::WithParamInterface<Primitive> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize, testing::Values(Primitive::surfel, Primitive::gaussian));
 

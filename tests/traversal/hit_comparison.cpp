@@ -29,7 +29,7 @@ void add_error(HitDifferences& d, const std::string& message) {
 
 bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray, const reference::Hit& hit) {
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
-    const auto local = reference::to_model(world.instances[hit.instance].world_from_model, ray);
+    const auto local = reference::to_model(world.instances[hit.instance].at(ray.time_s), ray);
     const reference::PlaneHit<double> met = reference::meet(r, local);
     const glm::dvec3 uvw(met.u, met.v, met.w),
         along(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction), glm::dot(r.normal, local.direction));

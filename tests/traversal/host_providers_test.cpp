@@ -52,6 +52,20 @@ TEST(HostProviders, EmbreeAgreesOnAllCases) {
     }
 }
 
+/// The double reference takes each pose by its own formula, sine and cosine.
+TEST(HostProviders, AgreeOnModelsThatMove) {
+    for (const TraversalCase& c : test::moving_cases(kSeed, 3000)) {
+        const World world = to_world(c);
+        ImageModel model;
+        model.primitive = c.surfels.primitive;
+        const BruteForce brute(world, model, Precision::float_record);
+        const HitDifferences d = compare(c, BruteForce(world, model, Precision::double_record), brute);
+        EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
+        EXPECT_LE(double(d.n_flips), 1e-3 * double(d.n_hits) + 1.0) << c.name;
+        if (!kind_of(c.surfels.primitive).third_scale) expect_identical(compare(c, brute, EmbreeFilter(world, model)), c);
+    }
+}
+
 TEST(HostProviders, EmbreeAgreesOn100000RandomRays) {
     const TraversalCase c = test::random_case(kSeed, 600, 100000);
     const HitDifferences d = compare_embree(c);

@@ -46,6 +46,7 @@ int main(int argc, char** argv) try {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray = world_ray(trajectory, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
             rays.origin.push_back(glm::vec3(ray.origin_m)), rays.direction.push_back(glm::vec3(ray.direction));
+            rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
         renderer.place(place_instances(scene, log, moment_of(frame)), glm::vec3(trajectory.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);

@@ -23,7 +23,7 @@ struct CollectedHits {
 /// A scene with its instances placed, and how it is traced.
 struct PlacedScene {
     const Scene* scene = nullptr;
-    std::vector<Pose> world_from_instance;
+    std::vector<InstancePose> world_from_instance;
     ImageModel model;
     AccelOptions accel;
     TraceOptions trace;

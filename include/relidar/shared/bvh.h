@@ -31,6 +31,18 @@ RELIDAR_POINTER(BvhNodes, BvhNode);
 
 RELIDAR_HANDLE(TlasHandle);   // of the driver's top level
 
+// Bits of the cull mask of a driver's instances: models that stand still, and the first of those for models that move.
+#define RELIDAR_STANDING_MASK 1u
+#define RELIDAR_MOVING_MASKS 7u    // bits
+
+/// A model that moves during a sweep, as a ray query looks for it: by itself, with the ray moved to where the driver's tree has the model.
+struct MovingInstance {
+    uint instance;
+    uint model;
+    uint mask;       // of its cull mask; others may have it too
+};
+RELIDAR_POINTER(MovingInstances, MovingInstance);
+
 /// A two-level structure as a traversal reads it.
 struct BvhPointers {
     BvhNodes nodes;                          // of all models

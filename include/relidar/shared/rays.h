@@ -8,10 +8,12 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_NO_INSTANCE 0xffffffffu
+#define RELIDAR_NO_TIME 3.0e38f   // of a ray that meets every instance at the pose of its table entry
 
 struct DeviceRay {
     vec3 origin;      // world, m
     vec3 direction;   // world, unit
+    float time_s;     // when it is fired, from the sweep's reference time, or RELIDAR_NO_TIME
 };
 RELIDAR_POINTER(Rays, DeviceRay);
 

@@ -41,7 +41,13 @@ struct InstanceEntry {
     uint first_surfel;    // of the model, in the scene's surfel arrays
     uint n_surfels;
     uint first_row;       // of its record gradients: a model's first placement has those of its surfels, others follow after all surfels
-    uint unused;          // 64 bytes: a row is loaded in pieces of 16
+    uint moves;           // 1: what follows is not zero
+    // How the model moves during the sweep, in its own axes (docs/method.md section 4). A ray that is fired at time t meets the model
+    // clamp(t - middle_s, -half_span_s, half_span_s) after it was at model_from_world. 96 bytes: a row is loaded in pieces of 16.
+    vec3 velocity;        // m/s
+    float middle_s;       // from the sweep's reference time
+    vec3 turn_rate;       // rotation vector per second
+    float half_span_s;
 };
 RELIDAR_POINTER(Instances, InstanceEntry);
 

@@ -14,6 +14,7 @@ namespace relidar {
 class DeviceScene;
 namespace shared {
 struct ProxyReach;   // what an array holds, as kernels tell it from others
+struct ModelRadii;
 }
 
 /// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are faster on lavapipe, `triangles` (two a surfel, an
@@ -35,6 +36,9 @@ struct AccelOptions {
 struct AccelAddresses {
     shared::TlasHandle tlas;                          ///< ray query
     Address<float, shared::ProxyReach> proxy_reach;   ///< [1] ray query over icosahedra: how far behind a hit one may end
+    Address<shared::MovingInstance> moving;           ///< [n_moving] ray query
+    Address<float, shared::ModelRadii> model_radii;   ///< [models] ray query
+    std::uint32_t n_moving = 0;                       ///< ray query: instances that move during the sweep
     shared::BvhPointers bvh;                          ///< software
 };
 

@@ -36,11 +36,12 @@ struct Gradients {
     /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w
     /// turns the model about its own origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0 for instances that
     /// no ray with a gradient meets, and for absent ones. With ShDirection::surfel a model is viewed from its first placement: further ones
-    /// have no share in what its SH directions do. Empty unless asked for.
+    /// have no share in what its SH directions do. An instance that moves is changed in its own axes, alike for all rays: v and w turn with
+    /// it. Empty unless asked for.
     Array<float, shared::InstancePoseGradients> poses;
     /// [6] dL/d(v, w) at 0: every ray of the batch moves as one body, origin' = c + exp([w]x) (origin - c) + v and direction' = exp([w]x)
-    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless
-    /// asked for.
+    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Instances
+    /// that move are taken at their poses here. Empty unless asked for.
     Array<float, shared::SensorPoseGradient> sensor;
 
     /// @param n_rays  of the largest batch

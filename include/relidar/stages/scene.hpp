@@ -167,6 +167,13 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
+/// Pose and motion of a tracked box in a sweep, as place_instances() takes them. The pose is the track's own at the first and the last time
+/// at which a ray may meet the box, and is interpolated between these times. A box behind a spinning sensor is met at the begin and at the
+/// end of the sweep.
+/// @param half_size_m [3] of the box; 0: not known, then any ray may meet it
+InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
+                           const SweepMoment& sweep);
+
 /// What the activation's derivative reads and writes.
 struct ActivationGradients {
     const Array<float, shared::RecordGradients>* d_records = nullptr;   ///< [gradient_rows,16] input
@@ -192,6 +199,8 @@ public:
 
     /// Poses of all instances, world_from_model, one each: all present. Blocking upload.
     void set_poses(const std::vector<Pose>& world_from_instance);
+    /// The same with motions; instances may be absent.
+    void set_poses(const std::vector<InstancePose>& placed);
     /// The same as part of a stream, without a wait; instances may be absent. The acceleration structure follows with its next update or
     /// move.
     void place(Stream& stream, const std::vector<InstancePose>& placed);

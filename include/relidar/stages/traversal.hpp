@@ -17,6 +17,7 @@ namespace relidar {
 struct WorldRays {
     std::vector<glm::vec3> origin;      ///< [n] metres
     std::vector<glm::vec3> direction;   ///< [n] unit
+    std::vector<float> time_s = {};     ///< [n] when each is fired, from the sweep's reference time; empty: instances stand at their poses
     std::size_t size() const { return direction.size(); }
 };
 

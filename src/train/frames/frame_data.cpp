@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include <relidar/stages/scene.hpp>
+
 #include "core/parallel.hpp"
 #include "train/poses/placed_box.hpp"
 #include "train/drops/sensor_drop.hpp"
@@ -12,20 +14,38 @@ namespace relidar {
 
 namespace {
 
-/// Moving boxes where they are now, grown by the margin.
-std::vector<PlacedBox> masked_boxes_at(const Sequence& sequence, double t_s, const Unknown& masks) {
-    std::vector<PlacedBox> placed;
+/// A moving box in a sweep, grown by the margin.
+struct MaskedBox {
+    InstancePose placed;
+    glm::dvec3 half_size_m;
+    double reach_m;   ///< of all that it sweeps, from its centre at placed.world_from_model
+
+    bool may_meet(const WorldRay& ray) const {
+        const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
+        const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
+        return glm::distance(to_centre, along_m * ray.direction) <= reach_m;
+    }
+    PlacedBox at(double after_s) const { return {inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m}; }
+};
+
+std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMoment& sweep, const Unknown& masks) {
+    std::vector<MaskedBox> result;
     for (const BoxTrack& box : separate_boxes(sequence, masks.moving)) {
         const bool is_actor = std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
-        if (is_actor || !box.present(t_s)) continue;
-        placed.push_back({inverse(box.world_from_box.at(t_s)), 0.5 * box.size_m + kMoverMargin_m});
+        if (is_actor || !box.present(sweep.time_s)) continue;
+        const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
+        const InstancePose placed = pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
+        const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
+        result.push_back({placed, half_size_m, glm::length(half_size_m) + way_m});
     }
-    return placed;
+    return result;
 }
 
-bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double range_m) {
-    return std::any_of(boxes.begin(), boxes.end(), [&](const PlacedBox& box) {
-        const glm::dvec2 inside = box.interval(ray);
+/// @param after_s  when the ray is fired, from the reference time of the sweep
+bool is_unknown(const std::vector<MaskedBox>& boxes, const WorldRay& ray, double after_s, double range_m) {
+    return std::any_of(boxes.begin(), boxes.end(), [&](const MaskedBox& box) {
+        if (!box.may_meet(ray)) return false;
+        const glm::dvec2 inside = box.at(after_s).interval(ray);
         return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
     });
 }
@@ -35,14 +55,16 @@ bool is_unknown(const std::vector<PlacedBox>& boxes, const WorldRay& ray, double
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays,
                   std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
-    const std::vector<PlacedBox> boxes = masked_boxes_at(sequence, frame.time_s, masks);   // moved less than the margin within a sweep
+    const std::vector<MaskedBox> boxes = masked_boxes_in(sequence, moment_of(frame), masks);
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
     rays.resize(scan.range_m.size());
     targets.resize(scan.range_m.size());
     for_each_block(scan.range_m.size(), [&](std::size_t i) {
         const WorldRay w = world_ray(track, frame.time_s, scan.rays, i, sequence.rolling_shutter);
-        const bool unknown = is_blind(masks.observed_drops, sequence, frame, i) || is_unknown(boxes, w, scan.range_m[i]);
-        rays[i] = {glm::vec3(w.origin_m), glm::vec3(w.direction)};
+        const float after_s = sequence.rolling_shutter ? scan.rays.time_offset_s[i] : 0.0f;
+        const bool unknown =
+            is_blind(masks.observed_drops, sequence, frame, i) || is_unknown(boxes, w, double(after_s), scan.range_m[i]);
+        rays[i] = {glm::vec3(w.origin_m), glm::vec3(w.direction), after_s};
         const SurfaceReturn surface = surface_return(sequence, frame, i);
         targets[i] = {surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f};
     });

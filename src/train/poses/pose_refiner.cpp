@@ -99,7 +99,10 @@ void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameDat
     if (!actors_.empty()) of_instances_[slot].record(stream, gradients.poses.buffer(), floats_of_instances_ * sizeof(float));
     coming_.step.push_back(std::uint64_t(step));
     coming_.frame.push_back(frame_index);
-    for (const Actor& actor : actors_) coming_.actor_time_s.push_back(frame.placed[actor.instance].time_s);
+    for (const Actor& actor : actors_) {
+        const InstancePose& placed = frame.placed[actor.instance];
+        for (const double side : {-1.0, 1.0}) coming_.actor_time_s.push_back(placed.time_s + side * placed.motion.half_span_s);
+    }
     coming_.gradient.resize(coming_.gradient.size() + floats_of_rays_ + floats_of_instances_);
 }
 
@@ -128,12 +131,14 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
     for (std::size_t k = 0; k < actors_.size(); ++k) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6, twist.begin());
-        actors_[k].correction.add_gradient(coming_.actor_time_s[k], twist);   // zeros where it was absent, which count as not seen
+        for (double& g : twist) g *= 0.5;   // both ends of the time that it is seen move alike
+        for (std::size_t end = 0; end < 2; ++end)   // zeros where it was absent, which count as not seen
+            actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));
     }
     drop_first(coming_.step, 1);
     drop_first(coming_.frame, 1);
-    drop_first(coming_.actor_time_s, actors_.size());
+    drop_first(coming_.actor_time_s, 2 * actors_.size());
     drop_first(coming_.gradient, floats_of_rays_ + floats_of_instances_);
 }
 
@@ -152,7 +157,7 @@ bool PoseRefiner::take_over() {
     const std::size_t n = coming_.step.size();
     const bool sound = (!sensor_ || sensor_->is_sound()) &&
                        std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
-                       n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == n * actors_.size() &&
+                       n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == 2 * n * actors_.size() &&
                        coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
                        std::all_of(coming_.frame.begin(), coming_.frame.end(),
                                    [this](std::uint64_t frame) { return frame < frames_.all().size(); });

@@ -72,7 +72,7 @@ private:
     struct Coming {
         std::vector<std::uint64_t> step;
         std::vector<std::uint64_t> frame;        ///< index of the constructor's frames
-        std::vector<double> actor_time_s;        ///< [iterations, actors] when each was seen
+        std::vector<double> actor_time_s;        ///< [iterations, actors, 2] first and last time at which each was seen
         std::vector<float> gradient;             ///< [iterations, floats_of_rays_ + floats_of_instances_] once fetched
     };
 

@@ -109,10 +109,12 @@ BenchCase run_case(const BenchChoice& choice) {
     bench.columns = table.columns;
     const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
     bench.view_origin_m = glm::vec3(track.at(frame.time_s).translation);
+    const bool rolls = run.sequence.rolling_shutter && run.config.sensor.rolling_shutter;
     for (std::size_t i = 0; i < table.size(); ++i) {
-        const WorldRay ray = world_ray(track, frame.time_s, table, i, run.sequence.rolling_shutter && run.config.sensor.rolling_shutter);
+        const WorldRay ray = world_ray(track, frame.time_s, table, i, rolls);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
+        bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
     bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
     bench.scene = whole_scene(run.scene);
