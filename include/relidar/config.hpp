@@ -36,11 +36,17 @@ struct DatasetConfig {
     bool operator==(const DatasetConfig&) const = default;
 };
 
+/// Whether the rays of a scan start where the sensor is when each is fired, or all where it is at the scan's time.
+///   automatic  the log's own sensors do as their scans in the log, all other sensors have a rolling shutter
+///   yes        as automatic for training and scores; every scan that is rendered has a rolling shutter
+///   no         no scan has one, and those of the log are read as if they had none
+enum class RollingShutter { automatic, yes, no };
+
 struct SensorConfig {
     std::string grid = "native";          ///< "native" or "kitti360": the image that is rendered and scored
     /// "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
     std::string grid_method = "project";
-    bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
+    RollingShutter rolling_shutter = RollingShutter::automatic;
     /// "none", "range", "intensity", "range,intensity": what is found of each beam before training, see calibrate_ranges() and
     /// calibrate_intensity()
     std::string calibrate = "none";
