@@ -36,10 +36,10 @@ struct DatasetConfig {
     bool operator==(const DatasetConfig&) const = default;
 };
 
-/// Whether the rays of a scan start where the sensor is when each is fired, or all where it is at the scan's time.
-///   automatic  the log's own sensors do as their scans in the log, all other sensors have a rolling shutter
-///   yes        as automatic for training and scores; every scan that is rendered has a rolling shutter
-///   no         no scan has one, and those of the log are read as if they had none
+/// Which scans have a rolling shutter: each ray starts at the sensor's pose at the ray's firing time, not at the scan's time.
+///   automatic  scans of other sensors than the log's, and of the log's sensors unless the log is motion-compensated
+///   yes        all rendered scans; training and scores do the same as with automatic
+///   no         no scan; scans of the log are read without it
 enum class RollingShutter { automatic, yes, no };
 
 struct SensorConfig {

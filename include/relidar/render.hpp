@@ -152,12 +152,12 @@ struct SensorChoice {
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands
     int returns = 0;                 ///< of each ray, 1 or 2, the latter by 9 sub-rays where config has 1; 0: as config.sensor.returns says
-    /// each ray is fired at its own time; false: all at the scan's time, like those of a motion-compensated log. See has_rolling_shutter()
+    /// false: all rays are fired at the scan's time, like those of a motion-compensated log. See has_rolling_shutter()
     bool rolling_shutter = true;
 };
 
-/// Whether rays of a sensor are fired at their own times: as the sensor says, unless config.sensor.rolling_shutter is `no`. In scans without
-/// a rolling shutter all time offsets are 0, and all points are in the sensor's frame at the scan's time.
+/// Whether rays of a sensor are fired at different times: SensorChoice::rolling_shutter, unless config.sensor.rolling_shutter is `no`.
+/// In scans without a rolling shutter all time offsets are 0, and all points are in the sensor's frame at the scan's time.
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
 /// A sensor that follows the log's sweeps, as its head pointed in the log's sweep at a time. Any other sensor, and at any other time: the

@@ -199,8 +199,8 @@ void check_gaps(Sequence& sequence) {
         fail(fmt::format("{}: frame {}", sequence.name, after),
              fmt::format("time {} s, {:.1f} s after frame {}", longest.after->time_s, longest.step_s(), before),
              fmt::format("at most {} s, usual is {:.3g} s: read one side of the jump by --frames", kJump_s, usual_s));
-    sequence.notes.push_back(fmt::format("{} gap{} in the times of frames, the longest of {:.1f} s between frames {} and {} (usual is {:.3g} "
-                                         "s): poses inside are interpolated",
+    sequence.notes.push_back(fmt::format("{} gap{} in the times of frames, the longest of {:.1f} s between frames {} and {} "
+                                         "(usual is {:.3g} s): poses inside are interpolated",
                                          steps.size(), steps.size() > 1 ? "s" : "", longest.step_s(), before, after, usual_s));
 }
 

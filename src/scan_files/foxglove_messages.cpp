@@ -264,7 +264,7 @@ std::string key_value(const char* key, const std::string& value) {
 /// "x y z"
 std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
 
-/// Boxes of the actors, which replace all earlier ones. Each has its own time; velocities are in the world.
+/// Boxes of the actors, which replace all earlier ones. Each box has a time; velocities are in the world.
 std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     constexpr int kAll = 1;   // of SceneEntityDeletionType: who has left since the last scan goes
     std::string bytes, all;

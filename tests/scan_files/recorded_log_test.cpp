@@ -207,7 +207,8 @@ BoxTrack car_behind() {
 double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
-        const double a = (-0.5 * size_m[axis] - origin_m[axis]) / direction[axis], b = (0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
+        const double a = (-0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
+        const double b = (0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
         enters_m = std::max(enters_m, std::min(a, b)), leaves_m = std::min(leaves_m, std::max(a, b));
     }
     return enters_m < leaves_m ? enters_m : 0.0;

@@ -11,7 +11,7 @@ namespace relidar::cli {
 void note_compensated(const Run& run, const SensorChoice& sensor) {
     if (run.config.sensor.rolling_shutter != RollingShutter::automatic || has_rolling_shutter(sensor, run.config)) return;
     note(fmt::format("scans of {} are motion-compensated like those of the log: all rays are fired at the scan's time; --set "
-                     "sensor.rolling_shutter=true fires each at its own",
+                     "sensor.rolling_shutter=true fires each at its firing time",
                      sensor.name));
 }
 

@@ -10,7 +10,7 @@
 
 namespace relidar::cli {
 
-/// Says that scans of the log's own sensor have no rolling shutter, because the log is motion-compensated.
+/// Says that scans of the log's sensor have no rolling shutter, because the log is motion-compensated.
 void note_compensated(const Run& run, const SensorChoice& sensor);
 
 /// Says that the run's network does not fit the scans of a sensor, where it does not.
