@@ -36,11 +36,17 @@ struct DatasetConfig {
     bool operator==(const DatasetConfig&) const = default;
 };
 
+/// Which scans have a rolling shutter: each ray starts at the sensor's pose at the ray's firing time, not at the scan's time.
+///   automatic  scans of other sensors than the log's, and of the log's sensors unless the log is motion-compensated
+///   yes        all rendered scans; training and scores do the same as with automatic
+///   no         no scan; scans of the log are read without it
+enum class RollingShutter { automatic, yes, no };
+
 struct SensorConfig {
     std::string grid = "native";          ///< "native" or "kitti360": the image that is rendered and scored
     /// "project": simulate the native scan and bin its points as the real ones were; "cast": rays through cell centres
     std::string grid_method = "project";
-    bool rolling_shutter = true;          ///< rays start where the sensor was when they were fired
+    RollingShutter rolling_shutter = RollingShutter::automatic;
     /// "none", "range", "intensity", "range,intensity": what is found of each beam before training, see calibrate_ranges() and
     /// calibrate_intensity()
     std::string calibrate = "none";

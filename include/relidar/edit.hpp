@@ -59,6 +59,10 @@ DrivingScene move_track(DrivingScene driving, const std::string& track, const Po
 /// Lets everything an actor does happen so many seconds later (earlier where negative); it is absent outside its own interval.
 DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds);
 
+/// A line for the user that says in how many frames of the log an actor is absent after an edit, but was present before it. Empty if there
+/// are none, or if the edited log has no such track.
+std::string lost_frames_note(const BoxTrack& before, const Sequence& edited);
+
 /// Gives an actor another trajectory, interpolated between its entries (position linearly, rotation by slerp) and absent outside.
 /// @param dataset_from_box [>= 2] box centre in the dataset's world, at times of the log (Frame::time_s)
 /// @throws DataError for fewer than two entries, times that do not rise, or values that are not finite

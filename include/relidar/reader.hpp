@@ -113,4 +113,8 @@ std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels);
 /// @throws DataError naming frame or box, field and value
 void check_sequence(const Sequence& sequence);
 
+/// Compares the times between frames with the usual one, their median. Adds a note to the log for gaps, steps above 1 s and ten usual ones.
+/// Throws a DataError for a jump of its clock, a step above 60 s and ten usual ones.
+void check_gaps(Sequence& sequence);
+
 }  // namespace relidar

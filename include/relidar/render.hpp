@@ -32,7 +32,7 @@ struct RenderedScan {
     std::vector<float> mean_range_m;    ///< [n] D / W along the ray, whatever render.range says; the median where T never crosses 0.5
     std::vector<float> weight;          ///< [n] accumulated alpha W
     std::vector<std::int32_t> instance; ///< [n] whose surface was met: index into Scene::instances, -1 where none was
-    std::vector<float> time_offset_s;   ///< [n] firing time of each ray
+    std::vector<float> time_offset_s;   ///< [n] firing time of each ray from time_s; 0 without a rolling shutter
     std::vector<std::uint16_t> ring;    ///< [n] number of the beam, 0 = highest
     std::vector<SecondReturn> second_returns = {};   ///< second returns with sensor.returns = 2; of the dominant surfaces
     /// [n] each: those of config.render.channels, in weather `source`, but for what the run does not know ("seen" without a Coverage), and
@@ -152,7 +152,18 @@ struct SensorChoice {
     std::string name = "";
     int lidar = 0;                   ///< of the log, which it is or in whose place it stands
     int returns = 0;                 ///< of each ray, 1 or 2, the latter by 9 sub-rays where config has 1; 0: as config.sensor.returns says
+    /// false: all rays are fired at the scan's time, like those of a motion-compensated log. See has_rolling_shutter()
+    bool rolling_shutter = true;
 };
+
+/// Whether rays of a sensor are fired at different times: SensorChoice::rolling_shutter, unless config.sensor.rolling_shutter is `no`.
+/// In scans without a rolling shutter all time offsets are 0, and all points are in the sensor's frame at the scan's time.
+bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
+
+/// A sensor that follows the log's sweeps, as its head pointed in the log's sweep at a time. Any other sensor, and at any other time: the
+/// same sensor. ScanRenderer does this itself for scans without a ScanRequest.
+/// @param frames  of the log, with their azimuth shifts
+SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames, std::span<const Lidar> lidars, double time_s);
 
 /// What config.sensor says: a LiDAR of the log, or the grid in its place by projection or by casting. The log's LiDAR sees what lies within
 /// its own range limits and those of config.dataset. Of one that is known by its scans alone there are no rays: those of a scan have to be

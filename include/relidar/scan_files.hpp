@@ -48,7 +48,7 @@ struct ScanFormat {
     RangeLimits limits;
     Pose offset;                               ///< of the simulated sensor in the log's sensor frame, or in that of its trajectory
     Pose vehicle_from_lidar;                   ///< where the log's sensor is mounted: recordings have the vehicle, too
-    bool rolling_shutter = true;               ///< rays are fired at their own times; false: all at time_s
+    bool rolling_shutter = true;               ///< of the scans, see has_rolling_shutter(): rays are fired at their own times
     std::string topic = "/lidar/points";       ///< of the sensor's clouds in recordings; names of others of its topics begin with it
     std::string frame_id = "lidar";            ///< of the sensor in recordings
     std::vector<BoxTrack> actors;              ///< where they are: boxes of recordings; relidar's world
@@ -58,6 +58,9 @@ struct ScanFormat {
 };
 /// Of a run by a sensor where the log's own one was: npz, in the sensor's frame.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
+/// Whether all points of a scan are in one frame: that of the world, or the sensor's at the scan's time (recordings: at the stamp), because
+/// they are brought there or because all rays are fired at that time.
+bool is_deskewed(const ScanFormat& format);
 /// Gives a sensor the names that recordings have it by: topic /lidar/NAME/points, of topic_word(NAME), and the frame NAME; of an empty name
 /// /lidar/points and lidar. @param name  of the log's LiDAR or of a rig's sensor
 void name_in_recordings(ScanFormat& format, const std::string& name);
@@ -73,8 +76,9 @@ std::string topic_word(const std::string& name);
 ///           /clock; /actors vision_msgs/Detection3DArray, /actors_autoware autoware_perception_msgs/TrackedObjects
 /// Frames are world -> base_link, the log's vehicle, on /tf, every 10 ms of a sweep and wherever its path has a pose; and base_link -> each
 /// sensor on /tf_static. A cloud's stamp is that of its first ray, times of points count from there. A point in the sensor's frame at its
-/// own time comes to the world by the transforms of that time; with ScanFormat::deskew by those of the stamp. Actors are where they are at
-/// the stamps. A scan is logged when its last ray is fired, behind the transforms that it needs.
+/// own time comes to the world by the transforms of that time; with ScanFormat::deskew by those of the stamp. Each box on
+/// /actors has the time at which the sensor faces it, those on /actors_autoware that of the cloud, with velocities. A scan is logged when
+/// its last ray is fired, behind the transforms that it needs.
 class ScanRecordings {
 public:
     /// Removes an earlier rendering from the folder, which is there.

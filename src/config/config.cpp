@@ -49,7 +49,9 @@ std::vector<std::string> all_keys() {
 
 template <class T>
 void assign(T& field, const std::string& key, const Accepts& accepts, const Found& found) {
-    const bool wrong_kind = found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
+    const bool is_boolean = found.quotes == Found::Quotes::no && (found.text == "true" || found.text == "false");
+    const bool was_boolean = std::is_enum_v<T> && is_boolean;   // a setting that earlier versions wrote without quotes
+    const bool wrong_kind = !was_boolean && found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
     if (wrong_kind || !from_text(found.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
         throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text), describe<T>(accepts), hint));

@@ -92,7 +92,9 @@ void visit_sensor(C& c, Visitor&& f) {
       "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
     f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}),
       expert("grid images: simulate the native scan and bin its points, or cast rays through the cell centres"));
-    f("sensor.rolling_shutter", c.sensor.rolling_shutter, anything(), "rays start where the sensor was when they were fired");
+    f("sensor.rolling_shutter", c.sensor.rolling_shutter, one_of({"auto", "true", "false"}),
+      "rays of a rendered scan start where the sensor is when each is fired; auto: those of the log's own sensor only if the log's scans "
+      "are not motion-compensated");
     f("sensor.calibrate", c.sensor.calibrate, one_of({"none", "range", "intensity", "range,intensity"}),
       "what is found of each beam from the training scans: the offset of its ranges, which differ by centimetres between beams; gain and "
       "offset of its intensities");

@@ -234,6 +234,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     Sequence sequence = reader_of(dataset, options.sequence).load(parted(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
+    check_gaps(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
     find_sweeps(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});

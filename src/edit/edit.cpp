@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -155,6 +156,17 @@ DrivingScene move_track(DrivingScene driving, const std::string& track, const Po
 DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds) {
     for (double& time_s : box_of(driving, track).world_from_box.time_s) time_s += seconds;
     return driving;
+}
+
+std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
+    const BoxTrack* box = find_box(edited, before.id);
+    std::set<int> lost;   // LiDARs that sweep together share a number
+    for (const Frame& frame : edited.frames)
+        if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);
+    if (lost.empty()) return "";
+    const std::vector<double>& times_s = box->world_from_box.time_s;
+    return fmt::format("track {} is absent from {} frames in which it was present, of {} to {}: it is there from {:.2f} to {:.2f} s now",
+                       before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {

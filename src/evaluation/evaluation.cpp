@@ -149,6 +149,7 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
 SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan it is compared with
     return sensor;
 }
 

@@ -174,7 +174,35 @@ void check_boxes(const Sequence& sequence) {
     }
 }
 
+/// A step between frames that is longer than a number of usual ones.
+struct Gap {
+    const Frame *before, *after;
+    double step_s() const { return after->time_s - before->time_s; }
+};
+
 }  // namespace
+
+void check_gaps(Sequence& sequence) {
+    constexpr double kGap_s = 1.0, kJump_s = 60.0, kUsualSteps = 10.0;
+    std::vector<Gap> steps;
+    for (std::size_t i = 1; i < sequence.frames.size(); ++i)
+        if (const Gap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.step_s() > 0.0) steps.push_back(step);
+    if (steps.empty()) return;
+    std::vector<Gap> sorted = steps;
+    std::ranges::sort(sorted, {}, &Gap::step_s);
+    const double usual_s = sorted[(sorted.size() - 1) / 2].step_s();
+    std::erase_if(steps, [&](const Gap& gap) { return gap.step_s() <= std::max(kGap_s, kUsualSteps * usual_s); });
+    if (steps.empty()) return;
+    const Gap longest = *std::ranges::max_element(steps, {}, &Gap::step_s);
+    const int before = longest.before->index, after = longest.after->index;
+    if (longest.step_s() > kJump_s)
+        fail(fmt::format("{}: frame {}", sequence.name, after),
+             fmt::format("time {} s, {:.1f} s after frame {}", longest.after->time_s, longest.step_s(), before),
+             fmt::format("at most {} s, usual is {:.3g} s: read one side of the jump by --frames", kJump_s, usual_s));
+    sequence.notes.push_back(fmt::format("{} gap{} in the times of frames, the longest of {:.1f} s between frames {} and {} "
+                                         "(usual is {:.3g} s): poses inside are interpolated",
+                                         steps.size(), steps.size() > 1 ? "s" : "", longest.step_s(), before, after, usual_s));
+}
 
 void check_sequence(const Sequence& sequence) {
     check_lidars(sequence);

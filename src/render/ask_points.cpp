@@ -85,7 +85,8 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     asked.renderer = &s.renderer_of(strand);
     Stream& stream = asked.renderer->stream();
     const bool refined = s.refines_rays(sensor, sensor.rays);
-    const Impl::Cast cast = s.record(strand, sensor, sensor.rays, request.time_s, refined);
+    const std::optional<RayTable> of_now = s.rays_of_scan(sensor, request.time_s);
+    const Impl::Cast cast = s.record(strand, sensor, of_now ? *of_now : sensor.rays, request.time_s, refined);
     asked.rays = cast.rays;
     asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
     asked.time_s = request.time_s;

@@ -57,13 +57,12 @@ void check_track(const PoseTrack& track, const std::string& thing) {
     }
 }
 
-Sequence without_scans(const Sequence& sequence, const Config& config) {
+Sequence without_scans(const Sequence& sequence) {
     Sequence result;
     result.lidars = sequence.lidars;
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
     result.intensity_response = sequence.intensity_response;
-    result.rolling_shutter = sequence.rolling_shutter && config.sensor.rolling_shutter;
     return result;
 }
 
@@ -141,7 +140,7 @@ std::vector<float> range_spread(const RenderedScan& scan) {
 }
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, layout_of(scene), without_scans(sequence, config), sequence.world_from_vehicle, first_origin(sequence),
+    : impl_(new Impl{config, layout_of(scene), without_scans(sequence), sequence.world_from_vehicle, first_origin(sequence),
                      shifted_sweeps(sequence), wanted_channels(config.render.channels),
                      ResidentScene(device, scene, config, {.accel = {}, .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
@@ -211,12 +210,12 @@ const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }
 RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset,
                                   std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
-    if (const auto followed = s.followed(sensor, time_s)) return render(*followed, time_s, sensor_offset, sample);
+    const SensorChoice followed = sensor_in_sweep(sensor, s.sweeps, s.sweep.lidars, time_s);
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
     const bool is_elsewhere = sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
     const PoseTrack log = s.sweep.world_from_sensor(sensor.lidar);
-    s.drive(is_elsewhere ? moved_track(with_fine_turns(log), sensor_offset) : log, sensor.lidar);
-    return take(sensor, time_s, s.place(s.moment(sensor, time_s)), sample);
+    s.drive(is_elsewhere ? moved_track(with_fine_turns(log), sensor_offset) : log, followed);
+    return take(followed, time_s, s.place(s.moment(followed, time_s)), sample);
 }
 
 std::vector<InstancePose> ScanRenderer::drive(const SensorChoice& sensor, const ScanRequest& request) {
@@ -229,7 +228,7 @@ std::vector<InstancePose> ScanRenderer::drive(const SensorChoice& sensor, const 
         throw DataError(
             fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
     }
-    s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor.lidar);
+    s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor);
     const SweepMoment sweep = s.moment(sensor, request.time_s);
     if (!request.dataset_from_actor) return s.place(sweep);
     ActorPoses world_from_actor;
@@ -442,8 +441,7 @@ void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sen
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;
-    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
-    const std::optional<RayTable> of_now = makes_rays ? std::optional(make_rays(*sensor.pattern, time_s)) : std::nullopt;
+    const std::optional<RayTable> of_now = s.rays_of_scan(sensor, time_s);
     const RayTable& whole = of_now ? *of_now : sensor.rays;
     const SensorConfig config = s.config_of(sensor);
     if (sensor.grid && config.returns > 1)

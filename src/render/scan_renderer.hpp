@@ -2,6 +2,7 @@
 // What a ScanRenderer is made of. Private to render.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <deque>
 #include <memory>
@@ -22,7 +23,6 @@
 
 namespace relidar {
 
-inline constexpr double kSameTime_s = 1e-3;       // as a sweep of the log
 inline constexpr double kMoment_s = 0.1;          // in which a speed is measured
 inline constexpr int kSideBySide = 4;             // scans on a GPU
 inline constexpr const char* kNative = "native";  ///< image of a network: the rays of a sensor
@@ -77,17 +77,13 @@ struct ScanRenderer::Impl {
         lidar.pattern = sensor.pattern;
         return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
     }
-    /// A sensor that follows the log's sweeps, as its head pointed in the one at this time. Nothing where there is none.
-    std::optional<SensorChoice> followed(const SensorChoice& sensor, double time_s) const {
-        const auto is_now = [&](const Frame& f) { return f.lidar == sensor.lidar && std::abs(f.time_s - time_s) < kSameTime_s; };
-        const auto found = sensor.follows_sweeps ? std::ranges::find_if(sweeps, is_now) : sweeps.end();
-        if (found == sweeps.end()) return {};
-        const SpinningSensor& head = sweep.lidars[std::size_t(sensor.lidar)].sensor;
-        if (sensor.rays.size() != head.beams.size() * found->azimuth_shift_rad.size()) return {};
-        SensorChoice result = sensor;
-        result.rays = shifted_azimuths(std::move(result.rays), head, found->azimuth_shift_rad);
-        result.follows_sweeps = false;
-        return result;
+    /// Rays of a scan if they are not those of the sensor: made for this scan, or all fired at its time.
+    std::optional<RayTable> rays_of_scan(const SensorChoice& sensor, double time_s) const {
+        const bool makes_rays = sensor.pattern && sensor.rays.size() == 0, rolls = has_rolling_shutter(sensor, config);
+        if (rolls && !makes_rays) return {};
+        RayTable rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
+        if (!rolls) std::ranges::fill(rays.time_offset_s, 0.0f);
+        return rays;
     }
     /// Sub-rays and returns of a sensor.
     SensorConfig config_of(const SensorChoice& sensor) const {
@@ -141,8 +137,10 @@ struct ScanRenderer::Impl {
         return placed;
     }
     /// The vehicle is where it has to be for the sensor to be here.
-    void drive(PoseTrack world_from_sensor, int lidar) {
-        sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(sweep.lidars[std::size_t(lidar)].vehicle_from_sensor));
+    void drive(PoseTrack world_from_sensor, const SensorChoice& sensor) {
+        const Pose& vehicle_from_sensor = sweep.lidars[std::size_t(sensor.lidar)].vehicle_from_sensor;
+        sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(vehicle_from_sensor));
+        sweep.rolling_shutter = has_rolling_shutter(sensor, config);
     }
 };
 

@@ -30,6 +30,11 @@ RayTable rays_of(const std::optional<FixedPattern>& pattern, const Make& make) {
     return pattern && std::holds_alternative<Rosette>(*pattern) ? RayTable{} : make();
 }
 
+/// Of the log's own sensor.
+bool rolls_like_log(const Config& config, const Sequence& sequence) {
+    return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
+}
+
 SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
     const Lidar& own = sequence.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = own.sensor;
@@ -41,13 +46,19 @@ SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lida
             .pattern = own.pattern,
             .limits = limits,
             .name = sensor.name,
-            .lidar = lidar};
+            .lidar = lidar,
+            .rolling_shutter = rolls_like_log(config, sequence)};
 }
 
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence, int lidar) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config));
-    if (method == "cast") return {.rays = make_rays(grid), .limits = limits, .name = grid.name, .lidar = lidar};
+    if (method == "cast")
+        return {.rays = make_rays(grid),
+                .limits = limits,
+                .name = grid.name,
+                .lidar = lidar,
+                .rolling_shutter = rolls_like_log(config, sequence)};
     if (method != "project") {
         throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
     }
@@ -80,6 +91,25 @@ void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, 
 }
 
 }  // namespace
+
+bool has_rolling_shutter(const SensorChoice& sensor, const Config& config) {
+    return sensor.rolling_shutter && config.sensor.rolling_shutter != RollingShutter::no;
+}
+
+SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames, std::span<const Lidar> lidars, double time_s) {
+    constexpr double kSameTime_s = 1e-3;
+    if (!sensor.follows_sweeps) return sensor;
+    const auto is_now = [&](const Frame& f) {
+        return f.lidar == sensor.lidar && !f.azimuth_shift_rad.empty() && std::abs(f.time_s - time_s) < kSameTime_s;
+    };
+    const auto sweep = std::ranges::find_if(frames, is_now);
+    const SpinningSensor& head = lidars[std::size_t(sensor.lidar)].sensor;
+    if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size()) return sensor;
+    SensorChoice result = sensor;
+    result.rays = shifted_azimuths(std::move(result.rays), head, sweep->azimuth_shift_rad);
+    result.follows_sweeps = false;
+    return result;
+}
 
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
     if (config.sensor.grid == "native") return own_sensor(config, sequence, lidar);

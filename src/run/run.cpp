@@ -118,6 +118,8 @@ Run load_run(const fs::path& folder, const std::function<void(const std::string&
     Run run;
     run.folder = folder;
     run.config = read_config(folder / kConfigFile, note);
+    // Earlier versions wrote true for what is automatic now, and training does the same with both.
+    if (run.config.sensor.rolling_shutter == RollingShutter::yes) run.config.sensor.rolling_shutter = RollingShutter::automatic;
     const fs::path scene_path = folder / kSceneFile;
     run_detail::SceneFile scene = run_detail::parse_scene_json(read_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);

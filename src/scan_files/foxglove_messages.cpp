@@ -5,6 +5,7 @@
 #include <initializer_list>
 #include <string_view>
 
+#include <fmt/format.h>
 #include <protozero/pbf_writer.hpp>
 
 #include "core/bytes.hpp"
@@ -246,21 +247,24 @@ std::string frame_transform(std::uint64_t time_ns, const std::string& parent, co
 std::string box(const RecordedActor& actor) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, pose_message(actor.world_from_box));
+    writer.add_message(1, pose_message(actor.faced.world_from_box));
     writer.add_message(2, vector(actor.size_m));
     writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));   // a translucent orange, so that points inside are seen
     return bytes;
 }
 
-std::string category(const RecordedActor& actor) {
+std::string key_value(const char* key, const std::string& value) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_string(1, "category");
-    writer.add_string(2, actor.category);
+    writer.add_string(1, key);
+    writer.add_string(2, value);
     return bytes;
 }
 
-/// Boxes of the actors, which replace all there were.
+/// "x y z"
+std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
+
+/// Boxes of the actors, which replace all earlier ones. Each box has a time; velocities are in the world.
 std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     constexpr int kAll = 1;   // of SceneEntityDeletionType: who has left since the last scan goes
     std::string bytes, all;
@@ -271,10 +275,13 @@ std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& acto
     for (const RecordedActor& actor : actors) {
         std::string of_actor;
         pbf_writer entity(of_actor);
-        entity.add_message(1, timestamp(stamp_ns));
+        const auto& [time_ns, world_from_box, velocity] = actor.faced;
+        entity.add_message(1, timestamp(time_ns));
         entity.add_string(2, kWorldFrame);
         entity.add_string(3, actor.name);
-        entity.add_message(6, category(actor));
+        entity.add_message(6, key_value("category", actor.category));
+        entity.add_message(6, key_value("velocity_mps", vector_text(world_from_box.rotation * velocity.linear_mps)));
+        entity.add_message(6, key_value("angular_velocity_radps", vector_text(world_from_box.rotation * velocity.angular_radps)));
         entity.add_message(8, box(actor));
         writer.add_message(2, of_actor);
     }

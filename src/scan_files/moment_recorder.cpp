@@ -31,6 +31,36 @@ Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
     return {to_own * glm::dvec3(twist[0], twist[1], twist[2]) / span_s, to_own * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
+/// Some rays of a scan, spread over all of it.
+class SampledRays {
+public:
+    explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
+        constexpr std::size_t kMost = 4096;
+        const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;   // odd: rows have different columns
+        for (std::size_t i = 0; i < n; i += step) rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
+    }
+    /// When the ray is fired that passes nearest to a place. @param place_m  by time, the dataset's world
+    template <class PlaceAt>
+    double faced_at(const PlaceAt& place_m) const {
+        constexpr int kRounds = 3;   // place and sensor move while the head turns there
+        double time_s = scan_.time_s;
+        for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
+            const glm::vec3 towards(glm::normalize(inverse(sensor_pose(scan_, time_s)) * place_m(time_s)));
+            const auto cosine = [&](const Ray& ray) { return glm::dot(ray.direction, towards); };
+            time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
+        }
+        return time_s;
+    }
+
+private:
+    struct Ray {
+        glm::vec3 direction;
+        float time_offset_s;
+    };
+    const RenderedScan& scan_;
+    std::vector<Ray> rays_;
+};
+
 /// Times of a path's own poses between two times, and every kPoseStep_s.
 void add_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
@@ -70,8 +100,7 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     std::vector<Sweep> sweeps;
     for (std::size_t s = 0; s < scans.size(); ++s) {
         const std::vector<float>& offsets_s = scans[s].time_offset_s;
-        const bool rolls = sensors_[s].rolling_shutter && !offsets_s.empty();
-        const auto [first, last] = rolls ? std::ranges::minmax(offsets_s) : std::ranges::min_max_result<float>{0.0f, 0.0f};
+        const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f} : std::ranges::minmax(offsets_s);
         sweeps.push_back({scans[s].time_s + double(first), scans[s].time_s + double(last)});
     }
     Sweep all = sweeps.front();
@@ -83,7 +112,7 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     for (std::size_t s = 0; s < scans.size(); ++s) {
         times_s.push_back(sweeps[s].first_s), times_s.push_back(sweeps[s].last_s);
         moment.clouds.push_back(cloud(scans[s], sensors_[s], sweeps[s]));
-        moment.actors[moment.clouds.back().stamp_ns] = actors(scans[s].time_s, sweeps[s].first_s);
+        moment.actors[moment.clouds.back().stamp_ns] = actors(scans[s], sweeps[s].first_s);
     }
     moment.poses = poses(scans[0], std::move(times_s));
     return moment;
@@ -106,21 +135,23 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
 
 RecordedCloud MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const {
     RecordedCloud result{stamp(sweep.first_s), cloud_of(place(scan, format, sensor_pose(scan, sweep.first_s), 0))};
-    for (float& time_s : *result.cloud.time)
-        time_s = format.rolling_shutter ? static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s)) : 0.0f;
+    for (float& time_s : *result.cloud.time) time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     return result;
 }
 
-/// Those who are there in a scan, in the dataset's world.
-/// @param at_s  when they are where they are
-std::vector<RecordedActor> MomentRecorder::actors(double scan_s, double at_s) const {
+/// Boxes of the actors that are present in a scan, in the dataset's world.
+std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, double stamp_s) const {
+    const SampledRays rays(scan);
     std::vector<RecordedActor> actors;
     for (const BoxTrack& box : sensors_.front().actors) {
-        if (!box.present(scan_s)) continue;
-        const auto world_from_box = [&](double t_s) { return box.world_from_box.at(t_s); };
-        Pose pose = world_from_box(at_s);
-        pose.translation += sensors_.front().world_offset_m;
-        actors.push_back({box.id, box.category, pose, box.size_m, velocity_of(world_from_box, at_s), !box.moves()});
+        if (!box.present(scan.time_s)) continue;
+        const auto world_from_box = [&](double t_s) {
+            const Pose pose = box.world_from_box.at(t_s);
+            return Pose{pose.rotation, pose.translation + sensors_.front().world_offset_m};
+        };
+        const auto state = [&](double t_s) { return BoxState{stamp(t_s), world_from_box(t_s), velocity_of(world_from_box, t_s)}; };
+        const double faced_s = rays.faced_at([&](double t_s) { return world_from_box(t_s).translation; });
+        actors.push_back({box.id, box.category, box.size_m, !box.moves(), state(faced_s), state(stamp_s)});
     }
     return actors;
 }

@@ -36,7 +36,7 @@ private:
     void check_times(const RenderedScan& scan, const Sweep& all);
     std::vector<RecordedPose> poses(const RenderedScan& scan, std::vector<double> times_s);
     RecordedCloud cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const;
-    std::vector<RecordedActor> actors(double scan_s, double at_s) const;
+    std::vector<RecordedActor> actors(const RenderedScan& scan, double stamp_s) const;
 };
 
 }  // namespace relidar::scan_files

@@ -35,12 +35,18 @@ struct RecordedPose {
     Pose world_from_vehicle;
     Velocity velocity;
 };
+/// Where a box is at a time.
+struct BoxState {
+    std::uint64_t time_ns;
+    Pose world_from_box;
+    Velocity velocity;
+};
 struct RecordedActor {
     std::string name, category;
-    Pose world_from_box;
     glm::dvec3 size_m;  ///< length, width, height
-    Velocity velocity;
     bool is_parked = false;
+    BoxState faced;     ///< when the sensor faces it: a moving box fits the points on the actor only then
+    BoxState at_stamp;  ///< at the stamp of the cloud
 };
 struct RecordedCloud {
     std::uint64_t stamp_ns;  ///< of the first ray

@@ -10,15 +10,16 @@ namespace {
 
 using Actors = std::vector<RecordedActor>;
 
+/// Each box has the time in its own header at which the sensor faces it.
 std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     Cdr cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
-        add_header(cdr, stamp_ns, kWorldFrame);
+        add_header(cdr, actor.faced.time_ns, kWorldFrame);
         cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);  // one hypothesis, certain
-        add_pose(cdr, actor.world_from_box), add_covariance(cdr);
-        add_pose(cdr, actor.world_from_box), add_vector(cdr, actor.size_m);
+        add_pose(cdr, actor.faced.world_from_box), add_covariance(cdr);
+        add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
         cdr.add_text(actor.name);
     }
     return cdr.take();
@@ -56,6 +57,7 @@ void add_uuid(Cdr& cdr, const std::string& name) {
     }
 }
 
+/// One time for all boxes, because objects have none of their own: the stamp. Their velocities take them to other times.
 std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
@@ -64,8 +66,8 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
         cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);  // it exists, and is that
-        add_pose(cdr, actor.world_from_box), add_covariance(cdr);
-        add_velocity(cdr, actor.velocity);
+        add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
+        add_velocity(cdr, actor.at_stamp.velocity);
         add_velocity(cdr, {});  // its acceleration, which is not known
         cdr.add(kOrientationAvailable).add(std::uint8_t(actor.is_parked));
         cdr.add(kBoundingBox).add(std::uint32_t(0));  // no footprint of its own

@@ -36,7 +36,7 @@ std::vector<double> matrix_of(const Pose& pose) {
 
 std::string frame_text(const ScanFormat& format) {
     if (format.frame == PointFrame::world) return "world: the dataset's own";
-    return format.deskew ? "sensor at time_s: x forward, y left, z up" : "sensor at each ray's firing time: x forward, y left, z up";
+    return is_deskewed(format) ? "sensor at time_s: x forward, y left, z up" : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
 FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan) {
@@ -66,7 +66,7 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
     const RangeImage& image = scan.image;
     const std::vector<double> pose = matrix_of(scan.world_from_sensor);
     const bool world = placed.format.frame == PointFrame::world;
-    const std::int32_t number = placed.frame, deskewed = world || placed.format.deskew ? 1 : 0;
+    const std::int32_t number = placed.frame, deskewed = is_deskewed(placed.format) ? 1 : 0;
     std::vector<NamedArray> arrays{make_text_array("instance_names", placed.format.instance_names),
                                    image_array("directions", image, placed.direction),
                                    image_array("origin", image, placed.origin),
@@ -133,7 +133,7 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     format.world_offset_m = run.sequence.world_offset_m;
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
-    format.rolling_shutter = run.sequence.rolling_shutter && run.config.sensor.rolling_shutter;
+    format.rolling_shutter = has_rolling_shutter(sensor, run.config);
     name_in_recordings(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
@@ -141,6 +141,10 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     format.config = run.config;
     if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
     return format;
+}
+
+bool is_deskewed(const ScanFormat& format) {
+    return format.frame == PointFrame::world || format.deskew || !format.rolling_shutter;
 }
 
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {

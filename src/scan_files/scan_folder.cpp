@@ -98,7 +98,7 @@ void ScanFolder::summarise() const {
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
     const Json points = {
         {"frame", world ? "world" : "sensor"},
-        {"deskewed", world || format_.deskew},
+        {"deskewed", is_deskewed(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
         {"returns",

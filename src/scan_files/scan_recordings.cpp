@@ -73,7 +73,7 @@ FileNotes recording_notes(const std::vector<ScanFormat>& sensors) {
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
             {"points_in", format.frame == PointFrame::world ? "world"
-                          : format.deskew                   ? "sensor at the stamp"
+                          : is_deskewed(format)             ? "sensor at the stamp"
                                                             : "sensor at each ray's firing time"},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }

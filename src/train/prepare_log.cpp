@@ -26,7 +26,7 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
     options.poses_file = config.dataset.poses;
     options.poses_from = config.dataset.poses_from;
     options.skip_broken = config.dataset.skip_broken;
-    options.rolling_shutter = config.sensor.rolling_shutter;
+    options.rolling_shutter = config.sensor.rolling_shutter != RollingShutter::no;
     options.max_range_m = config.dataset.max_range_m;
     options.min_range_m = config.dataset.min_range_m;
     options.clamp_intensity = config.dataset.waymo_intensity == "clamp";

@@ -87,6 +87,18 @@ TEST_F(ConfigFile, EveryKeyRoundTrips) {
     expect_equal(all, through_toml(all, folder));
 }
 
+/// Earlier versions wrote booleans.
+TEST_F(ConfigFile, RollingShutterIsReadWithAndWithoutQuotes) {
+    for (const auto& [text, expected] : {std::pair("true", RollingShutter::yes), std::pair("false", RollingShutter::no),
+                                         std::pair("\"true\"", RollingShutter::yes), std::pair("\"auto\"", RollingShutter::automatic)}) {
+        put(folder / "old.toml", std::string("[sensor]\nrolling_shutter = ") + text + "\n");
+        Config config;
+        load_config(config, folder / "old.toml");
+        EXPECT_EQ(config.sensor.rolling_shutter, expected) << text;
+    }
+    EXPECT_EQ(set_error("sensor.rolling_shutter", "1"), "setting sensor.rolling_shutter: found \"1\", expected one of auto, true, false");
+}
+
 TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     Config config;
     config.loss.depth = 0.1f / 3.0f;
@@ -116,6 +128,8 @@ TEST_F(ConfigFile, FilesOfEarlierVersionsSayWhatPresetsSay) {
         Config config;
         load_config(config, std::filesystem::path(RELIDAR_SOURCE_DIR) / "tests/config/4f17562" / (std::string(name) + ".toml"),
                     [&](const std::string& note) { notes.push_back(note); });
+        EXPECT_EQ(config.sensor.rolling_shutter, RollingShutter::yes);
+        config.sensor.rolling_shutter = RollingShutter::automatic;   // what true has come to mean
         Config preset = make_preset(name);
         if (preset.preset == "quick") {
             preset.refine.epochs = 6;   // 4 at ten times the rate since its network sees a part of each frame

@@ -77,6 +77,20 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     EXPECT_EQ(d.scene.sensor_drop.probability, std::vector<float>{0.25f}) << "the sensor has not changed";
 }
 
+/// Its labels are at 0 to 0.9 s: 0.4 s later, frames 0 to 3 have lost it (half a step before the first one allowed), and with another path
+/// from 0.2 to 0.5 s frames 0, 1, 6, 7, 8 and 9.
+TEST(Edit, SaysHowManyFramesLoseAnActor) {
+    const DrivingScene before = example();
+    const BoxTrack van = box(before, "van");
+    EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.4).sequence),
+              "track van is absent from 4 frames in which it was present, of 0 to 3: it is there from 0.40 to 1.30 s now");
+    const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
+    EXPECT_EQ(lost_frames_note(van, replace_trajectory(before, "van", path).sequence),
+              "track van is absent from 6 frames in which it was present, of 0 to 9: it is there from 0.20 to 0.50 s now");
+    EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.02).sequence), "");
+    EXPECT_EQ(lost_frames_note(van, move_track(before, "van", at(0, 1)).sequence), "");
+}
+
 TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
     const DrivingScene before = example(),
                        after = move_track(example(), "van", {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});

@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans of a run: the same as the command line tool writes; poses, actors and sensors of the caller's own; lifetimes of arrays."""
 import gc
+import json
 import unittest
 
 import numpy as np
 
 import relidar
 from common import FOLDER, TestCase, log, run, tool
+
+
+def present(loaded, time):
+    """Tracks of the actors that are there at a time."""
+    return {name: track for name, track in loaded.actors.items() if track[0][0] <= time <= track[0][-1]}
 
 
 class Render(TestCase):
@@ -30,10 +36,69 @@ class Render(TestCase):
         default = run().render(time=time)
         self.assert_same(run().render(time=time, pose=run().trajectory)["range"], default["range"])
         # The boxes' own tracks place the actors where the run does, but for those that are absent now.
-        present = {name: track for name, track in run().actors.items() if track[0][0] <= time <= track[0][-1]}
-        given = run().render(time=time, actors=present)
+        given = run().render(time=time, actors=present(run(), time))
         self.assertGreater(np.mean(given["instance"] == default["instance"]), 0.99)
         self.assertTrue(np.any(given["instance"] > 0))
+
+    def test_follows_the_sweeps_of_the_log(self):
+        """The log's own sensor points where its head did, as in the tool: here each firing is turned by a known angle."""
+        folder = FOLDER / "turned"
+        relidar.Run.load(run().folder).save(folder)
+        _, columns = run().rays()["time"].shape
+        shift = (0.02 * np.sin(np.arange(columns) / 40)).astype("<f4")
+        head = json.dumps({"__metadata__": {"format": "relidar sweeps", "version": "1", "relidar": "0"},
+                           "000003": {"dtype": "F32", "shape": [columns], "data_offsets": [0, shift.nbytes]}}).encode()
+        (folder / "sweeps.safetensors").write_bytes(len(head).to_bytes(8, "little") + head + shift.tobytes())
+        turned, time, number = relidar.Run.load(folder), run().times[3], run().frame_numbers[3]
+        scan, nominal = turned.render(time=time), run().render(time=time)
+        azimuth = [np.arctan2(s["directions"][..., 1], s["directions"][..., 0]) for s in (scan, nominal)]
+        difference = np.angle(np.exp(1j * (azimuth[0] - azimuth[1])))
+        np.testing.assert_allclose(np.sort(difference[0]), np.sort(shift), atol=1e-5)
+        tool("render", folder, "--out", FOLDER / "turned_scans", "--frames", f"{number}:{number + 1}")
+        with np.load(FOLDER / "turned_scans" / f"frame_{number:06}.npz") as written:
+            np.testing.assert_allclose(scan["directions"], written["directions"], atol=1e-6)
+            np.testing.assert_allclose(scan["range"], written["range"], rtol=1e-4, atol=1e-4)
+        self.assert_same(turned.render(time=time, actors=present(turned, time))["directions"], scan["directions"])
+        driven = turned.render(time=time, pose=turned.trajectory)
+        self.assert_same(driven["directions"], nominal["directions"])   # on a path of the caller's there are no sweeps
+
+    def test_compensated_log(self):
+        """A log without a rolling shutter: its own sensor has none and says so, another one fires each ray at its own time."""
+        time, speed = run().times[3], 13.0
+        folder = FOLDER / "compensated"
+        relidar.Run.load(run().folder).save(folder)
+        scene = json.loads((folder / "scene.json").read_text())
+        scene["rolling_shutter"] = False
+        (folder / "scene.json").write_text(json.dumps(scene))
+        times = np.array([time - 0.1, time + 0.1])
+        start = run().trajectory[1][3]
+        path = (times, np.stack([start @ relidar.pose(speed * (t - time), 0, 0) for t in times]))
+        compensated = relidar.Run.load(folder)
+        own = compensated.render(time=time, pose=path)
+        self.assertEqual((own["deskewed"].item(), np.abs(own["time"]).max()), (1, 0))
+        for name, settings in (("VLP-16", {}), ("native", {"sensor.rolling_shutter": True})):
+            loaded = relidar.Run.load(folder, settings=settings)
+            raw, deskewed = (loaded.render(name, time=time, pose=path, deskew=deskew) for deskew in (False, True))
+            self.assertEqual((raw["deskewed"].item(), deskewed["deskewed"].item()), (0, 1))
+            moved = deskewed["origin"] + deskewed["range"][..., None] * deskewed["directions"]
+            moved -= raw["origin"] + raw["range"][..., None] * raw["directions"]
+            expected = np.zeros_like(moved)
+            expected[..., 0] = speed * raw["time"]
+            met = raw["range"] > 0
+            self.assertGreater(np.ptp(raw["time"][met]), 0.08)
+            np.testing.assert_allclose(moved[met], expected[met], atol=1e-3)
+
+    def test_times_outside_are_refused(self):
+        render, times = run().render, run().times
+        self.assert_fails(relidar.UsageError, "time in the log: found 1000 s, expected seconds of", render, time=1000.0)
+        self.assert_fails(relidar.UsageError, "time in the log: found -0.2 s", render, time=times[0] - 0.2)
+        poses = np.stack([np.eye(4)] * 2)
+        self.assert_fails(relidar.UsageError, "time on the poses: found 2.5 s, expected seconds of 1 to 2", render, time=2.5,
+                          pose=(np.array([1.0, 2.0]), poses))
+        name = next(iter(run().actors))
+        self.assert_fails(relidar.UsageError, f'time beside the poses of actors["{name}"]: found', render, time=times[3],
+                          actors={name: (np.array([times[3] + 5.0, times[3] + 6.0]), poses)})
+        render(time=1000.0, pose=np.eye(4))   # it stands there at any time
 
     def test_pose_moves_the_sensor(self):
         time = run().times[3]

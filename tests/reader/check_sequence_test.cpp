@@ -106,5 +106,41 @@ TEST(CheckSequence, NamesFrameAndField) {
     }
 }
 
+/// Ten frames, one of which begins later than it should by some seconds.
+Sequence with_gap(double gap_s) {
+    Sequence log;
+    log.name = "log";
+    for (int i = 0; i < 10; ++i) log.frames.push_back({i, 0.1 * i + (i > 6 ? gap_s : 0.0), {}});
+    return log;
+}
+
+TEST(CheckGaps, SaysWhereFramesAreMissing) {
+    Sequence log = with_gap(4.9);
+    check_gaps(log);
+    ASSERT_EQ(log.notes.size(), 1u);
+    EXPECT_NE(log.notes[0].find("1 gap in the times of frames, the longest of 5.0 s between frames 6 and 7 (usual is 0.1 s)"),
+              std::string::npos)
+        << log.notes[0];
+    for (const double gap_s : {0.0, 0.3}) {
+        log = with_gap(gap_s);
+        check_gaps(log);
+        EXPECT_TRUE(log.notes.empty()) << "frames that a log leaves out";
+    }
+}
+
+TEST(CheckGaps, AJumpOfTheClockIsAnError) {
+    Sequence log = with_gap(3600.0);
+    try {
+        check_gaps(log);
+        FAIL() << "an hour between two frames";
+    } catch (const DataError& error) {
+        EXPECT_NE(std::string(error.what()).find("frame 7: time 3600.7 s, 3600.1 s after frame 6"), std::string::npos) << error.what();
+        EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
+    }
+    for (Frame& frame : log.frames) frame.time_s = 100.0 * frame.index;
+    EXPECT_NO_THROW(check_gaps(log)) << "scans that are taken every 100 s";
+    EXPECT_TRUE(log.notes.empty());
+}
+
 }  // namespace
 }  // namespace relidar

@@ -121,6 +121,16 @@ std::vector<BoxTrack> actors() {
     return {car, bin};
 }
 
+/// When the head of a sweep faces a box: it turns from behind over the left to the right, once a period, and faces ahead at time_s.
+double faced_at(const BoxTrack& box, double time_s) {
+    double faced_s = time_s;
+    for (int round = 0; round < 20; ++round) {
+        const glm::dvec3 seen = inverse(way().at(faced_s) * kMounting) * box.world_from_box.at(faced_s).translation;
+        faced_s = time_s - std::atan2(seen.y, seen.x) / (2.0 * kPi) * kPeriod_s;
+    }
+    return faced_s;
+}
+
 /// @param moved_m  of what is read from what was written
 void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
@@ -133,7 +143,12 @@ void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
         EXPECT_EQ(found->moves(), wanted.moves());
         EXPECT_EQ(found->world_from_box.time_s.size(), wanted.id == "bin" ? kFrames : kFrames - 1);
         for (std::size_t k = 0; k < found->world_from_box.time_s.size(); ++k) {
-            const Pose pose = wanted.world_from_box.at(found->world_from_box.time_s[k] + kFirst_s);
+            const double at_s = found->world_from_box.time_s[k] + kFirst_s;
+            BoxTrack there = wanted;
+            for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;   // as the sensor sees it
+            const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
+            EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns) << wanted.id << ": within a column";
+            const Pose pose = wanted.world_from_box.at(at_s);
             EXPECT_LT(glm::distance(found->world_from_box.pose[k].translation + log.world_offset_m, pose.translation + moved_m), 1e-6);
             EXPECT_NEAR(std::abs(glm::dot(found->world_from_box.pose[k].rotation, pose.rotation)), 1.0, 1e-12);
         }
@@ -176,6 +191,80 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
         expect_same(log, true);
         expect_actors(log, format.world_offset_m);
     }
+}
+
+/// A car that drives at 5 m/s to the right of a sensor that stands and behind it, where the head turns last.
+BoxTrack car_behind() {
+    BoxTrack car{"car", "Car", {4.2, 1.8, 1.5}, {}};
+    for (int i = 0; i <= 10; ++i) {
+        car.world_from_box.time_s.push_back(0.5 + 0.1 * i);
+        car.world_from_box.pose.push_back({{1, 0, 0, 0}, {-6.0 + 5.0 * (0.1 * i - 0.5), -5.0, 0.2}});
+    }
+    return car;
+}
+
+/// Where a ray enters a box around the origin; 0 where it misses the box.
+double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
+    double enters_m = 0.0, leaves_m = 1e9;
+    for (int axis = 0; axis < 3; ++axis) {
+        const double a = (-0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
+        const double b = (0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
+        enters_m = std::max(enters_m, std::min(a, b)), leaves_m = std::min(leaves_m, std::max(a, b));
+    }
+    return enters_m < leaves_m ? enters_m : 0.0;
+}
+
+/// A scan of the car alone: each ray meets it where it is when the ray is fired.
+RenderedScan scan_of_car(double time_s) {
+    RenderedScan scan = room(time_s);
+    scan.second_returns.clear();
+    scan.track = {{0.0, 10.0}, {Pose{}, Pose{}}};
+    scan.world_from_sensor = {};
+    const BoxTrack car = car_behind();
+    for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
+        const glm::dvec3 car_m = car.world_from_box.at(time_s + double(scan.time_offset_s[i])).translation;
+        const float range_m = float(entry_m(-car_m, glm::dvec3(scan.image.direction[i]) + 1e-9, car.size_m));
+        scan.image.range_m[i] = range_m > 0.0f ? range_m : 20.0f;
+        scan.instance[i] = range_m > 0.0f ? 1 : 0;
+        scan.image.drop_prob[i] = 0.0f;
+    }
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    return scan;
+}
+
+/// Points of a car that moves through the sweep lie in its box, and the box moved to the time of each point holds them exactly.
+TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
+    ScanFormat format;
+    format.formats = {"mcap", "rosbag"};
+    format.actors = {car_behind()};
+    ScanFolder scans(folder, format);
+    for (int k = 0; k < kFrames; ++k) scans.write(k, scan_of_car(1.0 + kPeriod_s * k));
+    scans.finish();
+    for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
+        const Sequence log = load_sequence((folder / name).string(), {});
+        ASSERT_EQ(log.boxes.size(), 1u) << testing::PrintToString(log.notes);
+        const PoseTrack& boxes = log.boxes[0].world_from_box;
+        ASSERT_EQ(boxes.pose.size(), std::size_t(kFrames));
+        std::size_t n = 0;
+        for (int k = 0; k < kFrames; ++k) {
+            const RenderedScan scan = scan_of_car(1.0 + kPeriod_s * k);
+            for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
+                if (scan.instance[i] != 1) continue;
+                const glm::dvec3 point_m = double(scan.image.range_m[i]) * glm::dvec3(scan.image.direction[i]);
+                const glm::dvec3 box_m = boxes.pose[std::size_t(k)].translation + log.world_offset_m;
+                const double later_s = scan.time_s + double(scan.time_offset_s[i]) - (boxes.time_s[std::size_t(k)] + kFirst_s);
+                const auto outside_m = [&](const glm::dvec3& middle_m) {
+                    const glm::dvec3 beyond = glm::abs(point_m - middle_m) - 0.5 * car_behind().size_m;
+                    return std::max({beyond.x, beyond.y, beyond.z});
+                };
+                EXPECT_LT(outside_m(box_m), 0.05) << name << ": hit within some milliseconds of the box's time";
+                EXPECT_LT(outside_m(box_m + glm::dvec3(5.0 * later_s, 0.0, 0.0)), 1e-4) << name;
+                ++n;
+            }
+        }
+        EXPECT_GT(n, 50u);
+    }
+    EXPECT_NE(contents(folder / "scans.mcap").find("5 0 0"), std::string::npos) << "its velocity";
 }
 
 }  // namespace

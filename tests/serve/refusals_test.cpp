@@ -46,6 +46,8 @@ const std::vector<Case>& cases_of_poses() {
         {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT, "reading time_s: found nan"},
         {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); }, Code::INVALID_ARGUMENT,
          "reading time_s: found 500000 with a path from 0.5 to 0.6"},
+        {"two seconds behind the path", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(2.7); },
+         Code::INVALID_ARGUMENT, "reading time_s: found 2.7 with a path from 0.5 to 0.6"},
         {"points elsewhen", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); }, Code::INVALID_ARGUMENT,
          "reading points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,

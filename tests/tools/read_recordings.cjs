@@ -95,10 +95,10 @@ function boxesOf({ value }) {
     const pose = (p) => ({ t: xyz(p.position), q: [...xyz(p.orientation), p.orientation.w] });
     if (value.entities)
         return { stamp: nanoseconds(value.deletions[0].timestamp),
-                 boxes: value.entities.map((e) => ({ id: e.id, pose: pose(e.cubes[0].pose), size: xyz(e.cubes[0].size), category: e.metadata[0].value })) };
+                 boxes: value.entities.map((e) => ({ id: e.id, time: nanoseconds(e.timestamp), pose: pose(e.cubes[0].pose), size: xyz(e.cubes[0].size), category: e.metadata[0].value })) };
     const stamp = nanoseconds(value.header.stamp);
     if (value.detections)
-        return { stamp, boxes: value.detections.map((d) => ({ id: d.id, pose: pose(d.bbox.center), size: xyz(d.bbox.size), category: d.results[0].hypothesis.class_id })) };
+        return { stamp, boxes: value.detections.map((d) => ({ id: d.id, time: nanoseconds(d.header.stamp), pose: pose(d.bbox.center), size: xyz(d.bbox.size), category: d.results[0].hypothesis.class_id })) };
     return { stamp, boxes: value.objects.map((o) => ({
         id: Buffer.from(o.object_id.uuid).toString("hex"), label: o.classification[0].label, size: xyz(o.shape.dimensions),
         pose: pose(o.kinematics.pose_with_covariance.pose), velocity: xyz(o.kinematics.twist_with_covariance.twist.linear) })) };
@@ -115,17 +115,20 @@ function boxAt(box, seconds) {
 
 /** @param tracked  Autoware's message of the same stamp, in the same order */
 function checkBoxes(what, message, tracked, shift) {
-    const { stamp, boxes } = boxesOf(message), moving = boxesOf(tracked), seconds = 1e-9 * Number(stamp) - shift;
+    const { stamp, boxes } = boxesOf(message), moving = boxesOf(tracked);
     check(`${what}: stamps differ`, moving.stamp === stamp);
     check(`${what}: ${boxes.length} boxes, expected ${scene.boxes.length}`, boxes.length === scene.boxes.length && moving.boxes.length === boxes.length);
     boxes.forEach((box, i) => {
-        const truth = scene.boxes.find((known) => known.id === box.id), there = boxAt(truth, seconds), { label, velocity } = moving.boxes[i];
-        for (const { pose, size } of [box, moving.boxes[i]]) {
+        const truth = scene.boxes.find((known) => known.id === box.id), { label, velocity } = moving.boxes[i];
+        check(`${what}: box ${box.id} is of ${Number(box.time - stamp) * 1e-9} s after the stamp`, box.time >= stamp && box.time <= message.time);
+        for (const { pose, size, time } of [box, moving.boxes[i]]) {
+            const there = boxAt(truth, 1e-9 * Number(time ?? stamp) - shift);
             const off = difference(pose.t, there.t), cosine = Math.abs(pose.q.reduce((sum, x, k) => sum + x * there.q[k], 0));
             check(`${what}: box ${box.id} is ${off} m and ${Math.acos(Math.min(1, cosine))} rad off`, off < 1e-5 && cosine > 1 - 1e-9);
             check(`${what}: box ${box.id} has size ${size}`, difference(size, truth.size_m) < 1e-9);
         }
         check(`${what}: ${box.category} has label ${label}`, box.category === truth.category && label === ({ Car: 1, Van: 1, Cyclist: 6, Pedestrian: 7 }[truth.category] ?? 0));
+        const there = boxAt(truth, 1e-9 * Number(stamp) - shift);
         check(`${what}: box ${box.id} at ${velocity} m/s, expected ${there.velocity}`, difference(velocity, there.velocity) < 1e-3);
     });
 }

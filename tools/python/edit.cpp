@@ -10,6 +10,7 @@
 
 #include <relidar/edit.hpp>
 #include <relidar/error.hpp>
+#include "config.hpp"
 #include "module.hpp"
 #include "poses.hpp"
 #include "run.hpp"
@@ -37,6 +38,15 @@ struct Edits {
         return *this;
     }
 
+    /// The same of an edit of an actor's times: warns of frames in which it is absent afterwards.
+    Edits& apply_times(const std::string& said, const std::string& track, const std::function<DrivingScene(DrivingScene)>& edit) {
+        const BoxTrack* box = find_box(run.sequence, track);
+        const BoxTrack before = box ? *box : BoxTrack{};
+        apply(said, edit);
+        if (const std::string note = lost_frames_note(before, run.sequence); !note.empty()) warn(note);
+        return *this;
+    }
+
     std::unique_ptr<LoadedRun> finished() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
@@ -58,7 +68,7 @@ Edits& move(Edits& edits, const std::string& track, const py::object& pose) {
 
 Edits& follow(Edits& edits, const std::string& track, const py::object& trajectory) {
     const PoseTrack poses = track_of(trajectory, "trajectory", 0.0);
-    return edits.apply(fmt::format("follow {}: {} poses", track, poses.pose.size()),
+    return edits.apply_times(fmt::format("follow {}: {} poses", track, poses.pose.size()), track,
                        [&](DrivingScene d) { return replace_trajectory(std::move(d), track, poses); });
 }
 
@@ -100,7 +110,7 @@ void add_edit(py::module_& module) {
         .def(
             "retime",
             [](Edits& edits, const std::string& track, double seconds) -> Edits& {
-                return edits.apply(fmt::format("retime {}:{:.6g}", track, seconds),
+                return edits.apply_times(fmt::format("retime {}:{:.6g}", track, seconds), track,
                                    [&](DrivingScene d) { return retime_track(std::move(d), track, seconds); });
             },
             py::arg("track"), py::arg("seconds"), same, "Lets everything an actor does happen so much later.")

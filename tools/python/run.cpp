@@ -49,11 +49,22 @@ PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
+/// @throws UsageError for a time farther from all poses than some seconds: what moves would be extrapolated
+void check_covered(const PoseTrack& track, double time_s, double beside_s, const std::string& what) {
+    if (track.pose.size() < 2 || !std::isfinite(time_s)) return;   // it stands, or the library refuses the time
+    const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
+    if (time_s < begin_s || time_s > end_s)
+        throw UsageError(fmt::format("{}: found {} s, expected seconds of {} to {}", what, time_s, begin_s, end_s));
+}
+
 ActorPoses actors_from(const py::dict& actors, double time_s) {
+    constexpr double kBeside_s = 1.0;   // a sweep begins before and ends after its time
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
         const std::string track = py::str(name);
-        poses[track] = track_of(pose, fmt::format("actors[\"{}\"]", track), time_s);
+        const std::string what = fmt::format("actors[\"{}\"]", track);
+        const PoseTrack& added = poses[track] = track_of(pose, what, time_s);
+        check_covered(added, time_s, kBeside_s, fmt::format("time beside the poses of {}", what));
     }
     return poses;
 }
@@ -68,6 +79,7 @@ ScanRequest request_of(const AskedScan& asked, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = asked.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor = asked.pose.is_none() ? log_track(run.sequence, lidar) : track_of(asked.pose, "pose", request.time_s);
+    check_covered(request.dataset_from_sensor, request.time_s, 0.0, asked.pose.is_none() ? "time in the log" : "time on the poses");
     if (asked.actors) request.dataset_from_actor = actors_from(*asked.actors, request.time_s);
     return request;
 }
@@ -75,8 +87,9 @@ ScanRequest request_of(const AskedScan& asked, const Run& run, int lidar) {
 py::dict render(LoadedRun& loaded, const AskedScan& asked) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, asked.lidar);
-    const SensorChoice sensor = sensor_of(asked.sensor, run, lidar);
     const ScanRequest request = request_of(asked, run, lidar);
+    SensorChoice sensor = sensor_of(asked.sensor, run, lidar);
+    if (asked.pose.is_none()) sensor = sensor_in_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
     const std::vector<bool> shown =
         asked.only.empty() ? std::vector<bool>(run.scene.instances.size(), true) : select_instances(run.scene, asked.only);
     ScanFormat format = scan_format(run, sensor);
@@ -127,13 +140,16 @@ constexpr const char* kRenderHelp =
     "is "
     "fired from where the\n"
     "    sensor is then; None: where the log's sensor was\n"
-    "time: seconds of the log at which the head faces forward; None: of the first frame\n"
-    "actors: track -> pose of its box's centre, as `pose`; actors that are not named are absent. None: all where their tracks have them\n"
+    "time: seconds of the log at which the head faces forward, within the times of the poses; None: of the first frame.\n"
+    "    Without `pose`, at the time of a frame, the log's sensor points as its head did in that sweep\n"
+    "actors: track -> pose of its box's centre, as `pose`, at times up to a second from `time`; actors that are not named are absent.\n"
+    "    None: all where their tracks have them\n"
     "lidar: of the log, by name, which the sensor is or in whose place it stands; empty: the first\n"
     "only: render these alone: \"background\", \"actors\" or tracks\n"
     "sample: seed; draws drops and range noise as likely as on the log. None: the likeliest scan\n"
     "frame: of origin and directions: \"sensor\" (at each ray's firing time) or \"world\" (the dataset's)\n"
-    "deskew: sensor frame at `time` for all rays\n"
+    "deskew: sensor frame at `time` for all rays. Without a rolling shutter it is the same (the log's sensor if its scans are\n"
+    "    motion-compensated): then `time` is 0 for all rays and `deskewed` 1\n"
     "weather: \"fog=50\" (visibility in metres), \"rain=25\" or \"snow=2\" (mm of water an hour), \"wet=0.5\" (mm of water on level\n"
     "    ground), \"spray=0.5\" (mm that vehicles throw up), \"sun=120:5\" (azimuth:elevation, degrees of the dataset's world),\n"
     "    \"bloom\" (stray light of reflectors), or several with commas between; drawn by `sample`, 0 without;\n"
@@ -172,7 +188,9 @@ void add_calls(py::class_<LoadedRun>& type) {
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
-                return to_dict(sensor_of(sensor, run.run, find_lidar(run.run.sequence, lidar)).rays);
+                SensorChoice choice = sensor_of(sensor, run.run, find_lidar(run.run.sequence, lidar));
+                if (!has_rolling_shutter(choice, run.run.config)) std::ranges::fill(choice.rays.time_offset_s, 0.0f);
+                return to_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "", "Rays of a sensor as render() takes it.")
         .def("with_surfels", &with_surfels, py::arg("surfels"),

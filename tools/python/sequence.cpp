@@ -37,7 +37,9 @@ py::dict scan_of(const Log& log, int position) {
         throw py::index_error(fmt::format("scan {}: the log has {} frames", position, frames.size()));
     const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
     const Shape image{scan.rays.rows, scan.rays.columns};
-    py::dict dict = to_dict(scan.rays);
+    RayTable rays = scan.rays;
+    if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);   // points are where they are at the frame's time
+    py::dict dict = to_dict(rays);
     dict["range"] = owned<float>(to_vector(scan.range_m), image);
     dict["intensity"] = owned<float>(to_vector(scan.intensity), image);
     return dict;

@@ -21,7 +21,7 @@ namespace {
 
 constexpr int kMostSensors = 64;         // of a rig
 constexpr std::size_t kLongestSpawnName = 200;   // bytes, of spawned actors
-constexpr double kBeyondPath_s = 60.0;   // a longer way to extrapolate is a slip, of microseconds for seconds say
+constexpr double kBeyondPath_s = 1.0;   // a sweep may begin before its path and end after it; more is a mistake of times
 
 /// A moment on the sensor's path, or not far beyond it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
@@ -29,7 +29,7 @@ double read_moment(double time_s, const PoseTrack& path, const std::string& fiel
     const bool moves = path.pose.size() > 1;
     if (moves && (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s))
         refuse(field, fmt::format("{} with a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
-               fmt::format("seconds on the path, or at most {} beside it", kBeyondPath_s));
+               fmt::format("seconds on the path, or at most {} s before or after it", kBeyondPath_s));
     return time_s;
 }
 

@@ -107,6 +107,15 @@ std::string differs(const std::string& doing, const std::string& what, const std
 
 }  // namespace
 
+namespace {
+
+/// Training does the same with true, which earlier versions wrote, and with auto.
+std::string trained_value(const std::string& key, const std::string& value) {
+    return key == "sensor.rolling_shutter" && value == "true" ? "auto" : value;
+}
+
+}  // namespace
+
 bool same_value(const std::string& a, const std::string& b) {
     const std::optional<double> x = parse_number(a), y = parse_number(b);
     return x && y ? *x == *y : a == b;
@@ -129,7 +138,8 @@ void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkp
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
         const std::string was = it == saved.end() ? "nothing" : it->second;
-        if (!same_value(was, setting.value)) throw UsageError(differs(doing, "setting " + setting.key, setting.value, was));
+        if (!same_value(trained_value(setting.key, was), trained_value(setting.key, setting.value)))
+            throw UsageError(differs(doing, "setting " + setting.key, setting.value, was));
     }
 }
 

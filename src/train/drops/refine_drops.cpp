@@ -24,7 +24,10 @@ bool looks_at_grid(const Config& config) { return config.refine.image == "grid" 
 
 /// Rays of a frame's LiDAR; with refine.image = grid, binned.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    return looks_at_grid(config) ? configured_sensor(config, sequence, frame.lidar) : nominal_rays_of(config, sequence, frame);
+    if (!looks_at_grid(config)) return nominal_rays_of(config, sequence, frame);
+    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
+    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan that the network learns from
+    return sensor;
 }
 
 /// Rays between a sensor's own: each turned towards the next column by a share of the way. Surfels have been fitted to the sensor's own

@@ -28,6 +28,7 @@ public:
         SensorChoice sensor;
         sensor.rays = some_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
         sensor.lidar = frame.lidar;
+        sensor.rolling_shutter = run_.sequence.rolling_shutter;
         const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan =

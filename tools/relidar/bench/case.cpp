@@ -101,7 +101,8 @@ BenchCase run_case(const BenchChoice& choice) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
         throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    RayTable table = configured_sensor(run.config, run.sequence, frame.lidar).rays;
+    const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
+    RayTable table = sensor.rays;
     if (table.size() == 0) table = nominal_rays(run.sequence.lidar_of(frame), frame.time_s);
     BenchCase bench;
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
@@ -109,7 +110,7 @@ BenchCase run_case(const BenchChoice& choice) {
     bench.columns = table.columns;
     const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
     bench.view_origin_m = glm::vec3(track.at(frame.time_s).translation);
-    const bool rolls = run.sequence.rolling_shutter && run.config.sensor.rolling_shutter;
+    const bool rolls = has_rolling_shutter(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
         const WorldRay ray = world_ray(track, frame.time_s, table, i, rolls);
         bench.rays.origin.emplace_back(ray.origin_m);

@@ -109,28 +109,35 @@ AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
 
 /// Whether an actor is there at any frame of the log.
 bool is_ever_present(const DrivingScene& driving, const std::string& track) {
-    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(), [&](const BoxTrack& b) {
-        return b.id == track && std::any_of(driving.sequence.frames.begin(), driving.sequence.frames.end(),
-                                            [&](const Frame& f) { return b.present(f.time_s); });
-    });
+    const BoxTrack* box = find_box(driving.sequence, track);
+    return box && std::ranges::any_of(driving.sequence.frames, [&](const Frame& f) { return box->present(f.time_s); });
 }
 
-std::string absence_note(const DrivingScene& driving, const std::string& track) {
-    return is_ever_present(driving, track) ? ""
-                                           : fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
+/// What the user should know of the frames in which an actor is absent after an edit. @param before  its track; null: it is new
+std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
+    if (!is_ever_present(driving, track))
+        return fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
+    return before ? lost_frames_note(*before, driving.sequence) : "";
+}
+
+BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
+    const BoxTrack* box = find_box(driving.sequence, track);
+    return box ? *box : BoxTrack{};   // the edit refuses an unknown track
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, seconds] = cut(edit, edit.value, edit.value.rfind(':'));
+    const BoxTrack before = copy_of_box(driving, track);
     driving = retime_track(std::move(driving), track, numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = absence_note(driving, track);
+    const std::string note = absence_note(driving, track, &before);
     return {std::move(driving), fmt::format("retimed {} by {} s", track, seconds), note};
 }
 
 AppliedEdit trajectory(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, file] = cut(edit, edit.value, edit.value.find(':'));
+    const BoxTrack before = copy_of_box(driving, track);
     driving = replace_trajectory(std::move(driving), track, read_trajectory(file));
-    const std::string note = absence_note(driving, track);
+    const std::string note = absence_note(driving, track, &before);
     return {std::move(driving), fmt::format("{} follows {}", track, file), note};
 }
 
@@ -205,7 +212,9 @@ void join_note(std::string& note, const std::string& more) {
 void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what, AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
     std::string track = what;
-    if (!has_track(driving, what)) {
+    const bool is_known = has_track(driving, what);
+    const BoxTrack before = copy_of_box(driving, what);
+    if (!is_known) {
         if (what.find('#') == std::string::npos && !std::filesystem::exists(what))
             refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
         const Foreigner actor = foreigner_of(edit, what);
@@ -217,7 +226,7 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
     driving = replace_trajectory(std::move(driving), track, box_track(entity, begin_s, size_of(driving, track)));
     applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
                                 edit.value.substr(0, edit.value.find('@')));
-    join_note(applied.note, absence_note(driving, track));
+    join_note(applied.note, absence_note(driving, track, is_known ? &before : nullptr));
     if (!entity.ignored.empty())
         join_note(applied.note, fmt::format("{} of {} is not read", fmt::join(entity.ignored, ", "), entity.name));
 }

@@ -105,6 +105,7 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
         SensorChoice sensor = configured_sensor(config, run.sequence, frame->lidar);
         sensor.rays = scan.rays;
         sensor.follows_sweeps = false;
+        sensor.rolling_shutter = run.sequence.rolling_shutter;
         const RenderedScan rendered = renderer.render(sensor, frame->time_s);
         const PeoplePoints points =
             people_points(rendered.image, point_ranges(rendered, config), measured, run.sequence, moment_of(*frame), *walk.box);

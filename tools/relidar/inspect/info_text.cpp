@@ -176,7 +176,8 @@ std::string text_of(const LidarSummary& l) {
 std::string text_of(const LogSummary& log, bool of_run) {
     std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
     for (const std::string& note : log.notes) text += line("note", note);
-    for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + (log.rolling_shutter ? ", rolling shutter" : ""));
+    const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
+    for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + shutter);
     text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame,
                                        log.seconds, log.path_m));
     if (log.returns_share)

@@ -332,7 +332,7 @@ void run_render(const RenderOptions& given) {
     if (options.sample && !options.quiet) note_unscattered(run, lidar);
     if (!options.quiet) note_weather(parse_weather(options.weather));
     for (const Wanted& w : wanted)
-        if (!options.quiet) note_unrefined(run, renderer, w.sensor);
+        if (!options.quiet) note_compensated(run, w.sensor), note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, options, wanted, offset, with_fine_turns(track));

@@ -8,6 +8,13 @@
 
 namespace relidar::cli {
 
+void note_compensated(const Run& run, const SensorChoice& sensor) {
+    if (run.config.sensor.rolling_shutter != RollingShutter::automatic || has_rolling_shutter(sensor, run.config)) return;
+    note(fmt::format("scans of {} are motion-compensated like those of the log: all rays are fired at the scan's time; --set "
+                     "sensor.rolling_shutter=true fires each at its firing time",
+                     sensor.name));
+}
+
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.refines(sensor)) return;
     note(fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as the surfels have them",

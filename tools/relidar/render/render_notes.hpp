@@ -10,6 +10,9 @@
 
 namespace relidar::cli {
 
+/// Says that scans of the log's sensor have no rolling shutter, because the log is motion-compensated.
+void note_compensated(const Run& run, const SensorChoice& sensor);
+
 /// Says that the run's network does not fit the scans of a sensor, where it does not.
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
 
