@@ -88,6 +88,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         std::vector<float> dropped = measured_drops(run.sequence, frame, masks);
         if (looks_at_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
+        for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+            if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;   // whatever the network says of it, it drops
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);
