@@ -49,7 +49,9 @@ T value_at(const std::string& bytes, std::size_t at) {
 }
 
 /// The number behind a word of a header.
-std::size_t count_behind(const std::string& text, const std::string& word) { return std::stoul(text.substr(text.find(word) + word.size())); }
+std::size_t count_behind(const std::string& text, const std::string& word) {
+    return std::stoul(text.substr(text.find(word) + word.size()));
+}
 
 std::size_t below_half(const std::vector<float>& values) {
     return std::size_t(std::ranges::count_if(values, [](float x) { return x < 0.5f; }));
