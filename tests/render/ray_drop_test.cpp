@@ -117,8 +117,9 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 for (std::size_t i = 0; i < scan.instance.size(); ++i) {
                     const bool returns = scan.image.drop_prob[i] < 0.5f;
                     n_returns += returns, n_empty += scan.instance[i] < 0;
-                    EXPECT_FALSE(returns && (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.1f) || !(scan.image.range_m[i] > 0.1f)))
-                        << name << ", ray " << i;
+                    EXPECT_FALSE(returns && (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f) || !(scan.image.range_m[i] > 0.0f)))
+                        << name << ", " << sub_rays << " parts, " << range << ", ray " << i << ": " << scan.instance[i] << " "
+                        << scan.median_range_m[i] << " " << scan.image.range_m[i] << " " << scan.weight[i];
                 }
                 EXPECT_GT(n_returns, 100u) << name;
                 EXPECT_GT(n_empty, 100u) << name;
