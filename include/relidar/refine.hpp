@@ -24,7 +24,7 @@ struct RefineOptions {
     int width = 0;                   ///< channels at full size; 0: the network's own
     int levels = -1;                 ///< times that the image is halved; -1: the network's own
     std::string image = "native";    ///< what it looks at: "native", the sensor's rays, or "grid", the cells of config.sensor.grid
-    std::string rays = "direction";  ///< what it is told of the rays: "none", "direction" or "origin,direction" (paper)
+    std::string rays = "direction";  ///< its inputs about rays: "none", "direction" (its elevation) or "origin,direction"
     int frames = 64;                 ///< training frames that it learns from at most, spread over all; 0: all
     int epochs = 4;                  ///< each of them is seen so often
     int batch = 1;                   ///< images a step
@@ -41,8 +41,8 @@ struct DropImage {
     std::vector<float> dropped;    ///< [rows, columns] 1 dropped, 0 returned, negative: not known; empty where nothing was measured
 };
 
-/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", "incidence", then those that
-/// belong to the sensor's pixels, "direction_x" ..., "origin_z".
+/// Names of the network's channels in their order: "log_range", "intensity", "drop_logit", "weight", "spread", "cosine" (of
+/// incidence), then those that belong to the sensor's pixels: "elevation" (its sine, in the sensor's frame) and "origin_x" ... "origin_z".
 std::vector<std::string> drop_channel_names(const RefineOptions& options);
 
 /// A trained network.

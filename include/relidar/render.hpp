@@ -27,7 +27,7 @@ struct MountedSensor;
 
 /// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at the ray's firing time.
 struct RenderedScan {
-    RangeImage image;  ///< range as config.render.range says; drop_prob from the two logits (M6), 1 beyond the sensor's range
+    RangeImage image;  ///< range as config.render.range says; drop_prob from the two logits (M6), 1 if nothing was met in range
     std::vector<float> median_range_m;  ///< [n] of the dominant surface, along the ray: where T crosses 0.5; if it never does, the image's
     std::vector<float> mean_range_m;    ///< [n] D / W along the ray, whatever render.range says; the median where T never crosses 0.5
     std::vector<float> weight;          ///< [n] accumulated alpha W
@@ -80,7 +80,8 @@ const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& c
 /// large where a ray passes an edge; 0 where T never crosses 0.5.
 std::vector<float> range_spread(const RenderedScan& scan);
 
-/// What a ray-drop network sees of a scan with image order. @param channels  of the network, see drop_channel_names()
+/// Inputs of a ray-drop network. @param scan  has the channel `incidence`, otherwise cosines are 0
+/// @param channels  of the network, see drop_channel_names()
 /// @param first_origin_m [3] dataset's world: where origins count from, see first_origin()
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m);
 

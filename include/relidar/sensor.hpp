@@ -129,7 +129,8 @@ struct RangeLimits {
     double min_m = 0.0;
     double max_m = std::numeric_limits<double>::infinity();
 
-    bool contains(double range_m) const { return range_m >= min_m && range_m <= max_m; }
+    /// A range of 0 means that the ray met nothing, and is never within limits.
+    bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
 /// What lies within both.
 RangeLimits overlap(const RangeLimits& a, const RangeLimits& b);

@@ -49,8 +49,9 @@ struct MeasuredRay {
     float median_range_m;   // of the dominant surface; where there is none the same
     float mean_range_m;     // D / W; where no surface dominates that of it
     float intensity;        // 0..1
-    float drop_prob;        // M6; 1 beyond the limits
+    float drop_prob;        // M6; 1 where nothing was met within the sensor's limits
     float weight;           // W
+    float incidence;        // cosine between the ray and the blended normal, 0 where there is none
     uint instance;          // whose surface was met, or RELIDAR_NO_INSTANCE
 };
 RELIDAR_POINTER(MeasuredRays, MeasuredRay);
@@ -63,12 +64,14 @@ RELIDAR_POINTER(MeasuredRays, MeasuredRay);
 
 struct MeasureRaysParams {
     SensorRays rays;                // input [n_rays]
+    Rays fired;                     // input [n_rays] the same in the world
     RenderedRays rendered;          // input [n_rays]
-    RenderedGeometries geometry;    // input [n_rays], read for RELIDAR_RANGE_MODE alone
+    RenderedGeometries geometry;    // input [n_geometry] as many as rays; one of zeros if none were rendered
     SensorBeams beams;              // input [n_beams]; rays of others measure what is there
     Vec2s response;                 // input [n_response] range in m, factor of intensities there; none: 1 everywhere
     MeasuredRays measured;          // output [n_rays]
     uint n_rays;
+    uint n_geometry;
     uint n_beams;
     uint n_response;
     uint range_kind;
@@ -77,25 +80,24 @@ struct MeasureRaysParams {
     float max_range_m;
 };
 
-// What a ray-drop network is told of a ray (drop_channel_names() in relidar/refine.hpp); x, y, z of a direction or an origin in turn.
+// Inputs of a ray-drop network (drop_channel_names() in relidar/refine.hpp); an origin is three of them: x, y, z.
 #define RELIDAR_DROP_LOG_RANGE 0u
 #define RELIDAR_DROP_INTENSITY 1u
 #define RELIDAR_DROP_LOGIT 2u
 #define RELIDAR_DROP_WEIGHT 3u
 #define RELIDAR_DROP_SPREAD 4u
-#define RELIDAR_DROP_INCIDENCE 5u
-#define RELIDAR_DROP_DIRECTION 6u
-#define RELIDAR_DROP_ORIGIN 9u
+#define RELIDAR_DROP_COSINE 5u
+#define RELIDAR_DROP_ELEVATION 6u
+#define RELIDAR_DROP_ORIGIN 7u
 
 struct DropChannelsParams {
-    SensorRays rays;                            // input [rows,columns]
-    MeasuredRays measured;                      // input [rows,columns]
+    SensorRays rays;                            // input [n_rays]
+    MeasuredRays measured;                      // input [n_rays]
     RELIDAR_OF(Uints, DropChannels) channels;   // input [n_channels] which they are
-    RELIDAR_OF(Floats, DropSamples) samples;    // output [n_channels,rows,columns]
+    RELIDAR_OF(Floats, DropSamples) samples;    // output [n_channels,n_rays]
     vec3 origin;                                // m, of the sensor
     uint n_channels;
-    uint rows;
-    uint columns;
+    uint n_rays;
 };
 
 /// What came back of a ray.

@@ -253,7 +253,7 @@ void visit_refine(C& c, Visitor&& f) {
     f("refine.image", c.refine.image, one_of({"native", "grid"}),
       expert("what the network looks at: the sensor's rays, before they are binned, or the cells of sensor.grid"));
     f("refine.rays", c.refine.rays, one_of({"none", "direction", "origin,direction"}),
-      expert("what the network is told of the rays; the paper: both"));
+      expert("inputs of the network about the rays: elevation of the direction, origin of the sensor; the paper: both"));
     f("refine.frames", c.refine.frames, at_least(0),
       expert("training frames that the network learns from at most, spread over all; 0: all"));
     f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each of them");

@@ -1,10 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/stages/config.hpp>
 
-#include <algorithm>
-
-#include <relidar/channels.hpp>
-
 namespace relidar {
 
 TraceOptions trace_options(const Config& config) {
@@ -22,7 +18,7 @@ TraceOptions training_trace_options(const Config& config) {
 
 TraceOptions rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    options.geometry = std::ranges::any_of(wanted_channels(config.render.channels), &ChannelInfo::needs_normals);
+    options.geometry = kind_of(config.image.primitive).has_normals;   // of channels and of ray-drop networks
     if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;
 }

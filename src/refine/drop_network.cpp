@@ -40,8 +40,8 @@ const Known& find_known(const std::string& name) {
 
 std::vector<std::string> drop_channel_names(const RefineOptions& options) {
     std::vector<std::string> names{"log_range", "intensity", "drop_logit"};
-    if (options.network != "paper") names.insert(names.end(), {"weight", "spread", "incidence"});
-    if (options.rays != "none") names.insert(names.end(), {"direction_x", "direction_y", "direction_z"});
+    if (options.network != "paper") names.insert(names.end(), {"weight", "spread", "cosine"});
+    if (options.rays != "none") names.emplace_back("elevation");
     if (options.rays == "origin,direction") names.insert(names.end(), {"origin_x", "origin_y", "origin_z"});
     return names;
 }
@@ -78,7 +78,7 @@ std::uint32_t logit_channel(const DropNetwork& network) {
 
 std::uint32_t fixed_channels(const DropNetwork& network) {
     return std::uint32_t(std::count_if(network.inputs.begin(), network.inputs.end(), [](const std::string& name) {
-        return name.starts_with("direction") || name.starts_with("origin");
+        return name == "elevation" || name.starts_with("origin");
     }));
 }
 

@@ -25,10 +25,9 @@ std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedSc
 
 ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) { return seen_normals(rendering, scan); }
 
-ChannelValues incidence(const Rendering& rendering, const RenderedScan& scan) {
+ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
     std::vector<float> cosine;
-    for (const glm::vec3& normal : seen_normals(rendering, scan))
-        cosine.push_back(0.0f - glm::dot(normal, scan.image.direction[cosine.size()]));
+    for (const shared::MeasuredRay& ray : measured) cosine.push_back(ray.incidence);
     return cosine;
 }
 
@@ -51,19 +50,20 @@ ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) {
     return scan.image.drop_prob;
 }
 
-/// A row a channel of optional_channels(); one of the two.
+/// One row per channel of optional_channels(), with one of three functions.
 struct Maker {
     std::string_view name;
-    ChannelValues (*of_rays)(const Rendering&, const RenderedScan&);
+    ChannelValues (*of_rendering)(const Rendering&, const RenderedScan&);
+    ChannelValues (*of_measured)(std::span<const shared::MeasuredRay>);
     ChannelValues (*of_scan)(const RenderedScan&, const SeenByLog&);
 };
 constexpr Maker kMakers[] = {
-    {"normal", normals, nullptr},
-    {"incidence", incidence, nullptr},
-    {"spread", nullptr, spread},
-    {"seen", nullptr, seen},
-    {"surfel_drop_prob", nullptr, surfel_drop_prob},
-    {"source", nullptr, surfaces},
+    {"normal", normals, nullptr, nullptr},
+    {kIncidence, nullptr, incidence, nullptr},
+    {"spread", nullptr, nullptr, spread},
+    {"seen", nullptr, nullptr, seen},
+    {"surfel_drop_prob", nullptr, nullptr, surfel_drop_prob},
+    {"source", nullptr, nullptr, surfaces},
 };
 
 Maker maker_of(const ChannelInfo& channel) {
@@ -73,13 +73,17 @@ Maker maker_of(const ChannelInfo& channel) {
 
 }  // namespace
 
-bool wants_ray_channels(const std::vector<ChannelInfo>& wanted) {
-    return std::ranges::any_of(wanted, [](const ChannelInfo& channel) { return maker_of(channel).of_rays != nullptr; });
+bool needs_rendering(const std::vector<ChannelInfo>& wanted) {
+    return std::ranges::any_of(wanted, [](const ChannelInfo& channel) { return maker_of(channel).of_rendering != nullptr; });
 }
 
-void add_ray_channels(RenderedScan& scan, const Rendering& rendering, const std::vector<ChannelInfo>& wanted) {
-    for (const ChannelInfo& channel : wanted)
-        if (const Maker maker = maker_of(channel); maker.of_rays) scan.channels.push_back({channel, maker.of_rays(rendering, scan)});
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured, const Rendering& rendering,
+                      const std::vector<ChannelInfo>& wanted) {
+    for (const ChannelInfo& channel : wanted) {
+        const Maker maker = maker_of(channel);
+        if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
+        if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured)});
+    }
 }
 
 void add_scan_channels(RenderedScan& scan, const SeenByLog& log, const std::vector<ChannelInfo>& wanted) {

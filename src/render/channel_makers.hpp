@@ -2,11 +2,13 @@
 // How the channels that a scan may have are made. Private to render.
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include <relidar/channels.hpp>
 #include <relidar/render.hpp>
 #include "render/seen.hpp"
+#include "shared/render.h"
 
 namespace relidar {
 
@@ -14,11 +16,15 @@ struct Rendering;
 
 /// A ray of less weight met nothing that has a range.
 inline constexpr float kMinWeight = 1e-3f;
+/// Name of the channel that ray-drop networks read too.
+inline constexpr const char* kIncidence = "incidence";
 
-/// Whether any of the channels is made of what single rays collected.
-bool wants_ray_channels(const std::vector<ChannelInfo>& wanted);
-/// Adds the channels that are made of what single rays collected. @param scan  of these rays: image, place and time are there
-void add_ray_channels(RenderedScan& scan, const Rendering& rendering, const std::vector<ChannelInfo>& wanted);
+/// Returns whether any of the channels needs the Rendering of the rays.
+bool needs_rendering(const std::vector<ChannelInfo>& wanted);
+/// Adds the channels that are made of single rays.
+/// @param scan  of these rays; image, pose and time are set @param rendering  empty unless needs_rendering()
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured, const Rendering& rendering,
+                      const std::vector<ChannelInfo>& wanted);
 /// Adds those that are made of the scan of whole beams, before a network or a seed changes its drops. What is not known is left out.
 void add_scan_channels(RenderedScan& scan, const SeenByLog& log, const std::vector<ChannelInfo>& wanted);
 

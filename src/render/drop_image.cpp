@@ -1,16 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a ray-drop network sees of a rendered scan.
+// Inputs of a ray-drop network, from a rendered scan.
 #include <algorithm>
 #include <cmath>
 #include <functional>
 
-#include <fmt/format.h>
-
-#include <relidar/error.hpp>
 #include <relidar/render.hpp>
 
-#include "core/incidence.hpp"
 #include "core/parallel.hpp"
+#include "render/channel_makers.hpp"
+#include "render/sensor_rays.hpp"
 
 namespace relidar {
 namespace {
@@ -22,20 +20,20 @@ float logit(float probability) {
     return std::log(p / (1.0f - p));
 }
 
-/// What one channel is of a ray, by the channel's name.
-std::function<float(std::size_t)> channel_of(const RenderedScan& scan, const ImageRays& surfaces, const std::string& name,
-                                             const glm::vec3& origin_m) {
-    if (name == "log_range") return [&](std::size_t i) { return std::log1p(std::max(surfaces.range_m[i], 0.0f)); };
-    if (name == "intensity") return [&](std::size_t i) { return scan.image.intensity[i]; };
-    if (name == "drop_logit") return [&](std::size_t i) { return logit(scan.image.drop_prob[i]); };
-    if (name == "weight") return [&](std::size_t i) { return scan.weight[i]; };
-    if (name == "spread") return [&](std::size_t i) { return std::log1p(std::abs(surfaces.range_m[i] - scan.mean_range_m[i])); };
-    if (name == "incidence") return [&](std::size_t i) { return float(std::max(incidence_cosine(surfaces, i), 0.0)); };
-    for (int axis = 0; axis < 3; ++axis) {
-        if (name == std::string("direction_") + "xyz"[axis]) return [&, axis](std::size_t i) { return scan.image.direction[i][axis]; };
-        if (name == std::string("origin_") + "xyz"[axis]) return [&, axis](std::size_t) { return origin_m[axis]; };
+/// Returns the value of one input (RELIDAR_DROP_*) at each ray, as render/drop_channels computes it.
+std::function<float(std::size_t)> channel_of(const RenderedScan& scan, std::uint32_t channel, const glm::vec3& origin_m) {
+    if (channel == RELIDAR_DROP_LOG_RANGE) return [&](std::size_t i) { return std::log1p(std::max(scan.median_range_m[i], 0.0f)); };
+    if (channel == RELIDAR_DROP_INTENSITY) return [&](std::size_t i) { return scan.image.intensity[i]; };
+    if (channel == RELIDAR_DROP_LOGIT) return [&](std::size_t i) { return logit(scan.image.drop_prob[i]); };
+    if (channel == RELIDAR_DROP_WEIGHT) return [&](std::size_t i) { return scan.weight[i]; };
+    if (channel == RELIDAR_DROP_SPREAD)
+        return [&](std::size_t i) { return std::log1p(std::abs(scan.median_range_m[i] - scan.mean_range_m[i])); };
+    if (channel == RELIDAR_DROP_COSINE) {
+        const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidence);
+        return [cosine](std::size_t i) { return cosine ? (*cosine)[i] : 0.0f; };
     }
-    throw DataError(fmt::format("refining ray-drop: the network asks for \"{}\", which this relidar does not render", name));
+    if (channel == RELIDAR_DROP_ELEVATION) return [&](std::size_t i) { return scan.image.direction[i].z; };
+    return [of_all = origin_m[int(channel - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
 }
 
 }  // namespace
@@ -47,14 +45,14 @@ glm::dvec3 first_origin(const Sequence& sequence) {
 
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m) {
     DropImage image{scan.image.rows, scan.image.columns, {}, {}};
-    const std::vector<float>& surface_m = scan.median_range_m;
-    const ImageRays surfaces{image.rows, image.columns, scan.image.origin, scan.image.direction, surface_m};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
-    const std::size_t n = surface_m.size();
+    const std::size_t n = scan.median_range_m.size();
     image.channels.resize(channels.size() * n);
-    for (std::size_t c = 0; c < channels.size(); ++c) {
-        const auto channel = channel_of(scan, surfaces, channels[c], origin_m);
-        for_each_block(n, [&](std::size_t i) { image.channels[c * n + i] = channel(i); });
+    std::size_t first = 0;
+    for (const std::uint32_t number : drop_channels(channels)) {
+        const auto channel = channel_of(scan, number, origin_m);
+        for_each_block(n, [&](std::size_t i) { image.channels[first + i] = channel(i); });
+        first += n;
     }
     return image;
 }

@@ -29,12 +29,15 @@ constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
 
 float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
 
+void check_has_normals(const Config& config, const ChannelInfo& channel, const char* doing) {
+    if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
+    throw UsageError(fmt::format("{}: found {} with image.primitive={}, which has no normals, expected surfels, or other channels", doing,
+                                 channel.name, kind_of(config.image.primitive).name));
+}
+
 TraceOptions traced_with(const Config& config) {
     for (const ChannelInfo& channel : wanted_channels(config.render.channels))
-        if (channel.needs_normals && !kind_of(config.image.primitive).has_normals)
-            throw UsageError(fmt::format("setting render.channels: found {} with image.primitive={}, which has no normals, "
-                                         "expected surfels, or other channels",
-                                         channel.name, kind_of(config.image.primitive).name));
+        check_has_normals(config, channel, "setting render.channels");
     return rendering_trace_options(config);
 }
 
@@ -116,7 +119,7 @@ void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i])) scan.image.drop_prob[i] = 1.0f;
 }
 
-/// Takes a network's drop probabilities. It brings nothing back that a sensor cannot see: 1 stays 1.
+/// Replaces drop probabilities by those of a network. A probability of 1 stays, because such a ray met nothing that the sensor sees.
 void take_refined(RenderedScan& scan, std::span<const float> refined) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
@@ -158,6 +161,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
+    drop_channels(network.inputs);   // refuses inputs that are not rendered
     impl_->settle();
     impl_->first.refiner.reset();
     for (ScanStrand& strand : impl_->others) strand.refiner.reset();
@@ -166,9 +170,8 @@ void ScanRenderer::refine_drops(const DropNetwork& network) {
 
 void ScanRenderer::want_channels(const std::string& names) {
     for (const ChannelInfo& channel : wanted_channels(names)) {
-        if (std::ranges::find(impl_->wanted, channel.name, &ChannelInfo::name) != impl_->wanted.end()) continue;
-        if (channel.needs_normals)
-            throw UsageError(fmt::format("choosing channels: found {}, which needs normals, expected it in render.channels", channel.name));
+        if (impl_->wants(channel.name)) continue;
+        check_has_normals(impl_->config, channel, "choosing channels");
         impl_->wanted.push_back(channel);
     }
 }
@@ -299,7 +302,8 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     scan.track = shifted_track(std::move(cast.track), sweep.world_offset_m);
     scan.world_from_sensor = {cast.pose.rotation, cast.pose.translation + sweep.world_offset_m};
     scan.time_s = time_s;
-    if (wants_ray_channels(wanted)) add_ray_channels(scan, renderer.download_rendering(), wanted);
+    const std::vector<ChannelInfo> channels = rendered_channels();
+    add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{}, channels);
     return scan;
 }
 
@@ -319,12 +323,20 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
 
 bool ScanRenderer::Impl::refines(const ImageOf& image) const {
     if (!first.refiner || first.refiner->network().image != image.name) return false;
-    const int side = std::max(2, first.refiner->network().smallest_side());
+    const DropNetwork& network = first.refiner->network();
+    const int side = network.taps == 1 ? 1 : std::max(2, network.smallest_side());   // one of single rays needs no image
     return image.rows >= side && image.columns >= side;
 }
 
 bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable& whole) const {
     return refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
+}
+
+/// Channels of the scan of the rays: those that were requested, and what a network reads of scans on the host.
+std::vector<ChannelInfo> ScanRenderer::Impl::rendered_channels() const {
+    std::vector<ChannelInfo> channels = wanted;
+    if (first.refiner && !wants(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
+    return channels;
 }
 
 /// Drop probabilities as the network of the run has them.
@@ -465,6 +477,7 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
         scan = project_scan(scan, *sensor.grid);
         s.refine(scan);
     }
+    if (!s.wants(kIncidence)) std::erase_if(scan.channels, [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
     s.measure(scan, sensor, whole, sample);
     return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
 }

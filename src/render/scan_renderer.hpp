@@ -117,6 +117,8 @@ struct ScanRenderer::Impl {
     void send();
     PointScan points_of(AskedPoints& scan, std::vector<ScanPoint> memory = {});
     void settle();
+    bool wants(const std::string& channel) const { return std::ranges::find(wanted, channel, &ChannelInfo::name) != wanted.end(); }
+    std::vector<ChannelInfo> rendered_channels() const;
     void refine(RenderedScan& scan);
     float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
     RangeLimits limits_of(const SensorChoice& sensor) const;

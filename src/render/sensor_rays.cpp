@@ -3,6 +3,7 @@
 #include "render/sensor_rays.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cstring>
 #include <utility>
@@ -11,6 +12,7 @@
 
 #include <relidar/error.hpp>
 
+#include "core/files.hpp"
 #include "core/parallel.hpp"
 
 namespace relidar {
@@ -52,23 +54,24 @@ std::vector<glm::vec2> device_response(const IntensityResponse& response) {
 std::uint32_t device_channel(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY}, {"drop_logit", RELIDAR_DROP_LOGIT},
-        {"weight", RELIDAR_DROP_WEIGHT},       {"spread", RELIDAR_DROP_SPREAD},       {"incidence", RELIDAR_DROP_INCIDENCE}};
+        {"weight", RELIDAR_DROP_WEIGHT},       {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
+        {"elevation", RELIDAR_DROP_ELEVATION}};
     for (const auto& [known, channel] : kOfRays)
         if (name == known) return channel;
-    for (std::uint32_t axis = 0; axis < 3; ++axis) {
-        if (name == std::string("direction_") + "xyz"[axis]) return RELIDAR_DROP_DIRECTION + axis;
+    for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
-    }
-    throw DataError(fmt::format("refining ray-drop: the network asks for \"{}\", which this relidar does not render", name));
+    throw DataError(fmt::format("ray-drop network: found the input \"{}\", expected inputs that this relidar renders; "
+                                "`relidar refine RUN` trains the network again",
+                                excerpt(name)));
 }
 
-std::vector<std::uint32_t> device_channels(const std::vector<std::string>& names) {
+}  // namespace
+
+std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names) {
     std::vector<std::uint32_t> result;
     for (const std::string& name : names) result.push_back(device_channel(name));
     return result;
 }
-
-}  // namespace
 
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
@@ -92,7 +95,8 @@ SensorRays::SensorRays(Device& device)
     : device_(device),
       fire_(device, "render/fire_rays"),
       measure_(device, "render/measure_rays"),
-      drop_channels_(device, "render/drop_channels") {}
+      drop_channels_(device, "render/drop_channels"),
+      no_geometry_(device, std::span<const shared::RenderedGeometry>(std::array{shared::RenderedGeometry{}}), "geometry of no rays") {}
 
 bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
     return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
@@ -147,14 +151,17 @@ RayBatch SensorRays::batch() const {
 void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how) {
     const auto beams = device_beams(how.beams);
     const auto response = device_response(how.response);
+    const Array<shared::RenderedGeometry>& geometry = rendered.geometry ? rendered.geometry->rendered : no_geometry_;
     run(stream, measure_, table_.size(),
         {.rays = rays_.address(),
+         .fired = fired_.address(),
          .rendered = rendered.rendered->address(),
-         .geometry = address_of(rendered.geometry ? &rendered.geometry->rendered : nullptr),
+         .geometry = geometry.address(),
          .beams = impl_of(stream).values(beams),
          .response = impl_of(stream).values(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
+         .n_geometry = std::uint32_t(geometry.size()),
          .n_beams = std::uint32_t(beams.size()),
          .n_response = std::uint32_t(response.size()),
          .range_kind = range_kind(how.range),
@@ -165,7 +172,7 @@ void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const Ra
 }
 
 void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& origin_m) {
-    const std::vector<std::uint32_t> channels = device_channels(network.network().inputs);
+    const std::vector<std::uint32_t> channels = drop_channels(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.finish();
         samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
@@ -177,8 +184,7 @@ void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& orig
          .samples = samples_.address(),
          .origin = origin_m,
          .n_channels = std::uint32_t(channels.size()),
-         .rows = std::uint32_t(table_.rows),
-         .columns = std::uint32_t(table_.columns)});
+         .n_rays = std::uint32_t(table_.size())});
     refined_ = &network.run(stream, table_.rows, table_.columns, samples_);
 }
 

@@ -41,7 +41,7 @@ public:
     RayBatch batch() const;
     /// Records what the sensor measures of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
-    /// Records what a ray-drop network makes of what was measured, where the rays are an image; drop_probabilities() is that.
+    /// Records a pass of a ray-drop network over the measured rays; drop_probabilities() returns the result.
     /// @param origin_m [3] of the sensor, from first_origin() @throws DataError for an image or channels that do not fit the network
     void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
     /// Reads back what was recorded, and waits for it. @return [rays] valid until the next call
@@ -72,9 +72,13 @@ private:
     Array<shared::MeasuredRay> measured_;
     std::optional<Readback> readback_, refined_readback_;
     Kernel<shared::DropChannelsParams> drop_channels_;
+    Array<shared::RenderedGeometry> no_geometry_;   ///< one of zeros
     Array<float, shared::DropSamples> samples_;   ///< for a network
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;   ///< by it, since the last measure()
 };
+
+/// Numbers (RELIDAR_DROP_*) of the inputs of a ray-drop network. @throws DataError for an unknown input
+std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
 
 /// Poses of a sensor through a sweep as kernels read them: those at or before its first ray to those at or behind its last one.
 /// @param first_s @param last_s  time offsets of the sweep's rays

@@ -346,7 +346,7 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
 
-/// Rendering casts rays without what losses want of them; training with it.
+/// Rendering casts rays without what losses want of them, except for the normals of surfels; training with it.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
     EXPECT_FALSE(training_trace_options(config).wants_geometry());
@@ -356,6 +356,8 @@ TEST(Config, LossesReachTheTraceOfTraining) {
     EXPECT_FALSE(likelihood.geometry);
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
+    EXPECT_TRUE(rendering_trace_options(config).geometry);
+    set_key(config, "image.primitive", "gaussian");
     EXPECT_FALSE(rendering_trace_options(config).wants_geometry());
     set_key(config, "render.range", "mode");
     set_key(config, "sensor.return_separation_m", "0.7");

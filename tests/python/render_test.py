@@ -2,6 +2,7 @@
 """Scans of a run: the same as the command line tool writes; poses, actors and sensors of the caller's own; lifetimes of arrays."""
 import gc
 import json
+import shutil
 import unittest
 
 import numpy as np
@@ -30,6 +31,26 @@ class Render(TestCase):
                 self.assertEqual((scan[name].dtype, scan[name].shape), (written[name].dtype, written[name].shape))
                 # The tool adds the sensor's offset, the module goes by the dataset's world: 1e-9 m apart before the rounding to float.
                 np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
+
+    def test_a_ray_that_meets_nothing_gives_no_point(self):
+        """README's recipe, with a network that says of every ray that it returns: its last bias is far below 0."""
+        folder = FOLDER / "never_drops"
+        shutil.copytree(run().folder, folder)
+        data = bytearray((folder / "drop_network.safetensors").read_bytes())
+        begin = 8 + int.from_bytes(data[:8], "little")
+        first, last = json.loads(data[8:begin])["parameters"]["data_offsets"]
+        parameters = np.frombuffer(data, "<f4", (last - first) // 4, begin + first)
+        parameters[-4] = -80.0   # groups begin at multiples of four
+        (folder / "drop_network.safetensors").write_bytes(data)
+        position = run().held_out[0]
+        never_drops, time = relidar.Run.load(folder), run().times[position]
+        for sensor in (None, "VLP-16:90x10"):
+            scan = never_drops.render(time=time) if sensor is None else never_drops.render(sensor, time=time)
+            returned = scan["drop_prob"] < 0.5
+            self.assertGreater(np.mean(scan["instance"] < 0), 0.05)
+            self.assertTrue(np.all(returned[(scan["instance"] >= 0) & (scan["weight"] > 0.9) & (scan["median_range"] > 3)]))
+            self.assertTrue(np.all(scan["median_range"][returned] > 0) and np.all(scan["range"][returned] > 0))
+            self.assertTrue(np.all(scan["instance"][returned] >= 0))
 
     def test_trajectory_and_actors_of_the_log_are_the_default(self):
         time = run().times[3]

@@ -282,7 +282,7 @@ TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
     RefineOptions options;
     options.network = "paper";
     options.rays = "origin,direction";
-    EXPECT_EQ(drop_channel_names(options).size(), 9u);   // d, intensity, beta, origin, direction
+    EXPECT_EQ(drop_channel_names(options).size(), 7u);   // d, intensity, beta, origin, and of the direction the elevation
     EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
 }
 

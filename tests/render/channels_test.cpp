@@ -184,10 +184,12 @@ TEST_F(RenderedChannels, AreWantedByName) {
     EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);
     config.render.channels.clear();
     ScanRenderer renderer(device(), scene, config, log);
-    EXPECT_THROW(renderer.want_channels("normal"), UsageError) << "normals are not traced";
     renderer.want_channels("spread");
     renderer.want_channels("spread");
     EXPECT_EQ(renderer.render(configured_sensor(config, log), 0.1).channels.size(), 1u);
+    config.image.primitive = Primitive::gaussian;
+    scene.surfels.resize(scene.surfels.size(), Primitive::gaussian);
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).want_channels("normal"), UsageError) << "3D Gaussians have none";
 }
 
 }  // namespace

@@ -104,7 +104,8 @@ Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees
     Expected e{beam.measured_range(chosen), beam.measured_range(surface), beam.measured_range(median > 0.0 ? normalised : surface),
                beam.measured_intensity(r.intensity, how.response.at_range(surface)), 0.0};
     const double hit = std::exp(double(r.hit_logit)), drop = std::exp(double(r.drop_logit));
-    e.drop_prob = how.limits.contains(e.range_m) && how.limits.contains(e.median_m) ? 1.0 - sees * hit / (hit + drop) : 1.0;
+    const bool is_met = weight >= double(how.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
+    e.drop_prob = is_met && how.limits.contains(e.range_m) && how.limits.contains(e.median_m) ? 1.0 - sees * hit / (hit + drop) : 1.0;
     return e;
 }
 
@@ -113,7 +114,10 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     const std::vector<shared::RenderedRay> rendering = random_rendering(rays.size());
     RayGeometry geometry(device(), rays.size());
     std::vector<shared::RenderedGeometry> of_rays(rays.size());
-    for (std::size_t i = 0; i < rays.size(); ++i) of_rays[i].mode = 1.05f * rendering[i].median_depth;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        of_rays[i].mode = 1.05f * rendering[i].median_depth;
+        of_rays[i].normal = glm::vec3(float(i % 3), 1.0f, float(i % 5) - 2.0f);
+    }
     geometry.rendered.upload(of_rays);
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
     const std::vector<Beam> beams = {{.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
@@ -122,8 +126,12 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     const auto never = [](std::size_t i) { return i % 5 == 0 ? 0.75f : 0.0f; };
     SensorRays on_device(device());
     on_device.take(rays, "test", never);
+    Stream firing(device());
+    on_device.fire(firing, bend(0.0, 1), 0.0);
+    firing.finish();
+    const std::vector<DeviceRay> fired = on_device.batch().rays->download();
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
-        const RayMeasuring how{range, beams, response, {0.9, 80.0}, 1e-3f};
+        const RayMeasuring how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
         on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry}, how);
         const std::span<const shared::MeasuredRay> measured = on_device.wait(stream);
@@ -136,6 +144,8 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
             EXPECT_NEAR(m.mean_range_m, e.mean_m, 2e-5) << range << i;
             EXPECT_NEAR(m.intensity, e.intensity, 2e-6) << range << i;
             EXPECT_NEAR(m.drop_prob, e.drop_prob, 2e-6) << range << i;
+            const double cosine = -glm::dot(glm::normalize(glm::dvec3(of_rays[i].normal)), glm::dvec3(fired[i].direction));
+            EXPECT_NEAR(m.incidence, rendering[i].weight < 1e-3f ? 0.0 : std::max(cosine, 0.0), 1e-6) << range << i;
             EXPECT_EQ(m.weight, rendering[i].weight);
             EXPECT_EQ(m.instance, rendering[i].weight < 1e-3f ? RELIDAR_NO_INSTANCE : rendering[i].instance) << i;
         }
@@ -166,7 +176,7 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
 }
 
-/// A smooth surface with a step, so that some rays know their angle of incidence.
+/// A smooth surface with a step.
 std::vector<shared::RenderedRay> rendered_room(const RayTable& rays) {
     std::vector<shared::RenderedRay> rendered = random_rendering(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -184,10 +194,13 @@ RenderedScan scan_of(const RayTable& rays, std::span<const shared::MeasuredRay> 
     RenderedScan scan;
     scan.image.rows = rays.rows, scan.image.columns = rays.columns;
     scan.image.origin = to_vector(rays.origin), scan.image.direction = to_vector(rays.direction);
+    std::vector<float> incidence;
     for (const shared::MeasuredRay& m : measured) {
         scan.median_range_m.push_back(m.median_range_m), scan.mean_range_m.push_back(m.mean_range_m);
         scan.image.intensity.push_back(m.intensity), scan.image.drop_prob.push_back(m.drop_prob), scan.weight.push_back(m.weight);
+        incidence.push_back(m.incidence);
     }
+    scan.channels = {{{.name = "incidence"}, incidence}};
     scan.world_from_sensor.translation = {30.0, -20.0, 1.0};
     return scan;
 }
@@ -199,9 +212,15 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     SensorRays on_device(device());
     on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
+    on_device.fire(stream, bend(0.0, 1), 0.0);
+    RayGeometry geometry(device(), rays.size());
+    std::vector<shared::RenderedGeometry> of_rays(rays.size());
+    for (std::size_t i = 0; i < rays.size(); ++i) of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
+    geometry.rendered.upload(of_rays);
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered}, {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry},
+                          {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };
     measure();
     const RenderedScan scan = scan_of(rays, on_device.wait(stream));

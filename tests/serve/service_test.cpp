@@ -6,6 +6,7 @@
 #include <relidar/render.hpp>
 
 #include "../../tools/network/loopback.hpp"
+#include "../support/drop_networks.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {
@@ -155,6 +156,29 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
         for (std::size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], expected[i], 2e-5) << i;
         const std::vector<float> intensity = values<float>(p.intensity()), of_image = values<float>(e.intensity());
         for (std::size_t i = 0; i < intensity.size(); ++i) EXPECT_NEAR(intensity[i], of_image[i], 1e-6) << i;
+    }
+}
+
+/// A network that says of every ray that it returns, of a sensor that mostly sees nothing.
+TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
+    relidar::Run run = small_run(folder / "small");
+    run.config.refine.enabled = true;
+    run.drop_network = test::network_that_never_drops();
+    save_run(run);
+    start();
+    v1::RenderLidarRequest request = standing();
+    for (const char* sensor : {"", "VLP-16:90x10"}) {
+        if (sensor[0] != 0) request.mutable_sensor()->set_name(sensor);
+        const v1::LidarScan scan = scan_of(request);
+        const std::vector<float> drop = values<float>(scan.image().drop_probability());
+        const auto n = std::uint32_t(std::ranges::count_if(drop, [](float p) { return p < 0.5f; }));
+        EXPECT_GT(n, 10u);
+        EXPECT_LT(n, scan.rays() / 2) << "most rays meet nothing";
+        EXPECT_EQ(scan.points().count(), n);
+        EXPECT_EQ(scan.returned(), n);
+        v1::RenderLidarRequest alone = request;
+        alone.mutable_wanted()->set_range_image(false), alone.mutable_wanted()->set_drop_probability(false);
+        EXPECT_EQ(scan_of(alone).points().count(), n);
     }
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The last stage of training on a street whose sensor is weak to one side: what no surfel can know, as the vehicle drives past, the network
+// The last stage of training on a street whose sensor is weak downwards: what no surfel can know, as the vehicle drives past, the network
 // knows on held-out frames.
 #include <cmath>
 #include <filesystem>
@@ -26,12 +26,12 @@ namespace {
 
 constexpr float kReach_m = 9.0f;
 
-bool is_weak(const glm::vec3& direction) { return direction.x > 0.5f && direction.z < 0.0f; }
-/// Not within ten degrees of where the weak side begins, which few steps leave soft.
-bool is_well_inside(const glm::vec3& direction) { return direction.x > 0.65f && direction.z < 0.0f; }
+bool is_weak(const glm::vec3& direction) { return direction.z < 0.0f; }
+/// Not where the weak beams begin, which few steps leave soft.
+bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
-/// Nothing comes back from beyond 9 m of the rays ahead and down; what lies there returns when it is nearer, or behind. The sensor does it,
-/// not the scene.
+/// Nothing comes back from beyond 9 m of the rays that look down; what lies there returns when it is nearer. The sensor does it, not the
+/// scene.
 Sequence weak_street() {
     Sequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
@@ -68,7 +68,7 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Share of the pixels whose drop is right on held-out frames: those well inside the weak side that meet a surface near its reach or
+/// Share of the pixels whose drop is right on held-out frames: those of well weak beams that meet a surface near its reach or
 /// beyond, and all others.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);

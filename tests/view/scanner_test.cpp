@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "../support/device.hpp"
+#include "../support/drop_networks.hpp"
 #include <relidar/dataset.hpp>
 #include <relidar/edit.hpp>
 #include <relidar/error.hpp>
@@ -110,6 +111,19 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
     const Read live(scanner().scan(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
+}
+
+/// A network that says of every ray that it returns: the page shows those that are points of the scan.
+TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
+    relidar::Run run = small_run();
+    run.config.refine.enabled = true;
+    run.drop_network = test::network_that_never_drops();
+    Scanner scans(run, {}, device());
+    const Read live(scans.scan(tab, {.time_s = 0.2}));
+    const auto drop = live.array<std::uint8_t>("drop");
+    const std::size_t n = returned_points(rendered(run, 0.2, {}), run.config, {}).points.size();
+    EXPECT_LT(n, drop.size());
+    EXPECT_EQ(std::size_t(std::ranges::count_if(drop, [](std::uint8_t d) { return d < 128; })), n);
 }
 
 TEST_F(LiveScan, HasTheWeatherOfEachWish) {

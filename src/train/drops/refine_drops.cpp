@@ -77,6 +77,7 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const Unknown masks = masks_of(config, run.scene);
     const std::vector<std::string> channels = drop_channel_names(config.refine);
+    if (kind_of(config.image.primitive).has_normals) renderer.want_channels("incidence");
     std::vector<DropImage> images;
     for (const int position : positions) {
         if (session.progress) session.progress("rendering training frames", double(images.size()) / double(positions.size()));
@@ -86,10 +87,12 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         const Stripes stripes(parted ? stripe_share(sensor.rays) : 1, sensor.rays, images.size());
         sensor.rays = stripes.rays(turned_rays(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
-        images.push_back(stripes.crop(drop_image(scan, channels, first_origin(run.sequence))));
+        images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
         std::vector<float> dropped = measured_drops(run.sequence, frame, masks);
         if (looks_at_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
+        for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+            if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;   // whatever the network says of it, it drops
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);

@@ -1,15 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stretches of columns, in place of a whole image, for a network of single pixels: its thousand parameters do not need every pixel of every
-// frame. Neighbouring columns stay together, since the angle of incidence is found from those around a pixel.
+// frame. Neighbouring columns stay together, because rays that look the same way are traced faster together.
 #pragma once
 
 #include <cstddef>
 #include <vector>
 
-#include <relidar/refine.hpp>
 #include <relidar/sensor.hpp>
-
-#include "core/incidence.hpp"
 
 namespace relidar {
 
@@ -29,43 +26,31 @@ public:
         for (int k = 0; k < n / share; ++k) first_.push_back((of_frame + std::size_t(k * share)) * kColumns % columns_);
     }
 
-    /// The rays of the stripes and of a few columns to either side, which crop() takes away. @param all  of the image
+    /// The rays of the stripes, as an image. @param all  of the whole image
     RayTable rays(const RayTable& all) const {
         if (first_.empty()) return all;
-        RayTable some = some_rays(all, places(kMargin));
+        RayTable some = some_rays(all, places());
         some.rows = int(rows_);
-        some.columns = int(first_.size() * (kColumns + 2 * kMargin));
+        some.columns = int(first_.size()) * kColumns;
         return some;
     }
-    /// @param image  of rays()
-    DropImage crop(const DropImage& image) const {
-        if (first_.empty()) return image;
-        constexpr std::size_t kRendered = kColumns + 2 * kMargin;
-        DropImage result{image.rows, int(first_.size()) * kColumns, {}, {}};
-        for (std::size_t i = 0; i < image.channels.size(); ++i)
-            if (const std::size_t column = i % kRendered; column >= kMargin && column < kMargin + kColumns)
-                result.channels.push_back(image.channels[i]);
-        return result;
-    }
-    /// @param all [rows,columns] of the image @return those of the stripes' pixels
+    /// @param all [rows,columns] of the whole image @return those of the stripes' pixels
     std::vector<float> values(const std::vector<float>& all) const {
         if (first_.empty()) return all;
         std::vector<float> some;
-        for (const std::size_t i : places(0)) some.push_back(all[i]);
+        for (const std::size_t i : places()) some.push_back(all[i]);
         return some;
     }
 
 private:
-    static constexpr std::size_t kMargin = kIncidenceColumns;
     std::size_t rows_, columns_;
     std::vector<std::size_t> first_;   ///< columns; none: the whole image
 
-    std::vector<std::size_t> places(std::size_t margin) const {
+    std::vector<std::size_t> places() const {
         std::vector<std::size_t> places;
         for (std::size_t row = 0; row < rows_; ++row)
             for (const std::size_t first : first_)
-                for (std::size_t c = 0; c < kColumns + 2 * margin; ++c)
-                    places.push_back(row * columns_ + (first + columns_ + c - margin) % columns_);
+                for (std::size_t c = 0; c < kColumns; ++c) places.push_back(row * columns_ + (first + c) % columns_);
         return places;
     }
 };

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// Ray-drop networks of known weights, which need no training.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+#include <relidar/refine.hpp>
+
+#include "refine/drop_network.hpp"
+#include "refine/unet.hpp"
+
+namespace relidar::test {
+
+/// A network of single pixels with drawn weights, so that its output depends on all of its inputs.
+inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
+    RefineOptions options;
+    options.network = "pixel";
+    DropNetwork network = refine::shape_of(options);
+    const refine::UnetPlan plan(network);
+    network.residual = false;
+    refine::initialise(network, plan, seed);
+    network.residual = true;
+    for (std::size_t c = 0; c < network.inputs.size(); ++c) network.normalisation.insert(network.normalisation.end(), {1.0f, 0.0f});
+    return network;
+}
+
+/// A network that says of every ray that it returns.
+inline DropNetwork network_that_never_drops() {
+    DropNetwork network = network_of_rays();
+    std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
+    network.parameters[*refine::UnetPlan(network).tail.bias] = -40.0f;   // rendered logits are within 9.3 of 0
+    return network;
+}
+
+}  // namespace relidar::test
