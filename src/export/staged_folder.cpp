@@ -6,6 +6,7 @@
 #include <charconv>
 #include <csignal>
 
+#include <stdio.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -47,6 +48,14 @@ StagedFolder::StagedFolder(const fs::path& wanted) : wanted_((fs::absolute(wante
 StagedFolder::~StagedFolder() {
     std::error_code failed;
     fs::remove_all(path_, failed);
+}
+
+void StagedFolder::finish_new() const {
+    if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;   // refuses a folder with something in it
+    const int error = errno;
+    const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
+    throw DataError(is_taken ? fmt::format("{}: found it there by now, expected a name that is free", wanted_.string())
+                             : fmt::format("{}: renaming what was written: {}", wanted_.string(), std::generic_category().message(error)));
 }
 
 void StagedFolder::finish() const {

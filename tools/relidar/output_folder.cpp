@@ -112,7 +112,8 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
     const auto end = std::chrono::steady_clock::now() + patience;
     std::optional<OpenLock> lock = open_locked(file_);
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_)) std::this_thread::sleep_for(kLockLook);
-    if (!lock) throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
+    if (!lock) throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time", folder.string(),
+                                              holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     exclusive_ = lock->exclusive;
     if (exclusive_) remove_half_written(folder);
@@ -144,6 +145,22 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
     folder_.emplace(path);
     lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
     check_content(path, existing);
+}
+
+NewRun::NewRun(const fs::path& path, bool replace) : path_(path) {
+    std::error_code failed;
+    if (fs::exists(path, failed)) earlier_.emplace(path, replace ? Existing::replace : Existing::refuse);
+}
+
+void NewRun::save(Run& run) const {
+    run.folder = path_;
+    if (!earlier_) return save_run(run);
+    replace_run(run, [&] {
+        remove_run_files(path_);
+        remove_blocks(path_);
+        std::error_code failed;
+        fs::remove_all(checkpoint_folder(path_), failed);   // training would go on from them
+    });
 }
 
 bool holds_run(const fs::path& folder) {
