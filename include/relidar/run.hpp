@@ -59,6 +59,8 @@ struct Run {
 void save_run(const Run& run);
 /// Does the same in place of an earlier run. @param remove_earlier  is called when all files are written, before they get their names
 void replace_run(const Run& run, const std::function<void()>& remove_earlier);
+/// Does the same in place of the run's folder with everything in it, in one step if the file system can exchange folders.
+void replace_folder(const Run& run);
 
 /// @param note  is told in one line of settings that an earlier version had (load_config())
 /// @throws DataError naming the file that is missing, truncated or inconsistent

@@ -6,6 +6,7 @@
 #include <charconv>
 #include <csignal>
 
+#include <fcntl.h>
 #include <stdio.h>
 #include <unistd.h>
 
@@ -59,6 +60,9 @@ void StagedFolder::finish_new() const {
 }
 
 void StagedFolder::finish() const {
+#ifdef RENAME_EXCHANGE
+    if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;   // the old one goes with this
+#endif
     const fs::path old = path_.string() + "-old";
     std::error_code failed, ignored;
     if (fs::exists(fs::symlink_status(wanted_, ignored))) fs::rename(wanted_, old, failed);

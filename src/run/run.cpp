@@ -167,6 +167,12 @@ void move_files(const fs::path& staged, const fs::path& folder, const std::funct
 
 void save_run(const Run& run) { replace_run(run, {}); }
 
+void replace_folder(const Run& run) {
+    const StagedFolder staged(run.folder);
+    write_staged_files(run, staged.path(), false);
+    staged.finish();
+}
+
 void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
     if (!path_exists(run.folder)) {
         const StagedFolder staged(run.folder);

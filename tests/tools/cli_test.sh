@@ -737,12 +737,14 @@ viewing() {
 
 # whole_or_none: an edit that is killed, or finds the disk full, leaves a run that loads, or nothing of that name.
 whole_or_none() {
-    local wait pid
-    for wait in 0.005 0.01 0.015 0.02 0.03 0.04 0.05 0.07 0.1; do
+    local begin=${EPOCHREALTIME/./} share pid
+    good edit run --out killed --remove 0 --quiet
+    local time_us=$((${EPOCHREALTIME/./} - begin))
+    for share in 10 20 30 40 50 60 70 80 90 95 100; do
         rm -rf killed
         "$relidar" edit run --out killed --remove 0 --quiet >out 2>err &
         pid=$!
-        sleep $wait
+        sleep "$(printf '0.%06d' $((time_us * share / 100 % 1000000)))"
         kill -KILL $pid 2>/dev/null
         wait $pid 2>/dev/null
         [[ ! -e killed ]] || good info killed

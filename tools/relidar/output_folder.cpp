@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <fstream>
+#include <set>
 #include <string>
 #include <system_error>
 #include <thread>
@@ -136,7 +137,7 @@ bool FolderLock::is_held(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    ::unlink(file_.c_str());   // while it is held: nobody else can hold what is removed
+    if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());   // while it is held: nobody else can hold what is removed
     ::close(descriptor_);
 }
 
@@ -147,6 +148,21 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
     check_content(path, existing);
 }
 
+namespace {
+
+/// Whether a run's folder has nothing in it that a run does not write.
+bool holds_run_alone(const fs::path& folder) {
+    static const std::set<std::string> kNames{"config.toml",  "scene.json",     "model.safetensors", "drop_network.safetensors",
+                                              "blocks",       "checkpoints",    "log.jsonl",         "sweeps.safetensors",
+                                              "metrics.json", "report.html",    "views.png",         "coverage.safetensors",
+                                              "asset.json",   "intensity_scatter.safetensors"};
+    for (const auto& entry : fs::directory_iterator(folder))
+        if (!is_left_over(entry.path()) && !kNames.contains(entry.path().filename().string())) return false;
+    return true;
+}
+
+}  // namespace
+
 NewRun::NewRun(const fs::path& path, bool replace) : path_(path) {
     std::error_code failed;
     if (fs::exists(path, failed)) earlier_.emplace(path, replace ? Existing::replace : Existing::refuse);
@@ -155,6 +171,16 @@ NewRun::NewRun(const fs::path& path, bool replace) : path_(path) {
 void NewRun::save(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);
+    if (holds_run_alone(path_)) {
+        try {
+            run.folder = fs::canonical(path_);
+            replace_folder(run);
+            run.folder = path_;
+            return;
+        } catch (const DataError&) {   // a mount point, or a folder that cannot be written above it
+            run.folder = path_;
+        }
+    }
     replace_run(run, [&] {
         remove_run_files(path_);
         remove_blocks(path_);
