@@ -5,10 +5,7 @@
 #include <relidar/export.hpp>
 
 #include <algorithm>
-#include <csignal>
 #include <limits>
-
-#include <sys/resource.h>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
@@ -78,62 +75,6 @@ TEST_F(RunFolder, RayDropNetworkIsPartOfIt) {
     run.drop_network = {};
     save_run(run);
     EXPECT_TRUE(load_run(run.folder).drop_network.empty()) << "a network of the run before stays";
-}
-
-/// While it lives, no file of this process gets larger, as on a full disk.
-class FullDisk {
-public:
-    explicit FullDisk(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {
-        ::getrlimit(RLIMIT_FSIZE, &before_);
-        const rlimit limit{n_bytes, before_.rlim_max};
-        ::setrlimit(RLIMIT_FSIZE, &limit);
-    }
-    ~FullDisk() {
-        ::setrlimit(RLIMIT_FSIZE, &before_);
-        std::signal(SIGXFSZ, handler_);
-    }
-    FullDisk(const FullDisk&) = delete;
-    FullDisk& operator=(const FullDisk&) = delete;
-
-private:
-    rlimit before_{};
-    void (*handler_)(int);
-};
-
-TEST_F(RunFolder, IsSavedCompleteOrNotAtAll) {
-    const std::string model = contents(run.folder / kModelFile);
-    relidar::Run grown = run;
-    grown.drop_network = example_network();
-    for (rlim_t n_bytes = 0; n_bytes < 40'000; n_bytes += 2'000) {
-        const FullDisk full(n_bytes);
-        for (const char* name : {"new", "run"}) {
-            grown.folder = folder / name;
-            try {
-                save_run(grown);
-                EXPECT_EQ(load_run(grown.folder).drop_network.parameters, grown.drop_network.parameters);
-            } catch (const DataError& error) {
-                EXPECT_THAT(error.what(), testing::HasSubstr(grown.folder.string() + "/"));
-                EXPECT_THAT(error.what(), testing::Not(testing::HasSubstr(".tmp-")));
-                EXPECT_FALSE(std::filesystem::exists(folder / "new"));
-                EXPECT_EQ(contents(run.folder / "scene.json"), scene);
-                EXPECT_EQ(contents(run.folder / kModelFile), model);
-            }
-        }
-        std::filesystem::remove_all(folder / "new");
-    }
-    for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))
-        EXPECT_EQ(entry.path().string().find(".tmp-"), std::string::npos) << entry.path();
-}
-
-TEST_F(RunFolder, GivesItsFilesTheirNamesWhenAllAreWritten) {
-    bool was_called = false;
-    replace_run(run, [&] {
-        was_called = true;
-        EXPECT_FALSE(std::filesystem::exists(run.folder / "config.toml")) << "a process that is killed here leaves what looks like a run";
-        EXPECT_TRUE(std::filesystem::exists(run.folder / kModelFile));
-    });
-    EXPECT_TRUE(was_called);
-    EXPECT_EQ(contents(load_run(run.folder).folder / "scene.json"), scene);
 }
 
 TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {

@@ -99,6 +99,12 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "origin_m of ray 0"},
         {"NaN divergence", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
          Code::INVALID_ARGUMENT, "rays.divergence_rad of ray 0"},
+    };
+    return all;
+}
+
+const std::vector<Case>& cases_of_patterns() {
+    static const std::vector<Case> all = {
         {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); }, Code::INVALID_ARGUMENT, "0 rays"},
         {"NaN beam",
          [](auto& r) {
@@ -172,6 +178,7 @@ void Refusals::expect_refused(const std::vector<Case>& cases) {
 
 TEST_F(Refusals, PosesTimesAndNames) { expect_refused(cases_of_poses()); }
 TEST_F(Refusals, Sensors) { expect_refused(cases_of_sensors()); }
+TEST_F(Refusals, PatternsOfSensors) { expect_refused(cases_of_patterns()); }
 
 TEST_F(Refusals, TablesBeyondTheLimits) {
     start();

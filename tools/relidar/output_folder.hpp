@@ -29,8 +29,8 @@ private:
     bool was_there_;
 };
 
-/// Only one process at a time writes a folder. The system forgets a lock with the process that held it, however that ended; where a file system
-/// knows no locks, there is none. Whoever takes it removes what a killed process has left half written.
+/// Only one process at a time writes a folder. The system releases a lock when the process that holds it ends.
+/// On a file system without locks nobody is kept out. The constructor removes what a killed process has left half written.
 class FolderLock {
 public:
     /// @param patience  how long it waits for another process that holds it

@@ -110,7 +110,9 @@ void add_view(CLI::App& app, Call& call) {
                      "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address that is printed holds a token "
                      "without which nobody is let in)")
         ->type_name("ADDRESS");
-    command->add_option("--save-to", options->save_to, "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
+    command
+        ->add_option("--save-to", options->save_to,
+                     "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
         ->type_name("DIR");
     command->add_option("--insert", options->inserts, "another run, whose actors the page can put on the ground; repeatable")
         ->type_name("RUN")
