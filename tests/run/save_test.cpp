@@ -59,7 +59,7 @@ TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
     network.normalisation = {0.5f, -2.0f, 1.0f, 0.0f, 5.0f, 6.0f};
     network.parameters.assign(1000, 0.25f);
     network.running = {0.1f, 0.2f};
-    for (rlim_t n_bytes = 0; n_bytes < 40'000; n_bytes += 2'000) {
+    for (rlim_t n_bytes = 0; n_bytes < 40'000; n_bytes += 5'000) {
         const FullDisk full(n_bytes);
         for (const char* name : {"new", "run"}) {
             grown.folder = folder / name;

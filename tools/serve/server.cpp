@@ -69,13 +69,13 @@ struct ScanServer::Impl {
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
-    Acceptor acceptor;
+    std::optional<Acceptor> acceptor;
     std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;   ///< of the server
     std::unique_ptr<grpc::Server> server;
 
-    Impl(std::size_t waiting, const std::string& listen) : queue(waiting), acceptor(listen) {}
+    explicit Impl(std::size_t waiting) : queue(waiting) {}
     ~Impl() {
-        acceptor.stop();
+        if (acceptor) acceptor->stop();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
         on_render_thread([&] { scenes.reset(), device.reset(); });
@@ -88,6 +88,7 @@ struct ScanServer::Impl {
 
 void ScanServer::Impl::listen(const ServerOptions& options) {
     silence_log();
+    acceptor.emplace(options.listen);
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
@@ -107,7 +108,7 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
         throw UsageError(fmt::format("listening at {}: gRPC does not start{}", options.listen,
                                      options.tls_cert.empty() ? "" : ", expected a certificate that fits its key"));
     set_serving(true);
-    acceptor.start([this](int listener, int connection) {
+    acceptor->start([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;
         accepted.listener_fd = listener;
         accepted.fd = connection;
@@ -122,7 +123,7 @@ void ScanServer::Impl::set_serving(bool serving) {
     if (!serving) health.SetServingStatus("", false);   // the server as a whole
 }
 
-ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting, options.listen)) {
+ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
     std::vector<SceneSource> sources = scene_sources(options.runs, options.channels, options.weather);
     impl_->assets.emplace(options.assets);
     impl_->on_render_thread([&] {
@@ -137,7 +138,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
 
 ScanServer::~ScanServer() = default;
 
-int ScanServer::port() const { return impl_->acceptor.port(); }
+int ScanServer::port() const { return impl_->acceptor->port(); }
 const std::string& ScanServer::device_name() const { return impl_->device->info().name; }
 
 std::vector<std::string> ScanServer::scenes() const {
@@ -153,7 +154,7 @@ std::optional<std::string> ScanServer::device_loss() {
 }
 
 void ScanServer::stop(std::chrono::milliseconds patience) {
-    impl_->acceptor.stop();
+    impl_->acceptor->stop();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
     impl_->server->Shutdown(std::chrono::system_clock::now() + patience);
 }
