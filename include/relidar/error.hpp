@@ -38,6 +38,11 @@ struct DeviceError : Error {
     explicit DeviceError(const std::string& message) : Error(ExitCode::device, message) {}
 };
 
+/// The device hung, was taken away, or its driver was restarted. It does not work again in this process.
+struct DeviceLost : DeviceError {
+    using DeviceError::DeviceError;
+};
+
 /// The known name a mistyped one was most likely meant to be (smallest edit distance, case ignored), for "did you mean".
 /// @return empty where `known` is empty
 std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known);

@@ -32,8 +32,8 @@ enum class Primitive;
 void write_atomically(const std::filesystem::path& path, const std::function<void(const std::filesystem::path&)>& write);
 /// A name beside a file, for what becomes that file once it is complete; never the same twice. remove_temporaries() knows it.
 std::filesystem::path temporary_path(const std::filesystem::path& path);
-/// Removes what write_atomically leaves in a folder where the process is killed: files named .NAME.tmp-PID-COUNT. Only for folders that
-/// nobody else writes to now.
+/// Removes what a killed process has left in a folder: files and folders named .NAME.tmp-PID-COUNT. Use it only for a folder that no
+/// other process writes to.
 void remove_temporaries(const std::filesystem::path& folder);
 /// Writes a text through write_atomically.
 void write_text(const std::filesystem::path& path, const std::string& text);
@@ -52,6 +52,9 @@ public:
     const std::filesystem::path& wanted() const { return wanted_; }  ///< its name, absolute
     /// @throws DataError where it cannot be renamed; what had the name stays
     void finish() const;
+    /// The same, unless something has the name by now. An empty folder may have it.
+    /// @throws DataError if the name is not free, or the folder cannot be renamed
+    void finish_new() const;
 
 private:
     std::filesystem::path wanted_, path_;

@@ -52,10 +52,15 @@ struct Run {
 };
 
 /// Writes config.toml, scene.json, model.safetensors, drop_network.safetensors, sweeps.safetensors, coverage.safetensors and
-/// intensity_scatter.safetensors, each atomically. The folder is made where missing.
+/// intensity_scatter.safetensors. A folder that does not exist yet appears complete or not at all. In an existing folder the files get
+/// their names only after all of them are written. Until then an earlier run in the folder stays as it is.
 /// Blocks of the scene that lie elsewhere are linked into it (copied where the file system has no links), as blocks/NNN/model.safetensors.
 /// @throws DataError where the folder cannot be made or written, or where an option that is no setting is not as the program has it
 void save_run(const Run& run);
+/// Does the same in place of an earlier run. @param remove_earlier  is called when all files are written, before they get their names
+void replace_run(const Run& run, const std::function<void()>& remove_earlier);
+/// Does the same in place of the run's folder with everything in it, in one step if the file system can exchange folders.
+void replace_folder(const Run& run);
 
 /// @param note  is told in one line of settings that an earlier version had (load_config())
 /// @throws DataError naming the file that is missing, truncated or inconsistent

@@ -109,9 +109,10 @@ void remove_temporaries(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> found;
     for (const auto& entry : fs::directory_iterator(folder, failed)) {
-        if (entry.is_regular_file(failed) && std::regex_match(entry.path().filename().string(), kTemporary)) found.push_back(entry.path());
+        const bool is_ours = entry.is_regular_file(failed) || (entry.is_directory(failed) && !entry.is_symlink(failed));
+        if (is_ours && std::regex_match(entry.path().filename().string(), kTemporary)) found.push_back(entry.path());
     }
-    for (const fs::path& path : found) fs::remove(path, failed);
+    for (const fs::path& path : found) fs::remove_all(path, failed);
 }
 
 void write_text(const fs::path& path, const std::string& text) { export_detail::write_file(path, text); }

@@ -6,6 +6,8 @@
 #include <charconv>
 #include <csignal>
 
+#include <fcntl.h>
+#include <stdio.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -49,7 +51,18 @@ StagedFolder::~StagedFolder() {
     fs::remove_all(path_, failed);
 }
 
+void StagedFolder::finish_new() const {
+    if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;   // refuses a folder with something in it
+    const int error = errno;
+    const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
+    throw DataError(is_taken ? fmt::format("{}: found it there by now, expected a name that is free", wanted_.string())
+                             : fmt::format("{}: renaming what was written: {}", wanted_.string(), std::generic_category().message(error)));
+}
+
 void StagedFolder::finish() const {
+#ifdef RENAME_EXCHANGE
+    if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;   // the old one goes with this
+#endif
     const fs::path old = path_.string() + "-old";
     std::error_code failed, ignored;
     if (fs::exists(fs::symlink_status(wanted_, ignored))) fs::rename(wanted_, old, failed);

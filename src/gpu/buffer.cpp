@@ -16,9 +16,9 @@ namespace {
 
 double mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
-DeviceError out_of_memory(const Device::Impl& device, std::size_t size, const std::string& what, VkResult result) {
-    return DeviceError(fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in use, expected room on {}",
-                                   mib(size), what, gpu::result_name(result), mib(device.allocated), device.info.name));
+[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& what, VkResult result) {
+    gpu::fail(result, fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in use, expected room on {}",
+                                  mib(size), what, gpu::result_name(result), mib(device.allocated), device.info.name));
 }
 
 void check_size(const Device::Impl& device, std::size_t size, const std::string& what) {
@@ -49,13 +49,13 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
         info.usage |=
             VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR | VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
     const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);
-    if (created != VK_SUCCESS) throw out_of_memory(owner, size, what, created);
+    if (created != VK_SUCCESS) fail_allocation(owner, size, what, created);
     VkMemoryRequirements needs;
     vkGetBufferMemoryRequirements(owner.device, handle, &needs);
     const VkResult result = owner.memory->take(needs, use, memory);
     if (result != VK_SUCCESS) {
         vkDestroyBuffer(owner.device, handle, nullptr);
-        throw out_of_memory(owner, size, what, result);
+        fail_allocation(owner, size, what, result);
     }
     vkBindBufferMemory(owner.device, handle, memory.block->memory, memory.offset);
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};

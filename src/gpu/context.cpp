@@ -19,7 +19,12 @@ namespace relidar::gpu {
 
 void check(VkResult result, const char* call) {
     if (result >= 0) return;
-    throw DeviceError(fmt::format("{}: the driver answered {}, expected VK_SUCCESS", call, result_name(result)));
+    fail(result, fmt::format("{}: the driver answered {}, expected VK_SUCCESS", call, result_name(result)));
+}
+
+void fail(VkResult result, const std::string& message) {
+    if (result == VK_ERROR_DEVICE_LOST) throw DeviceLost(message);
+    throw DeviceError(message);
 }
 
 std::string result_name(VkResult result) {

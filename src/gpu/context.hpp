@@ -26,6 +26,8 @@ class Transfers;
 
 /// Throws DeviceError naming the call and the VkResult where `result` is a failure.
 void check(VkResult result, const char* call);
+/// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
+[[noreturn]] void fail(VkResult result, const std::string& message);
 std::string result_name(VkResult result);
 
 /// An instance with its optional validation messenger.

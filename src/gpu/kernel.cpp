@@ -161,8 +161,8 @@ VkPipeline KernelBase::Impl::pipeline() {
     if (pipeline_) return pipeline_;
     const gpu::Pipelines::Made made = made_.get();
     if (made.result != VK_SUCCESS)
-        throw DeviceError(fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module, device->info.name,
-                                      gpu::result_name(made.result)));
+        gpu::fail(made.result, fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module, device->info.name,
+                                           gpu::result_name(made.result)));
     return pipeline_ = made.pipeline;
 }
 

@@ -199,7 +199,7 @@ void Stream::Impl::wait(std::uint64_t ticket) {
     info.pValues = &ticket;
     const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
     if (result != VK_SUCCESS)
-        throw DeviceError(fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})", device->info.name,
+        gpu::fail(result, fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})", device->info.name,
                                       gpu::result_name(result), last_kernel));
 }
 

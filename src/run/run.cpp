@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder: written file by file, each whole or not at all, scene.json last, so that a folder with one has all of them.
-// Read back with every complaint naming its file.
+// A run folder. A new one is filled under a temporary name and renamed. In an existing folder all files are written into a temporary
+// folder below it and then get their names. config.toml comes last, because nothing takes a folder without it for a run.
+// load_run() names the file in every error message.
 #include <relidar/run.hpp>
 
 #include <cerrno>
 #include <cstdlib>
 #include <system_error>
+#include <vector>
 
 #include <fcntl.h>
 #include <unistd.h>
@@ -65,48 +67,122 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
     });
 }
 
-/// The blocks as the run's own files.
-std::vector<SceneBlock> own_blocks(const Run& run) {
+/// The blocks as files below `folder`. @param keep  leave out files that the run's folder has already
+std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
-        const fs::path own = run.folder / "blocks" / fmt::format("{:03}", i) / kModelFile;
+        const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
-        if (!fs::equivalent(blocks[i].file, own, failed)) link_or_copy(blocks[i].file, own);
-        blocks[i].file = own;
+        if (!keep || !fs::equivalent(blocks[i].file, run.folder / file, failed)) link_or_copy(blocks[i].file, folder / file);
+        blocks[i].file = folder / file;
     }
     return blocks;
 }
 
 /// Options of stages that no setting names are not kept: a run of others could not be rendered again as it was.
-void save_config(const Run& run) {
-    const fs::path path = run.folder / kConfigFile;
+void save_config(const Run& run, const fs::path& folder) {
+    const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
     if (read_config(path, {}) != run.config)
         throw DataError(fmt::format("saving {}: found an option of image, init, loss, densify or refine that is no setting and not as it "
                                     "is by default, expected those of `relidar config --all` alone",
-                                    path.string()));
+                                    (run.folder / kConfigFile).string()));
 }
 
-void save_scene(const Run& run) {
-    if (run.scene.blocks.empty()) return save_model(run.folder / kModelFile, run.scene);
+void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
+    if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
     Scene scene = run.scene;   // actors alone are in memory
-    scene.blocks = own_blocks(run);
-    save_model(run.folder / kModelFile, scene);
+    scene.blocks = own_blocks(run, folder, keep_blocks);
+    save_model(folder / kModelFile, scene);
+}
+
+void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
+    write_text(folder / kSceneFile, run_detail::to_scene_json(run));   // what cannot be written as text is found first
+    save_config(run, folder);
+    save_scene(run, folder, keep_blocks);
+    if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
+    run_detail::save_sweeps(folder / kSweepsFile, run.sequence);
+    run_detail::save_coverage(folder / kCoverageFile, run.coverage);
+    run_detail::save_scatter(folder / kScatterFile, run.intensity_scatter);
+}
+
+/// The same with errors that name files of the run's folder, not the temporary ones.
+void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks) {
+    try {
+        write_files(run, staged, keep_blocks);
+    } catch (const DataError& error) {
+        std::string message = error.what();
+        for (std::size_t at = 0; (at = message.find(staged.string(), at)) != std::string::npos; at += run.folder.string().size())
+            message.replace(at, staged.string().size(), run.folder.string());
+        throw DataError(message);
+    }
+}
+
+/// A folder that goes with everything in it.
+struct TemporaryFolder {
+    fs::path path;
+
+    explicit TemporaryFolder(const fs::path& parent) : path(temporary_path(parent / "run")) { make_folder(path); }
+    ~TemporaryFolder() {
+        std::error_code failed;
+        fs::remove_all(path, failed);
+    }
+    TemporaryFolder(const TemporaryFolder&) = delete;
+    TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+};
+
+void rename_file(const fs::path& from, const fs::path& to) {
+    std::error_code failed;
+    fs::rename(from, to, failed);
+    if (failed) throw DataError(fmt::format("writing '{}': renaming the temporary file: {}", to.string(), failed.message()));
+}
+
+/// Whether a file holds these bytes.
+bool holds(const fs::path& file, const std::string& bytes) {
+    return path_exists(file) && read_file(file) == bytes;
+}
+
+/// Gives the files of `staged` their names in the run's folder. Settings that stay the same are not touched, so that a run in training
+/// can be resumed whenever the process is killed.
+void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
+    const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
+    if (!same_config || remove_earlier) fs::remove(folder / kConfigFile);
+    fs::remove(folder / kSceneFile);
+    if (remove_earlier) remove_earlier();
+    for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kScatterFile})
+        if (!path_exists(staged / name)) fs::remove(folder / name);
+    std::vector<fs::path> files;
+    for (const auto& entry : fs::recursive_directory_iterator(staged))
+        if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staged));
+    std::erase(files, kSceneFile), std::erase(files, kConfigFile);
+    for (const fs::path& file : files) {
+        make_folder((folder / file).parent_path());
+        rename_file(staged / file, folder / file);
+    }
+    rename_file(staged / kSceneFile, folder / kSceneFile);
+    if (!same_config || remove_earlier) rename_file(staged / kConfigFile, folder / kConfigFile);
 }
 
 }  // namespace
 
-void save_run(const Run& run) {
-    make_folder(run.folder);
-    const std::string scene_json = run_detail::to_scene_json(run);
-    save_config(run);
-    save_scene(run);
-    if (!run.drop_network.empty()) save_drop_network(run.folder / kDropNetworkFile, run.drop_network);
-    else fs::remove(run.folder / kDropNetworkFile);
-    run_detail::save_sweeps(run.folder / kSweepsFile, run.sequence);
-    run_detail::save_coverage(run.folder / kCoverageFile, run.coverage);
-    run_detail::save_scatter(run.folder / kScatterFile, run.intensity_scatter);
-    write_text(run.folder / kSceneFile, scene_json);
+void save_run(const Run& run) { replace_run(run, {}); }
+
+void replace_folder(const Run& run) {
+    const StagedFolder staged(run.folder);
+    write_staged_files(run, staged.path(), false);
+    staged.finish();
+}
+
+void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
+    if (!path_exists(run.folder)) {
+        const StagedFolder staged(run.folder);
+        write_staged_files(run, staged.path(), false);
+        return staged.finish_new();
+    }
+    make_folder(run.folder);   // says what is wrong if it is a file
+    const TemporaryFolder staged(run.folder);
+    write_staged_files(run, staged.path, !remove_earlier);
+    move_files(staged.path, run.folder, remove_earlier);
 }
 
 Run load_run(const fs::path& folder, const std::function<void(const std::string&)>& note) {

@@ -101,13 +101,37 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "origin_m of ray 0"},
         {"NaN divergence", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
          Code::INVALID_ARGUMENT, "rays.divergence_rad of ray 0"},
+    };
+    return all;
+}
+
+const std::vector<Case>& cases_of_patterns() {
+    static const std::vector<Case> all = {
         {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); }, Code::INVALID_ARGUMENT, "0 rays"},
         {"NaN beam",
          [](auto& r) {
              v1::SpinningSensor& s = *spec(r).mutable_spinning();
              s.add_beams()->set_elevation_rad(kNan), s.set_columns(8), s.set_period_s(0.1);
          },
-         Code::INVALID_ARGUMENT, "not finite"},
+         Code::INVALID_ARGUMENT, "beams[0].elevation_rad: found nan"},
+        {"degrees as radians",
+         [](auto& r) {
+             v1::SpinningSensor& s = *spec(r).mutable_spinning();
+             s.add_beams()->set_elevation_rad(-15.0), s.set_columns(8), s.set_period_s(0.1);
+         },
+         Code::INVALID_ARGUMENT, "beams[0].elevation_rad: found -15, expected a number from -1.57"},
+        {"beams from the lowest",
+         [](auto& r) {
+             v1::SpinningSensor& s = *spec(r).mutable_spinning();
+             s.add_beams()->set_elevation_rad(-0.1), s.add_beams()->set_elevation_rad(0.1), s.set_columns(8), s.set_period_s(0.1);
+         },
+         Code::INVALID_ARGUMENT, "beams[1].elevation_rad: found 0.1 after -0.1, expected beams from the highest down"},
+        {"a window upside down",
+         [](auto& r) {
+             v1::ScanningWindow& w = *spec(r).mutable_window();
+             w.set_rows(2), w.set_columns(2), w.set_top_rad(-0.1), w.set_bottom_rad(0.1), w.set_period_s(0.1);
+         },
+         Code::INVALID_ARGUMENT, "window.bottom_rad: found 0.1"},
         {"a turn of no time", [](auto& r) { spec(r).mutable_spinning()->add_beams(), spec(r).mutable_spinning()->set_columns(8); },
          Code::INVALID_ARGUMENT, "spinning.period_s: found 0"},
         {"a window of 2^64 rays",
@@ -118,7 +142,7 @@ const std::vector<Case>& cases_of_sensors() {
              v1::Rosette& s = *spec(r).mutable_rosette();
              s.set_rays(10), s.set_period_s(0.1), s.set_first_hz(kNan);
          },
-         Code::INVALID_ARGUMENT, "not finite"},
+         Code::INVALID_ARGUMENT, "rosette.first_hz: found nan"},
         {"negative range", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_max_range_m(-1.0); }, Code::INVALID_ARGUMENT, "max_range_m"},
         {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT, "found 3, expected 1 or 2"},
         {"two returns of an ideal ray", [](auto& r) { spec(r) = rays_ahead(1), r.set_returns(2); }, Code::INVALID_ARGUMENT, "divergence"},
@@ -156,6 +180,7 @@ void Refusals::expect_refused(const std::vector<Case>& cases) {
 
 TEST_F(Refusals, PosesTimesAndNames) { expect_refused(cases_of_poses()); }
 TEST_F(Refusals, Sensors) { expect_refused(cases_of_sensors()); }
+TEST_F(Refusals, PatternsOfSensors) { expect_refused(cases_of_patterns()); }
 
 TEST_F(Refusals, TablesBeyondTheLimits) {
     start();
@@ -219,6 +244,10 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     const grpc::Status status = status_of(request);
     EXPECT_EQ(status.error_code(), Code::INVALID_ARGUMENT);
     EXPECT_THAT(status.error_message(), HasSubstr("\"no such\""));
+    request.mutable_sensors(0)->mutable_sensor()->set_name("VLP-16");
+    *request.mutable_sensors(1) = request.sensors(0);
+    for (v1::RigSensor& sensor : *request.mutable_sensors()) sensor.mutable_rig_from_sensor()->mutable_rotation()->set_w(1.0);
+    EXPECT_EQ(status_of(request).error_message(), "reading sensors[1].name: found \"good\" again, expected another name for each sensor");
 }
 
 }  // namespace

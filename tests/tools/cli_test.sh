@@ -257,6 +257,13 @@ rendering() {
     done
     check "render wrote other than 12 files and scans.json" test "$(ls scans | wc -l)" = 13
     foreign_readers
+    flock --no-fork scans/.lock sleep 60 &   # another process writes it
+    local writer=$!
+    while flock --nonblock scans/.lock true; do sleep 0.05; done
+    bad 3 "scans: another relidar is writing this folder" render run --out scans --overwrite
+    bad 3 "scans: another relidar is writing this folder" export run --out scans --frames 2:3
+    kill -KILL $writer
+    wait $writer 2>/dev/null
     bad 2 "scans: the folder holds another rendering \(13 files.*--overwrite replaces it" render run --out scans --frames 2:3
     printf 'mine' >scans/frame_notes.txt
     good render run --out scans --frames 2:3 --format NPZ --overwrite
@@ -464,6 +471,7 @@ editing() {
     good info standing
     says "edit +--copy 1@5,0,ground,90:3"
     good edit run --out tilted --copy "0@$start,4,-3:2"
+    whole_or_none
     good edit run --out edited --move 0:0,3.5,0 --copy "0@$start:8" --move 0-copy-1:0,-3,0,10 --copy "0-copy-1@$start" --retime 1:0.3 --remove 0
     says "copied 0 as 0-copy-1"
     good info edited --json
@@ -711,7 +719,7 @@ viewing() {
     bad 3 "nowhere: no such folder" view nowhere
     bad 2 "port: found 65536, expected 0 to 65535" view run --port 65536
     bad 2 'found the address "example.com", expected one like 127.0.0.1' view run --bind example.com
-    bad 3 "save-to nowhere: no such folder" view run --save-to nowhere
+    bad 3 "run/config.toml: cannot be made a folder" view run --save-to run/config.toml
     "$relidar" view run --port 0 --bind 0.0.0.0 --quiet >address 2>err &
     local pid=$! port
     for _ in $(seq 300); do
@@ -725,6 +733,35 @@ viewing() {
     wait $pid
     local code=$?
     check "a viewer that Ctrl-C has ended: exit code $code, expected 0" test "$code" = 0
+}
+
+# whole_or_none: an edit that is killed, or finds the disk full, leaves a run that loads, or nothing of that name.
+whole_or_none() {
+    local begin=${EPOCHREALTIME/./} share pid
+    good edit run --out killed --remove 0 --quiet
+    local time_us=$((${EPOCHREALTIME/./} - begin))
+    for share in 10 20 30 40 50 60 70 80 90 95 100; do
+        rm -rf killed
+        "$relidar" edit run --out killed --remove 0 --quiet >out 2>err &
+        pid=$!
+        sleep "$(printf '0.%06d' $((time_us * share / 100 % 1000000)))"
+        kill -KILL $pid 2>/dev/null
+        wait $pid 2>/dev/null
+        [[ ! -e killed ]] || good info killed
+    done
+    good edit run --out killed --remove 0 --force
+    check "a killed edit leaves files" test -z "$(find . -maxdepth 1 -name '.killed.tmp-*')"
+    good info killed
+    mv out before
+    local full_disk='ulimit -f 8; trap "" XFSZ; exec "$@"'   # no file of more than 8 KiB
+    check "an edit on a full disk succeeds" eval '! bash -c "$full_disk" - "$relidar" edit run --out full --remove 0 >out 2>err'
+    check "an edit on a full disk does not name the file" grep -q "full/" err
+    absent full
+    check "an edit on a full disk replaces a run" eval '! bash -c "$full_disk" - "$relidar" edit run --out killed --remove 1 --force >out 2>err'
+    good info killed
+    check "an edit on a full disk changed a run" cmp out before
+    check "an edit on a full disk leaves files" test -z "$(find killed -name '*.tmp-*')"
+    rm -rf killed
 }
 
 # Ctrl-C while training: the scene so far is saved, exit code 130.

@@ -4,13 +4,15 @@
 # `relidar serve` as a user meets it: a server in a process of its own, on a small street; clients in Python whose stubs are made of the
 # proto, one of which compares scans with those of `relidar render` to the bit; bad input; Ctrl-C.
 #
-#   serve_test.sh RELIDAR WORK_FOLDER
+#   serve_test.sh RELIDAR WORK_FOLDER [LAYER_FOLDER]
 #
+# LAYER_FOLDER: of the manifest of the layer that loses the device (device_loss/).
 # Exits 77 (skipped) where there is no Vulkan device, or no Python with grpcio and numpy.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: serve_test.sh RELIDAR WORK_FOLDER}")
 root=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
-work=${2:?usage: serve_test.sh RELIDAR WORK_FOLDER}
+work=${2:?usage: serve_test.sh RELIDAR WORK_FOLDER} layers=${3:-}
+[[ -z $layers ]] || layers=$(realpath "$layers")
 rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
 n_failed=0 server=""
 
@@ -28,9 +30,10 @@ for candidate in python3 /usr/bin/python3; do
 done
 [[ -n $python ]] || { echo "no Python with grpcio, protobuf and numpy"; exit 77; }
 
+before=()   # words before the command of a server
 # serve ARGS...: starts a server at a free port; $server is its process, $address where it listens.
 serve() {
-    "$relidar" serve "$@" --listen 127.0.0.1:0 >serve.out 2>serve.err &
+    "${before[@]}" "$relidar" serve "$@" --listen 127.0.0.1:0 >serve.out 2>serve.err &
     server=$!
     for _ in $(seq 600); do
         address=$(sed -n 's/^serving .* at \([^ ]*\) on .*/\1/p' serve.out)
@@ -77,7 +80,11 @@ bad 2 "weather: found snow=-1, expected 0 to 100 mm/h" serve run --weather snow=
 bad 2 "tls-cert and --tls-key: found one of them" serve run --tls-cert x.pem
 bad 3 "reading run/config.toml: found no PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
 bad 2 "found \"run\" as the name of both, expected another one, given as NAME=RUN" serve run "$PWD/run"
-bad 2 "listening at nonsense: it is taken, or no address" serve run --listen nonsense
+bad 2 "listen: found 'nonsense', expected HOST:PORT with a port from 0 to 65535" serve run --listen nonsense
+bad 2 "listen: found '127.0.0.1:99999'" serve run --listen 127.0.0.1:99999
+bad 2 "listen: found '127.0.0.1:-1'" serve run --listen 127.0.0.1:-1
+bad 2 "serve: found '127.0.0.1:99999', expected HOST:PORT with a port from 1 to 65535" bench --serve 127.0.0.1:99999
+bad 2 "listening at 192.0.2.1:0: Cannot assign requested address" serve run --listen 192.0.2.1:0
 bad 3 "asking the service at 127.0.0.1:1: found status 14" bench --serve 127.0.0.1:1
 
 serve town=run
@@ -147,6 +154,38 @@ if command -v openssl >/dev/null; then
         || fail "a client with TLS"
     ! "$relidar" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "a client without TLS is answered by a server with it"
     stop
+fi
+
+# More silent connections than descriptors: it serves again when they have gone.
+before=(bash -c 'ulimit -n 128; exec "$@"' -)
+serve run
+before=()
+"$python" - "$address" <<'PYTHON' || fail "connections that say nothing"
+import socket
+import sys
+host, port = sys.argv[1].rsplit(":", 1)
+silent = []
+for _ in range(200):
+    try:
+        silent.append(socket.create_connection((host, int(port)), timeout=5))
+    except OSError:
+        pass
+sys.exit(0 if len(silent) > 90 else 1)
+PYTHON
+timeout 20 "$relidar" bench --serve "$address" --calls 2 >bench.out 2>&1 || fail "it does not serve after silent connections: $(cat bench.out)"
+stop
+
+# A lost device: clients hear UNAVAILABLE, and the server ends with the exit code of a device.
+if [[ -n $layers ]]; then
+    before=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers" RELIDAR_LOSE_DEVICE_AFTER=60)
+    serve run
+    before=()
+    bad 3 "found status 14, .*VK_ERROR_DEVICE_LOST" bench --serve "$address" --calls 1000
+    wait "$server"
+    code=$?
+    server=""
+    [[ $code == 4 ]] || fail "a lost device: exit code $code, expected 4"
+    [[ $(grep -c . serve.err) == 1 ]] && grep -q "^relidar: .*VK_ERROR_DEVICE_LOST" serve.err || fail "a lost device: $(cat serve.err)"
 fi
 
 printf 'serve: %d failed\n' "$n_failed"

@@ -76,10 +76,9 @@ class Page:
 
 
 def train_street(relidar, work):
-    """A run in work/run, barely trained, and an empty folder work/saved."""
+    """A run in work/run, barely trained."""
     shutil.rmtree(work, ignore_errors=True)
-    for folder in ("street", "saved"):
-        (work / folder).mkdir(parents=True)
+    (work / "street").mkdir(parents=True)
     (work / "street/street.toml").write_text(STREET)
     subprocess.run([relidar, "train", "street", "--out", "run", *TRAIN], cwd=work, check=True)
 

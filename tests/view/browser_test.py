@@ -62,6 +62,9 @@ def moves(page):
     page.find("body").click()
     page.find("#view").send_keys("w")
     page.wait("a tap of W to drive half a metre", lambda: page.find("#place-x").get_attribute("value") == "0.5")
+    page.type("#place-x", "1e9")
+    assert page.find("#place-x").get_attribute("value") == "1", "it shows another place than it uses"
+    assert "out of reach" in page.find("#sensor-hint").text
     page.click("#reset-place")
     page.wait("the first image again", lambda: share_of_changes(before, page.strip()) < 0.01)
 

@@ -122,7 +122,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = config_of(options, out / "street");
     check_lpips_weights(with_lpips_weights(config));
-    const OutputFolder folder(out);
+    const LockedFolder folder(out);
     const RunFolder run_folder(out / "run", Existing::replace);
     Device device(device_options(options.device));
     check_network(device, config);

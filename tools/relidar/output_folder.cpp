@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <fstream>
+#include <set>
 #include <string>
 #include <system_error>
 #include <thread>
@@ -112,7 +113,8 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
     const auto end = std::chrono::steady_clock::now() + patience;
     std::optional<OpenLock> lock = open_locked(file_);
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_)) std::this_thread::sleep_for(kLockLook);
-    if (!lock) throw DataError(fmt::format("{}: another relidar is writing this run, expected one at a time", folder.string()));
+    if (!lock) throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time", folder.string(),
+                                              holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     exclusive_ = lock->exclusive;
     if (exclusive_) remove_half_written(folder);
@@ -135,7 +137,7 @@ bool FolderLock::is_held(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    ::unlink(file_.c_str());   // while it is held: nobody else can hold what is removed
+    if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());   // while it is held: nobody else can hold what is removed
     ::close(descriptor_);
 }
 
@@ -144,6 +146,47 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
     folder_.emplace(path);
     lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
     check_content(path, existing);
+}
+
+namespace {
+
+/// Whether a run's folder has nothing in it that a run does not write.
+bool holds_run_alone(const fs::path& folder) {
+    static const std::set<std::string> kNames{"config.toml",  "scene.json",     "model.safetensors", "drop_network.safetensors",
+                                              "blocks",       "checkpoints",    "log.jsonl",         "sweeps.safetensors",
+                                              "metrics.json", "report.html",    "views.png",         "coverage.safetensors",
+                                              "asset.json",   "intensity_scatter.safetensors"};
+    for (const auto& entry : fs::directory_iterator(folder))
+        if (!is_left_over(entry.path()) && !kNames.contains(entry.path().filename().string())) return false;
+    return true;
+}
+
+}  // namespace
+
+NewRun::NewRun(const fs::path& path, bool replace) : path_(path) {
+    std::error_code failed;
+    if (fs::exists(path, failed)) earlier_.emplace(path, replace ? Existing::replace : Existing::refuse);
+}
+
+void NewRun::save(Run& run) const {
+    run.folder = path_;
+    if (!earlier_) return save_run(run);
+    if (holds_run_alone(path_)) {
+        try {
+            run.folder = fs::canonical(path_);
+            replace_folder(run);
+            run.folder = path_;
+            return;
+        } catch (const DataError&) {   // a mount point, or a folder that cannot be written above it
+            run.folder = path_;
+        }
+    }
+    replace_run(run, [&] {
+        remove_run_files(path_);
+        remove_blocks(path_);
+        std::error_code failed;
+        fs::remove_all(checkpoint_folder(path_), failed);   // training would go on from them
+    });
 }
 
 bool holds_run(const fs::path& folder) {

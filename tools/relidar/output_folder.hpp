@@ -7,6 +7,10 @@
 #include <memory>
 #include <optional>
 
+namespace relidar {
+struct Run;
+}
+
 namespace relidar::cli {
 
 /// Makes a folder and proves that it can be written. Destruction removes it where it was made here and is still empty.
@@ -25,8 +29,8 @@ private:
     bool was_there_;
 };
 
-/// One process at a time writes a folder. The system forgets a lock with the process that held it, however that ended; where a file system
-/// knows no locks, there is none. Whoever takes it removes what a killed process has left half written.
+/// Only one process at a time writes a folder. The system releases a lock when the process that holds it ends.
+/// On a file system without locks nobody is kept out. The constructor removes what a killed process has left half written.
 class FolderLock {
 public:
     /// @param patience  how long it waits for another process that holds it
@@ -54,6 +58,19 @@ private:
     bool exclusive_;
 };
 
+/// A folder for results that this process alone writes.
+class LockedFolder {
+public:
+    /// @throws DataError if another process writes it, or it cannot be made or written
+    explicit LockedFolder(const std::filesystem::path& path) : folder_(path), lock_(path) {}
+
+    const std::filesystem::path& path() const { return folder_.path(); }
+
+private:
+    OutputFolder folder_;
+    FolderLock lock_;   ///< goes first: an empty folder can be removed
+};
+
 /// Whether a folder holds a run, or what one leaves that was killed before it had a scene.
 bool holds_run(const std::filesystem::path& folder);
 
@@ -75,6 +92,20 @@ public:
 private:
     std::optional<OutputFolder> folder_;
     std::optional<FolderLock> lock_;   ///< goes first: an empty folder can be removed
+};
+
+/// Saves a run as a folder. A new folder appears complete or not at all. An earlier run in it stays until all files are written.
+/// @throws UsageError if the folder holds something else, or a run that is not to be replaced; DataError if another process writes it,
+/// or it cannot be written
+class NewRun {
+public:
+    NewRun(const std::filesystem::path& path, bool replace);
+    /// Makes the folder the run's own.
+    void save(Run& run) const;
+
+private:
+    std::filesystem::path path_;
+    std::optional<RunFolder> earlier_;   ///< of a folder that exists already
 };
 
 /// Removes the files of an earlier run but its settings and checkpoints, so that none is mistaken for one of this run.

@@ -39,6 +39,8 @@ grpc::Status answered(const std::function<void()>& answer) {
         return {grpc::StatusCode::INVALID_ARGUMENT, error.what()};
     } catch (const std::bad_alloc&) {
         return {grpc::StatusCode::RESOURCE_EXHAUSTED, "answering a request: the server is out of memory, expected a smaller one"};
+    } catch (const DeviceLost& error) {
+        return {grpc::StatusCode::UNAVAILABLE, fmt::format("{}; this server ends, expected a new one", error.what())};
     } catch (const std::exception& error) {   // of the device, of a run folder that has changed, of ourselves
         return {grpc::StatusCode::INTERNAL, error.what()};
     }

@@ -5,6 +5,8 @@
 #include <chrono>
 #include <utility>
 
+#include <relidar/error.hpp>
+
 namespace relidar::serve {
 namespace {
 
@@ -29,6 +31,11 @@ std::optional<RenderQueue::Place> RenderQueue::enter() {
     if (taken_ == places_) return {};
     ++taken_;
     return Place(this);
+}
+
+std::optional<std::string> RenderQueue::device_loss() {
+    const std::lock_guard lock(mutex_);
+    return device_loss_;
 }
 
 void RenderQueue::begin_together(std::size_t n) {
@@ -82,12 +89,17 @@ RenderQueue::Job* RenderQueue::next(const Job* before) {
 void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last, std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
+    std::optional<std::string> loss;
     try {
         part();
+    } catch (const DeviceLost& error) {
+        failure = std::current_exception();
+        loss = error.what();
     } catch (...) {
         failure = std::current_exception();
     }
     lock.lock();
+    if (loss && !device_loss_) device_loss_ = loss;
     if (!is_last && !failure) return;
     job.failure = failure;
     job.state = Job::State::done;

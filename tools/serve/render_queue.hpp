@@ -8,6 +8,7 @@
 #include <functional>
 #include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -54,6 +55,8 @@ public:
     /// Nothing where all places are taken.
     std::optional<Place> enter();
     std::size_t places() const { return places_; }
+    /// What the error said after which the device cannot work any more; nothing while it works.
+    std::optional<std::string> device_loss();
     /// From now on so many pieces of work of one kind are begun before any of them is finished, where so many wait; at first 1.
     void begin_together(std::size_t n);
 
@@ -69,6 +72,7 @@ private:
     const std::size_t places_;
     std::mutex mutex_;
     std::condition_variable more_;
+    std::optional<std::string> device_loss_;
     std::deque<Job*> line_;   ///< those that wait; each lives on the stack of who waits for it
     std::size_t taken_ = 0, together_ = 1;
     bool closed_ = false;

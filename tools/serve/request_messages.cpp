@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <set>
+#include <string_view>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -223,9 +225,12 @@ std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message)
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
         refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()), fmt::format("1 to {}", kMostSensors));
     std::vector<WantedScan> scans;
+    std::set<std::string_view> names;   // sensors without a name are known by their order
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
+        if (!sensor.name().empty() && !names.insert(sensor.name()).second)
+            refuse(field + ".name", quoted(sensor.name()) + " again", "another name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
         scans.push_back(read_scan(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()}, rig_from_sensor));
     }

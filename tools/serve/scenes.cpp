@@ -124,6 +124,9 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
     } catch (const DataError& error) {
         undo();
         throw Refusal(grpc::StatusCode::FAILED_PRECONDITION, fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+    } catch (const DeviceLost&) {
+        undo();
+        throw;
     } catch (const DeviceError& error) {
         undo();
         throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED, fmt::format("spawning {} actors: {}", wishes.size(), error.what()));

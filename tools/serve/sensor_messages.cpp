@@ -20,7 +20,7 @@ namespace {
 constexpr std::uint64_t kMostRows = 65536;
 constexpr std::size_t kLongestName = 200;
 constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0,
-                 kWidestBeam_rad = 1.0;
+                 kWidestBeam_rad = 1.0, kFarthestBeam_m = 10.0, kFastestMirror_hz = 1e6;
 
 void check_count(const std::string& field, std::uint64_t rays) {
     if (rays < 1 || rays > kMostRaysOfScan)
@@ -89,12 +89,22 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     return rays;
 }
 
+/// Adds a beam by the rules of beam tables in files.
+void read_beam(const v1::Beam& message, const std::string& field, SpinningSensor& sensor) {
+    const Beam beam{read_between(field + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
+                    read_between(field + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
+                    read_between(field + ".origin_offset_m", message.origin_offset_m(), -kFarthestBeam_m, kFarthestBeam_m)};
+    if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad)
+        refuse(field + ".elevation_rad", fmt::format("{} after {}", beam.elevation_rad, sensor.beams.back().elevation_rad),
+               "beams from the highest down: row 0 of an image is the highest");
+    sensor.beams.push_back(beam);
+}
+
 SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field) {
     check_count(field, std::uint64_t(message.beams_size()) * message.columns());
     check_rows(field, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
-    for (const v1::Beam& beam : message.beams())
-        sensor.beams.push_back({beam.elevation_rad(), beam.azimuth_offset_rad(), beam.origin_offset_m()});
+    for (const v1::Beam& beam : message.beams()) read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
@@ -105,22 +115,23 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
 ScanningWindow read_window(const v1::ScanningWindow& message, const std::string& field) {
     check_count(field, std::uint64_t(message.rows()) * message.columns());
     check_rows(field, message.rows());
+    const double top_rad = read_between(field + ".top_rad", message.top_rad(), -kPi / 2, kPi / 2);
     return {.name = "",
             .rows = int(message.rows()),
             .columns = int(message.columns()),
-            .left_rad = message.left_rad(),
-            .right_rad = message.right_rad(),
-            .top_rad = message.top_rad(),
-            .bottom_rad = message.bottom_rad(),
+            .left_rad = read_between(field + ".left_rad", message.left_rad(), -2 * kPi, 2 * kPi),
+            .right_rad = read_between(field + ".right_rad", message.right_rad(), -2 * kPi, 2 * kPi),
+            .top_rad = top_rad,
+            .bottom_rad = read_between(field + ".bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),   // row 0 is the highest
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
 Rosette read_rosette(const v1::Rosette& message, const std::string& field) {
     check_count(field, message.rays());
     return {.name = "",
-            .deflection_rad = message.deflection_rad(),
-            .first_hz = message.first_hz(),
-            .second_hz = message.second_hz(),
+            .deflection_rad = read_between(field + ".deflection_rad", message.deflection_rad(), 0.0, kPi / 2),
+            .first_hz = read_between(field + ".first_hz", message.first_hz(), -kFastestMirror_hz, kFastestMirror_hz),
+            .second_hz = read_between(field + ".second_hz", message.second_hz(), -kFastestMirror_hz, kFastestMirror_hz),
             .n_rays = int(message.rays()),
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }

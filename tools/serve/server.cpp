@@ -16,6 +16,7 @@
 
 #include <relidar/error.hpp>
 
+#include "acceptor.hpp"
 #include "asset_shelf.hpp"
 #include "render_work.hpp"
 #include "sensorsim_service.hpp"
@@ -27,6 +28,8 @@ namespace {
 constexpr int kLargestRequest = 40 << 20;   // bytes: a table of the most rays, 30 bytes each, and room for what is around it
 constexpr std::size_t kOtherThreads = 32;   // beside those that wait in the queue: for calls that are answered at once
 constexpr int kKeepalive_ms = 20'000;       // a client that vanished without a word is noticed after that
+constexpr int kHandshake_ms = 10'000;       // a connection that does not speak gRPC by then is closed
+constexpr int kLongestIdle_ms = 600'000;    // of a connection; clients connect again when they need to
 
 std::string read_pem(const std::string& file) {
     std::ifstream in(file, std::ios::binary);
@@ -66,11 +69,13 @@ struct ScanServer::Impl {
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
+    std::optional<Acceptor> acceptor;
+    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;   ///< of the server
     std::unique_ptr<grpc::Server> server;
-    int port = 0;
 
     explicit Impl(std::size_t waiting) : queue(waiting) {}
     ~Impl() {
+        if (acceptor) acceptor->stop();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
         on_render_thread([&] { scenes.reset(), device.reset(); });
@@ -78,10 +83,12 @@ struct ScanServer::Impl {
 
     void on_render_thread(const std::function<void()>& work) { queue.enter()->run(work, [] { return true; }); }
     void listen(const ServerOptions& options);
+    void set_serving(bool serving);
 };
 
 void ScanServer::Impl::listen(const ServerOptions& options) {
     silence_log();
+    acceptor.emplace(options.listen);
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
@@ -89,17 +96,31 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     grpc::ServerBuilder builder;
     builder.SetResourceQuota(quota);
     builder.SetMaxReceiveMessageSize(kLargestRequest);
-    builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);   // a second server at the same port is a mistake
     builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepalive_ms);
-    builder.AddListeningPort(options.listen, credentials(options), &port);
+    builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshake_ms);
+    builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
+    using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
+    connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials(options));
     builder.RegisterService(&*service);
     if (sensorsim) builder.RegisterService(&*sensorsim);
     server = builder.BuildAndStart();
-    if (!server || port == 0)
-        throw UsageError(fmt::format("listening at {}: it is taken, or no address of this machine, expected a free HOST:PORT{}",
-                                     options.listen, options.tls_cert.empty() ? "" : ", and a certificate that fits its key"));
-    server->GetHealthCheckService()->SetServingStatus(v1::RenderService::service_full_name(), true);
-    if (sensorsim) server->GetHealthCheckService()->SetServingStatus(sensorsim::SensorsimService::service_full_name(), true);
+    if (!server)
+        throw UsageError(fmt::format("listening at {}: gRPC does not start{}", options.listen,
+                                     options.tls_cert.empty() ? "" : ", expected a certificate that fits its key"));
+    set_serving(true);
+    acceptor->start([this](int listener, int connection) {
+        grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;
+        accepted.listener_fd = listener;
+        accepted.fd = connection;
+        connections->HandleNewConnection(&accepted);
+    });
+}
+
+void ScanServer::Impl::set_serving(bool serving) {
+    grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
+    health.SetServingStatus(v1::RenderService::service_full_name(), serving);
+    if (sensorsim) health.SetServingStatus(sensorsim::SensorsimService::service_full_name(), serving);
+    if (!serving) health.SetServingStatus("", false);   // the server as a whole
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
@@ -117,7 +138,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
 
 ScanServer::~ScanServer() = default;
 
-int ScanServer::port() const { return impl_->port; }
+int ScanServer::port() const { return impl_->acceptor->port(); }
 const std::string& ScanServer::device_name() const { return impl_->device->info().name; }
 
 std::vector<std::string> ScanServer::scenes() const {
@@ -126,7 +147,14 @@ std::vector<std::string> ScanServer::scenes() const {
     return names;
 }
 
+std::optional<std::string> ScanServer::device_loss() {
+    const std::optional<std::string> loss = impl_->queue.device_loss();
+    if (loss) impl_->set_serving(false);
+    return loss;
+}
+
 void ScanServer::stop(std::chrono::milliseconds patience) {
+    impl_->acceptor->stop();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
     impl_->server->Shutdown(std::chrono::system_clock::now() + patience);
 }

@@ -47,6 +47,9 @@ public:
     int port() const;
     const std::string& device_name() const;
     std::vector<std::string> scenes() const;
+    /// What the device's driver answered when it lost the device; nothing while it works. From then on the health service says NOT_SERVING,
+    /// and calls that render get UNAVAILABLE.
+    std::optional<std::string> device_loss();
     /// No new calls; those there are have so long to end, then they are cancelled.
     void stop(std::chrono::milliseconds patience);
 

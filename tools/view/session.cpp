@@ -150,10 +150,9 @@ Json Session::save(const SaveWish& wish) const {
     Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);   // throws before there is a folder
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;
-    if (!std::filesystem::create_directory(folder, failed)) {   // also where there is a link of that name
-        const std::string why = failed ? failed.message() : "it is there already";
-        throw UsageError(fmt::format("saving {}: {}, expected a name that is free in {}", wish.name, why, save_folder_.string()));
-    }
+    if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))
+        throw UsageError(
+            fmt::format("saving {}: it is there already, expected a name that is free in {}", wish.name, save_folder_.string()));
     run.folder = folder;
     save_run(run);
     return {{"folder", folder.string()}};

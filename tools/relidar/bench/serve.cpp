@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include "../../network/host_port.hpp"
 #include "../../serve/latency.hpp"
 #include "console.hpp"
 #include <relidar/error.hpp>
@@ -19,6 +20,7 @@ void bench_service(const ServeBench& bench) {
         throw UsageError(fmt::format("--clients: found {}, expected 1 to {}", bench.clients, kMostClients));
     if (bench.calls < 1 || bench.calls > kMostCalls)
         throw UsageError(fmt::format("--calls: found {}, expected 1 to {}", bench.calls, kMostCalls));
+    (void)parse_host_port(bench.address, "--serve", 1);
     const serve::LatencyResult r = serve::measure_latency({bench.address, bench.scene, bench.sensor, bench.clients, bench.calls});
     const auto row = [](const char* name, const serve::Percentiles& p) -> std::vector<std::string> {
         return {name, fmt::format("{:.1f}", p.p50), fmt::format("{:.1f}", p.p99)};

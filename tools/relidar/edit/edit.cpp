@@ -65,7 +65,7 @@ void run_edit(const EditOptions& options) {
             "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario or --keep (see `relidar edit "
             "--help`)");
     check_other_folder(options);
-    const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
+    const NewRun edited(options.out, options.force);
     Run run = load_run(options.run, note);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
@@ -79,10 +79,7 @@ void run_edit(const EditOptions& options) {
     }
     text += sparse_actors(driving, before);
     run.replace(std::move(driving));
-    remove_run_files(folder.path());
-    remove_blocks(folder.path());
-    run.folder = folder.path();
-    save_run(run);
+    edited.save(run);
     if (!options.quiet)
         print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(), run.scene.models.size(),
                                  count_surfels(run.scene), options.out));

@@ -55,7 +55,8 @@ void check_held_out(const Split& split, const std::string& where) {
 /// Where results go, proved writable before the work begins: by the first process, before another goes on.
 struct Output {
     std::filesystem::path file, pictures;      ///< empty: none
-    std::optional<OutputFolder> of_file, of_pictures;
+    std::optional<OutputFolder> of_file;
+    std::optional<LockedFolder> of_pictures;
 
     Output(const std::filesystem::path& metrics, const std::string& picture_folder, const Ranks& ranks)
         : file(metrics), pictures(picture_folder) {

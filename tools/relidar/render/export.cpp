@@ -47,7 +47,7 @@ PoseTrack sensor_path(const Sequence& sequence) {
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run, note);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
-    const OutputFolder folder(options.out);
+    const LockedFolder folder(options.out);
     const Scene scene = whole_scene(run.scene);
     const glm::dvec3& offset = run.sequence.world_offset_m;
     catch_interrupts();
@@ -89,13 +89,10 @@ void run_export(const ExportOptions& options) {
 }
 
 void run_import(const ImportOptions& options) {
-    const RunFolder folder(options.out, options.force ? Existing::replace : Existing::refuse);
+    const NewRun imported(options.out, options.force);
     Run run = load_run(options.run, note);
     run.scene = read_surfel_ply(options.file, whole_scene(run.scene), run.config.image.primitive);
-    remove_run_files(folder.path());
-    remove_blocks(folder.path());
-    run.folder = folder.path();
-    save_run(run);
+    imported.save(run);
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));
 }
 

@@ -311,7 +311,7 @@ void run_render(const RenderOptions& given) {
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
-    std::optional<OutputFolder> folder;
+    std::optional<LockedFolder> folder;
     if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
     Run run = load_run(options.run, note);
     apply_sets(run.config, options.sets);

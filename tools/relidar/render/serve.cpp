@@ -2,6 +2,7 @@
 // relidar serve: scans of runs for simulators, by gRPC, until Ctrl-C.
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <thread>
 
 #ifdef __GLIBC__
@@ -12,6 +13,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "../../network/descriptors.hpp"
+#include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
 #include "../../serve/server.hpp"
 #include "command.hpp"
@@ -35,6 +38,7 @@ struct ServeOptions {
 constexpr int kLongestQueue = 10'000;
 constexpr std::chrono::seconds kPatience{30};   // for calls in work when Ctrl-C comes
 constexpr std::chrono::milliseconds kLook{100};
+constexpr std::chrono::seconds kFarewell{2};    // for clients to hear of a lost device
 
 /// Of the interface beside ours, where one is wanted.
 std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
@@ -58,12 +62,11 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = sensorsim_poses(options);
+    (void)parse_host_port(server.listen, "--listen", 0);
     server.weather = parse_weather(options.weather);
     server.device = device_options(options.device);
     return server;
 }
-
-std::string host_of(const std::string& listen) { return listen.substr(0, listen.rfind(':')); }
 
 /// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own: scans and sensors that are made on one thread and
 /// let go on another leave gaps in each, so that the process grows for hours although what it uses does not (docs/reliability.md).
@@ -75,19 +78,27 @@ void share_one_heap() {
 
 void run_serve(const ServeOptions& options) {
     share_one_heap();
+    raise_descriptor_limit();
     const serve::ServerOptions wanted = server_options(options);
     if (!options.quiet) note_weather(wanted.weather);
-    if (!is_loopback(host_of(wanted.listen)))
+    const std::string host = wanted.listen.substr(0, wanted.listen.rfind(':'));
+    if (!is_loopback(host))
         note(fmt::format("--listen {}: whoever reaches this address can render and upload, there is no authentication{}", wanted.listen,
                          wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
     catch_interrupts();
     serve::ScanServer server(wanted);
     if (!options.quiet) {
-        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host_of(wanted.listen), server.port(),
+        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host, server.port(),
                           server.device_name()));
         std::fflush(stdout);   // for who waits for the line through a pipe
     }
-    while (!interrupted()) std::this_thread::sleep_for(kLook);
+    while (!interrupted()) {
+        if (const std::optional<std::string> loss = server.device_loss()) {
+            server.stop(kFarewell);
+            throw DeviceError(*loss);
+        }
+        std::this_thread::sleep_for(kLook);
+    }
     if (!options.quiet) note("interrupted: calls in work are finished, a second Ctrl-C ends at once");
     server.stop(kPatience);
 }

@@ -8,6 +8,8 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "../../network/descriptors.hpp"
+#include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
 #include "../../view/page.hpp"
 #include "../../view/server.hpp"
@@ -17,6 +19,7 @@
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
+#include "output_folder.hpp"
 #include <relidar/error.hpp>
 
 namespace relidar::cli {
@@ -39,13 +42,10 @@ struct ViewOptions {
 constexpr std::chrono::milliseconds kViewPatience{50};  // between looks at whether the user has pressed Ctrl-C
 constexpr std::chrono::seconds kGoodbye{5};              // for tabs that read slowly what is on its way to them
 
-/// Where edited runs go. @throws DataError where it is no folder
+/// Where edited runs go.
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
-    if (options.save_to.empty()) return std::filesystem::absolute(run.folder / "..").lexically_normal();
-    std::error_code failed;
-    if (!std::filesystem::is_directory(options.save_to, failed))
-        throw DataError(fmt::format("--save-to {}: no such folder, expected one to put edited runs in", options.save_to));
-    return std::filesystem::absolute(options.save_to).lexically_normal();
+    const std::filesystem::path folder = options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
+    return std::filesystem::absolute(folder).lexically_normal();
 }
 
 /// By the names that were typed.
@@ -56,8 +56,9 @@ view::OtherRuns other_runs(const std::vector<std::string>& folders) {
 }
 
 view::ServerOptions server_options(const ViewOptions& options) {
-    if (options.port < 0 || options.port > 65535)
-        throw UsageError(fmt::format("--port: found {}, expected 0 to 65535; 0 takes any that is free", options.port));
+    if (options.port < 0 || options.port > kLastPort)
+        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 takes any that is free", options.port,
+                                     kLastPort));
     view::ServerOptions server;
     server.address = options.address;
     server.port = options.port;
@@ -68,11 +69,14 @@ view::ServerOptions server_options(const ViewOptions& options) {
 }
 
 void run_view(const ViewOptions& options) {
+    raise_descriptor_limit();
     const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
     Run run = load_run(options.run, note);
     apply_sets(run.config, options.sets);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
+    std::optional<OutputFolder> made;   // removed if no run was saved
+    if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
     view::Server* out = nullptr;   // the server calls the session, and has to be gone before it: it is made after it
@@ -106,7 +110,9 @@ void add_view(CLI::App& app, Call& call) {
                      "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address that is printed holds a token "
                      "without which nobody is let in)")
         ->type_name("ADDRESS");
-    command->add_option("--save-to", options->save_to, "folder in which the page makes edited runs (default: the one that RUN is in)")
+    command
+        ->add_option("--save-to", options->save_to,
+                     "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
         ->type_name("DIR");
     command->add_option("--insert", options->inserts, "another run, whose actors the page can put on the ground; repeatable")
         ->type_name("RUN")

@@ -3,7 +3,7 @@
 import { instanceColour } from './colours.js';
 import { headingOf, transform } from './matrix.js';
 
-const MOVES = [['forward m', 0.5], ['left m', 0.5], ['up m', 0.25], ['turn °', 5]];
+const MOVES = [['forward m', 0.5, 10000], ['left m', 0.5, 10000], ['up m', 0.25, 10000], ['turn °', 5, 360]];   // label, step, limit
 const COPY_BESIDE_M = 3.5;
 
 const button = (label, onClick) => {
@@ -154,6 +154,12 @@ export class Actors {
     const inputs = MOVES.map(([label, step], i) => {
       const input = Object.assign(document.createElement('input'), { type: 'number', step, value: this.moves[track]?.[i] ?? 0 });
       input.addEventListener('input', () => {
+        const far = inputs.findIndex((field, k) => Math.abs(Number(field.value)) > MOVES[k][2]);
+        if (far >= 0) {
+          this.say(`${MOVES[far][0]}: ${inputs[far].value} is out of reach, expected -${MOVES[far][2]} to ${MOVES[far][2]}.`, true);
+          inputs[far].value = String(this.moves[track]?.[far] ?? 0);
+          return;
+        }
         const by = inputs.map((field) => Number(field.value) || 0);
         if (by.every((v) => v === 0)) delete this.moves[track];
         else this.moves[track] = by;

@@ -29,10 +29,17 @@ export class SensorPanel {
   makeInput(i, name, label, step) {
     const input = Object.assign(document.createElement('input'), { type: 'number', step, value: 0, id: `place-${name}`, min: -LIMITS[i], max: LIMITS[i] });
     input.addEventListener('input', () => {
-      if (input.value === '' || !input.checkValidity() && input.validity.rangeOverflow) return;
-      this.place[i] = Number(input.value);
+      if (input.value === '') return;   // "-" and "1e" too: not a number yet
+      const typed = Number(input.value);
+      if (Math.abs(typed) > LIMITS[i]) {
+        this.say(`${label}: ${typed} is out of reach, expected -${LIMITS[i]} to ${LIMITS[i]}; it stays at ${this.place[i]}.`, true);
+        this.showPlace(i);
+        return;
+      }
+      this.place[i] = typed;
       this.onChange();
     });
+    input.addEventListener('change', () => { if (input.value === '') this.showPlace(i); });
     const field = document.createElement('label');
     field.append(label, input);
     document.getElementById('place').append(field);
@@ -74,12 +81,17 @@ export class SensorPanel {
     this.hint.classList.toggle('alarm', isAlarm);
   }
 
+  /** Shows the number that is used. */
+  showPlace(i) {
+    this.inputs[i].value = String(Math.round(this.place[i] * 1000) / 1000);
+  }
+
   setPlace(place) {
     this.place = place.map((v, i) => {
       const turned = i < 3 ? v : ((((v + 180) % 360) + 360) % 360) - 180;
       return Math.max(-LIMITS[i], Math.min(LIMITS[i], turned));
     });
-    this.inputs.forEach((input, i) => { input.value = String(Math.round(this.place[i] * 1000) / 1000); });
+    this.inputs.forEach((_, i) => this.showPlace(i));
     this.onChange();
   }
 

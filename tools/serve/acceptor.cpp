@@ -1,0 +1,161 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "acceptor.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <memory>
+#include <system_error>
+#include <utility>
+
+#include <fcntl.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <fmt/format.h>
+
+#include <relidar/error.hpp>
+
+#include "../network/host_port.hpp"
+
+namespace relidar::serve {
+namespace {
+
+constexpr std::chrono::milliseconds kPause{50};   // until the system may have descriptors again
+constexpr int kMostDescriptors = 16384;           // of the process, connections included
+constexpr int kReservedDescriptors = 256;         // descriptors that are kept for files and the driver
+
+std::string message_of(int error) { return std::generic_category().message(error); }
+
+[[noreturn]] void fail(const std::string& address, const std::string& why) {
+    throw UsageError(fmt::format("listening at {}: {}, expected a free HOST:PORT of this machine", address, why));
+}
+
+struct FreeAddresses {
+    void operator()(addrinfo* all) const { ::freeaddrinfo(all); }
+};
+using Addresses = std::unique_ptr<addrinfo, FreeAddresses>;
+
+Addresses addresses_of(const std::string& host, const std::string& address) {
+    addrinfo hints{};
+    hints.ai_socktype = SOCK_STREAM;
+    hints.ai_flags = AI_PASSIVE;
+    addrinfo* all = nullptr;
+    if (const int error = ::getaddrinfo(host.c_str(), nullptr, &hints, &all); error != 0) fail(address, ::gai_strerror(error));
+    return Addresses(all);
+}
+
+void set_port(sockaddr& address, int port) {
+    const auto number = htons(static_cast<std::uint16_t>(port));
+    if (address.sa_family == AF_INET6) reinterpret_cast<sockaddr_in6&>(address).sin6_port = number;
+    else reinterpret_cast<sockaddr_in&>(address).sin_port = number;
+}
+
+int port_of(int listener) {
+    sockaddr_storage storage{};
+    socklen_t size = sizeof(storage);
+    if (::getsockname(listener, reinterpret_cast<sockaddr*>(&storage), &size) != 0) return 0;
+    if (storage.ss_family == AF_INET6) return ntohs(reinterpret_cast<const sockaddr_in6&>(storage).sin6_port);
+    return ntohs(reinterpret_cast<const sockaddr_in&>(storage).sin_port);
+}
+
+void set_option(int socket, int level, int name, int value) { (void)::setsockopt(socket, level, name, &value, sizeof(value)); }
+
+/// @return the listening socket, or -1 with errno
+int listen_at(const addrinfo& address) {
+    const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    if (listener < 0) return -1;
+    set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
+    set_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);   // its connections have it too
+    if (address.ai_family == AF_INET6) set_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
+    if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0) return listener;
+    const int error = errno;
+    ::close(listener);
+    errno = error;
+    return -1;
+}
+
+/// Connections have lower descriptors than this. The system always assigns the lowest one that is free.
+int first_spare_descriptor() {
+    rlimit limit{};
+    const bool is_known = ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
+    const int most = is_known ? int(limit.rlim_cur) : kMostDescriptors;
+    return most - std::min(kReservedDescriptors, most / 4);
+}
+
+}  // namespace
+
+Acceptor::Acceptor(const std::string& text) {
+    const HostPort wanted = parse_host_port(text, "--listen", 0);
+    const Addresses all = addresses_of(wanted.host, text);
+    int error = EADDRNOTAVAIL;
+    port_ = wanted.port;
+    for (const addrinfo* address = all.get(); address; address = address->ai_next) {
+        set_port(*address->ai_addr, port_);
+        const int listener = listen_at(*address);
+        if (listener < 0) error = errno;
+        if (listener < 0 && error == EADDRINUSE && wanted.port != 0) break;
+        if (listener < 0) continue;   // a family that this machine does not have
+        listeners_.push_back(listener);
+        port_ = port_of(listener);
+    }
+    const bool is_taken = error == EADDRINUSE && wanted.port != 0;
+    if (listeners_.empty() || is_taken || ::pipe2(wake_, O_CLOEXEC) != 0) {
+        close_all();
+        fail(text, is_taken ? "it is taken" : message_of(error));
+    }
+}
+
+Acceptor::~Acceptor() {
+    stop();
+    close_all();
+}
+
+void Acceptor::close_all() {
+    for (const int listener : listeners_) ::close(listener);
+    listeners_.clear();
+    for (int& end : wake_)
+        if (end >= 0) ::close(std::exchange(end, -1));
+}
+
+void Acceptor::start(Receive receive) {
+    receive_ = std::move(receive);
+    thread_ = std::thread([this] { serve(); });
+}
+
+void Acceptor::stop() {
+    if (!thread_.joinable()) return;
+    const char any = 0;
+    while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {
+    }
+    thread_.join();
+    for (const int listener : listeners_) ::close(listener);   // clients are refused from now on
+    listeners_.clear();
+}
+
+void Acceptor::serve() {
+    std::vector<pollfd> waits{{wake_[0], POLLIN, 0}};
+    for (const int listener : listeners_) waits.push_back({listener, POLLIN, 0});
+    while (true) {
+        if (::poll(waits.data(), waits.size(), -1) < 0) continue;
+        if (waits.front().revents != 0) return;
+        for (const pollfd& wait : waits)
+            if (wait.revents != 0) accept_one(wait.fd);
+    }
+}
+
+void Acceptor::accept_one(int listener) {
+    const int connection = ::accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+    const bool is_full = connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
+    if (is_full) std::this_thread::sleep_for(kPause);
+    if (connection < 0) return;   // the client has left already
+    if (connection >= first_spare_descriptor()) ::close(connection);
+    else receive_(listener, connection);
+}
+
+}  // namespace relidar::serve
