@@ -128,7 +128,7 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
                              100.0 * found.on_planes, found.rounds.back().residual_m,
                              !has_poses(sequence, config) ? way_text(found.world_from_vehicle)
-                                                              : PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).text(),
+                                 : PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).text(),
                              loops_text(found)));
     if (has_poses(sequence, config))
         if (const std::string warning = PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).warning(); !warning.empty())

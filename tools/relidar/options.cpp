@@ -121,7 +121,8 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
     for (const std::string& set : sets) {
         apply_sets(scratch, {set});   // a wrong key or value has its own message
         const std::string key = set.substr(0, set.find('='));
-        const bool is_used = std::ranges::any_of(used, [&](const std::string& name) { return name.ends_with('.') ? key.starts_with(name) : key == name; });
+        const bool is_used = std::ranges::any_of(
+            used, [&](const std::string& name) { return name.ends_with('.') ? key.starts_with(name) : key == name; });
         if (is_used) continue;
         throw UsageError(fmt::format("--set: found {}, which changes nothing in `relidar {}`; expected {}", key, command,
                                      used.empty() ? "no setting" : fmt::format("some of {}", fmt::join(used, ", "))));
