@@ -97,8 +97,10 @@ ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, 
 ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction, const Pose& box_from_sensor,
                          const glm::dvec3& size_m, std::size_t surfels);
 
-/// A trajectory as CSV: time_s, x, y, z, yaw_deg[, pitch_deg, roll_deg] a line, R = Rz(yaw) Ry(pitch) Rx(roll); the first line may be
-/// a header (write_trajectory() in export.hpp writes one). @throws DataError naming line and column, and for fewer than two poses
+/// Reads a trajectory from CSV, R = Rz(yaw) Ry(pitch) Rx(roll). A header names the columns in any order: time_s, x, y,
+/// z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit. Without a header the columns are time_s, x, y,
+/// z, yaw_deg[, pitch_deg, roll_deg]. write_trajectory() in export.hpp writes such a file.
+/// @throws DataError naming line and column, also for an unknown column and for fewer than two poses
 PoseTrack read_trajectory(const std::filesystem::path& path);
 
 /// An entity of an OpenSCENARIO, and the trajectory that it follows.

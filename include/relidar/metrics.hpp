@@ -87,6 +87,8 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 /// Which returns of a scan lie in a box that moves. @return [n] rays
 /// @param sensor_offset of the sensor that made the scan from the log's own
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset = {});
+/// Same for boxes that were discovered without a label.
+std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset = {});
 
 /// How close points are, as the strict protocol has it: points/{depth_*,cd_*,f_*}, of the clouds that files hold, whose ranges may be other
 /// than those of the image. @throws DataError as evaluate()

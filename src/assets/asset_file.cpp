@@ -61,7 +61,7 @@ void save_asset(Asset asset, const fs::path& folder) {
 
 AssetFacts read_asset_facts(const fs::path& folder) {
     const std::string file = (folder / kAssetFile).string();
-    const nlohmann::json json = parse_json(read_file(file), file);
+    const nlohmann::json json = parse_json(read_text(file), file);
     const JsonField root(json, file, "");
     if (const std::string format = root.at("format").text(); format != kAssetFormat)
         root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kAssetFormat));

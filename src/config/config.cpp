@@ -154,7 +154,7 @@ std::vector<ConfigKey> config_keys(const Config& config) {
 void set_key(Config& config, const std::string& key, const std::string& value) { set_found(config, key, {value, Found::Quotes::unknown}); }
 
 void load_config(Config& config, const std::filesystem::path& path, const std::function<void(const std::string&)>& note) {
-    const std::string text = read_file(path);
+    const std::string text = read_text(path);
     check_toml_depth(text, path.string());
     Config result = config;   // all or nothing
     std::vector<std::string> former;

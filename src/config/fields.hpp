@@ -78,8 +78,9 @@ void visit_dataset(C& c, Visitor&& f) {
       "leave scans that cannot be read out, with a note each; false: the first of them is an error");
     f("dataset.min_range_m", c.dataset.min_range_m, at_least(0),
       "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
-    f("dataset.max_range_m", c.dataset.max_range_m, above(0),
-      "returns beyond this range count as dropped, and the log's sensor simulates none there, metres");
+    f("dataset.max_range_m", c.dataset.max_range_m, at_least(0),
+      "returns beyond this range count as dropped, and the log's sensor simulates none there, metres; 0: the sensor's own limit, or the "
+      "log's farthest return if that is not known");
     f("dataset.waymo_intensity", c.dataset.waymo_intensity, one_of({"tanh", "clamp"}),
       expert("intensities of Waymo Open, which have no upper end: their tanh, or cut at 1"));
     f("dataset.memory_mib", c.dataset.memory_mib, between(0, kMaxCount),

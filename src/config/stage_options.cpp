@@ -3,6 +3,13 @@
 
 namespace relidar {
 
+Config with_farthest(Config config, const Sequence& sequence) {
+    if (config.dataset.max_range_m > 0.0) return config;
+    for (const Lidar& lidar : sequence.lidars)
+        config.dataset.max_range_m = std::max(config.dataset.max_range_m, lidar.sensor.max_range_m);
+    return config;
+}
+
 TraceOptions trace_options(const Config& config) {
     TraceOptions options;
     options.chunk = config.trace.chunk;

@@ -50,6 +50,14 @@ std::string read_file(const fs::path& path) {
     return text;
 }
 
+std::string read_text(const fs::path& path) {
+    std::string text = read_file(path);
+    if (text.starts_with("\xEF\xBB\xBF")) text.erase(0, 3);
+    if (text.starts_with("\xFF\xFE") || text.starts_with("\xFE\xFF"))
+        throw DataError(fmt::format("{}: found text in UTF-16, expected UTF-8", path.string()));
+    return text;
+}
+
 bool path_exists(const fs::path& path) { return fs::exists(status_of(path)); }
 
 void check_folder(const fs::path& path, const std::string& expected) {

@@ -13,6 +13,10 @@ namespace relidar {
 /// Content of a file. @throws DataError where it is missing or cannot be read
 std::string read_file(const std::filesystem::path& path);
 
+/// Content of a text file without the byte-order mark that Excel and others write in front of UTF-8.
+/// @throws DataError if the file is missing, cannot be read, or begins with the mark of UTF-16
+std::string read_text(const std::filesystem::path& path);
+
 /// Whether a path leads to something. @throws DataError where the system does not say (no permission, a loop of links, too long a name)
 bool path_exists(const std::filesystem::path& path);
 

@@ -3,6 +3,7 @@
 #include <relidar/dataset.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include <fmt/format.h>
@@ -111,14 +112,58 @@ void check_bare_folder(const fs::path& path) {
     }
 }
 
+/// Farthest return of a LiDAR in whole metres, rounded up; 80 m if the log has no return. Points are cut at 80 m in KITTI.
+double farthest_return_m(const Sequence& sequence, int lidar) {
+    constexpr float kFarthest_m = 1000.0f;   // a point beyond it is no return of a LiDAR on a vehicle
+    constexpr double kWithoutReturns_m = 80.0;
+    std::vector<float> farthest(sequence.frames.size(), 0.0f);
+    run_parallel(static_cast<int>(farthest.size()), [&](int i) {
+        const Frame& frame = sequence.frames[std::size_t(i)];
+        if (frame.lidar != lidar) return;
+        const auto look = [&](float range_m) {
+            if (range_m <= kFarthest_m) farthest[std::size_t(i)] = std::max(farthest[std::size_t(i)], range_m);
+        };
+        for (const float range_m : frame.scan.range_m) look(range_m);
+        for (const SecondReturn& second : frame.scan.second_returns)
+            for (const float range_m : second.range_m) look(range_m);
+    });
+    const float all = farthest.empty() ? 0.0f : *std::ranges::max_element(farthest);
+    return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
+}
+
+/// Gives a LiDAR whose limit is not known the farthest return of the log, with a note.
+void find_farthest(Sequence& sequence) {
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+        SpinningSensor& sensor = sequence.lidars[l].sensor;
+        if (std::isfinite(sensor.max_range_m)) continue;
+        sensor.max_range_m = farthest_return_m(sequence, static_cast<int>(l));
+        const std::string& name = sequence.lidars[l].name;
+        sequence.notes.push_back(fmt::format("range{}: {} m, the farthest return; the sensor's own limit is not known",
+                                             name.empty() ? "" : " of " + name, sensor.max_range_m));
+    }
+}
+
 /// No LiDAR sees anything beyond its own limits and the given ones.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
+    find_farthest(sequence);
     for (Lidar& lidar : sequence.lidars) {
         const RangeLimits limits = overlap(lidar.sensor.range_limits(), wanted);
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
     for (Frame& frame : sequence.frames) drop_outside(frame.scan, sequence.lidar_of(frame).sensor.range_limits());
+}
+
+/// Notes that a log has no intensities: it has returns, and all of them have intensity 0.
+void note_missing_intensities(Sequence& sequence) {
+    std::vector<char> has_returns(sequence.frames.size(), 0), has_intensities(sequence.frames.size(), 0);
+    run_parallel(static_cast<int>(has_returns.size()), [&](int i) {
+        const Scan& scan = sequence.frames[std::size_t(i)].scan;
+        has_returns[std::size_t(i)] = scan.count_returns() > 0;
+        has_intensities[std::size_t(i)] = std::ranges::any_of(scan.intensity, [](float v) { return v > 0.0f; });
+    });
+    if (std::ranges::count(has_returns, 1) > 0 && std::ranges::count(has_intensities, 1) == 0)
+        sequence.notes.push_back("no intensities: every return has 0, so that rendered intensities mean nothing and are not scored");
 }
 
 /// Leaves the named LiDARs, in the log's order; frames and poses of the others alone go.
@@ -238,6 +283,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
     find_sweeps(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
+    note_missing_intensities(sequence);
     return sequence;
 }
 

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <vector>
 
@@ -178,18 +179,27 @@ const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track)
     return *find_box(owner.sequence, track);
 }
 
-/// A rotation that faces in a direction on a plane.
-glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
-    const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
-    const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
-    const glm::dvec3 ahead = glm::normalize(glm::dvec3(level, climb));
-    return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
+/// Plane below an actor of the log that stands at a place, whose box hides the road from the sensor. Nothing without such an actor.
+/// @param clearance_m  how far the bottom of such a box is above the ground
+std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& sequence,
+                                          const std::function<double(const BoxTrack&)>& clearance_m) {
+    const BoxTrack* nearest = nullptr;
+    Pose at;
+    double nearest_m = std::numeric_limits<double>::infinity();
+    for (const BoxTrack& box : sequence.boxes)
+        for (const Pose& pose : box.world_from_box.pose) {
+            const double apart_m = glm::distance(glm::dvec2(pose.translation), xy);
+            const Footprint footprint{pose.translation, heading_of(pose), 0.5 * glm::dvec2(box.size_m)};
+            if (apart_m < nearest_m && footprint.holds(glm::dvec3(xy, 0.0), 0.0)) nearest = &box, at = pose, nearest_m = apart_m;
+        }
+    if (!nearest) return {};
+    const glm::dvec3 up = at.rotation * glm::dvec3(0.0, 0.0, 1.0);
+    if (up.z < kLevelPlane) return {};
+    return GroundPlane{at.translation - (0.5 * nearest->size_m.z + clearance_m(*nearest)) * up, up};
 }
 
-}  // namespace
-
-std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track) {
-    const BoxTrack& box = box_of_actor(owner, track);
+/// Median height of a box's bottom above the ground along its track.
+std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box) {
     std::vector<glm::dvec2> places;
     const std::vector<Pose>& poses = box.world_from_box.pose;
     const std::size_t step = std::max<std::size_t>(1, poses.size() / kOwnPlaces);
@@ -206,13 +216,29 @@ std::optional<double> ground_clearance(const DrivingView& owner, const std::stri
     return found[found.size() / 2];
 }
 
+/// A rotation that faces in a direction on a plane.
+glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
+    const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
+    const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
+    const glm::dvec3 ahead = glm::normalize(glm::dvec3(level, climb));
+    return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
+}
+
+}  // namespace
+
+std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track) {
+    return clearance_of(owner, box_of_actor(owner, track));
+}
+
 Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner, const std::string& track) {
     const BoxTrack& box = box_of_actor(owner, track);
     const glm::dvec3 offset_m = driving.sequence.world_offset_m;
     const glm::dvec2 xy = place.dataset_m - glm::dvec2(offset_m);
     const double yaw_rad = place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(driving.sequence.world_from_vehicle, xy));
     const LevelSurfels surfels(driving, {xy});
-    const std::optional<GroundPlane> plane = surfels.below(footprint_of(xy, yaw_rad, box.size_m));
+    std::optional<GroundPlane> plane = surfels.below(footprint_of(xy, yaw_rad, box.size_m));
+    if (!plane)
+        plane = below_actor_at(xy, driving.sequence, [&](const BoxTrack& there) { return clearance_of(driving, there).value_or(0.0); });
     if (!plane)
         throw UsageError(fmt::format("placing {} on the ground at {:.6g},{:.6g} of the dataset's world: found no surface of the background "
                                      "below its box ({}), expected a place that the log has seen",

@@ -172,7 +172,7 @@ ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object, c
 }  // namespace
 
 std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
-    const std::string text = read_file(path);
+    const std::string text = read_text(path);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed) throw DataError(fmt::format("{}: malformed XML at byte {}: {}", path.string(), parsed.offset, parsed.description()));

@@ -10,6 +10,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
+#include <relidar/stages/config.hpp>
 #include "evaluation/frame_sensor.hpp"
 #include "evaluation/people.hpp"
 #include "evaluation/tails.hpp"
@@ -20,11 +21,10 @@ namespace {
 constexpr double kSameTime_s = 1e-3;
 constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames have their images in memory
 
-/// The pixels whose return lies in a moving box: binned as the points are, with the answer in the place of the intensity.
-std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
-    const std::vector<bool> moving = moving_returns(sequence, frame, sensor_offset);
+/// The pixels of some returns. They are binned as points are, with the flag in the place of the intensity.
+std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
-    std::copy(moving.begin(), moving.end(), flags.intensity.begin());
+    std::copy(returns.begin(), returns.end(), flags.intensity.begin());
     const RangeImage binned = real_image(config, flags);
     return {binned.intensity.begin(), binned.intensity.end()};
 }
@@ -32,7 +32,14 @@ std::vector<bool> moving_pixels(const Config& config, const Sequence& sequence, 
 /// A frame that is rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    std::vector<bool> moving;  ///< [n] pixels
+    std::vector<bool> moving;      ///< [n] pixels whose return lies in a labelled box that moves
+    std::vector<bool> discovered;  ///< [n] pixels whose return lies in a discovered one; empty if the run has none
+
+    std::vector<Region> regions() const {
+        std::vector<Region> regions = standard_regions(frame.real, moving);
+        if (!discovered.empty()) regions.push_back({"discovered_boxes", discovered});
+        return regions;
+    }
 };
 
 RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
@@ -42,7 +49,9 @@ RenderedFrame real_frame(const Config& config, const Sequence& sequence, const F
     result.frame.time_s = frame.time_s;
     result.frame.start = frame.start;
     result.frame.real = real_image(config, frame.scan);
-    result.moving = moving_pixels(config, sequence, frame, sensor_offset);
+    result.moving = pixels_of(moving_returns(sequence, frame, sensor_offset), config, frame);
+    if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
+        result.discovered = pixels_of(discovered_returns(sequence, frame, sensor_offset), config, frame);
     return result;
 }
 
@@ -61,20 +70,29 @@ std::unique_ptr<Lpips> load_lpips(const Config& config) {
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
+/// False for a scan whose returns all have intensity 0: its log has none.
+bool has_intensities(const RangeImage& real) {
+    return std::ranges::any_of(real.intensity, [](float intensity) { return intensity > 0.0f; });
+}
+
 /// Metrics of all frames at once, on all cores. @param lpips or nothing
-std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config, const Lpips* lpips) {
+std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config, const Sequence& sequence,
+                               const Lpips* lpips) {
     MetricOptions options;
-    options.max_range_m = config.dataset.max_range_m;
+    options.max_range_m = with_farthest(config, sequence).dataset.max_range_m;
+    if (config.sensor.grid != "native") options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips;
     std::vector<Comparison> comparisons;
     for (const RenderedFrame& r : rendered)
         comparisons.push_back(
-            {&r.frame.rendered.image, &r.frame.real, standard_regions(r.frame.real, r.moving), point_ranges(r.frame.rendered, config)});
+            {&r.frame.rendered.image, &r.frame.real, r.regions(), point_ranges(r.frame.rendered, config)});
     const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered.size(); ++i) {
         frames.push_back(std::move(rendered[i].frame));
         frames.back().metrics = rows[i];
+        if (!has_intensities(frames.back().real))
+            std::erase_if(frames.back().metrics, [](const auto& metric) { return metric.first.find("intensity") != std::string::npos; });
     }
     return frames;
 }
@@ -131,7 +149,7 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
             if (many.progress) many.progress(what, double(i) / double(n));
             some.push_back(render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
         }
-        std::vector<ScoredFrame> done = score(std::move(some), many.config, lpips.get());
+        std::vector<ScoredFrame> done = score(std::move(some), many.config, many.sequence, lpips.get());
         add_actor_scores(done, many.sequence, many.config);
         for (ScoredFrame& frame : done) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
@@ -173,7 +191,7 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
                         const Pose& sensor_offset) {
     const std::unique_ptr<Lpips> lpips = load_lpips(config);
-    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, lpips.get()).front();
+    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence, lpips.get()).front();
 }
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,

@@ -31,6 +31,20 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
     return region;
 }
 
+/// Which rays of a frame have their return in one of some boxes that moves.
+Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+    const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
+    std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });   // once, not at each point of a parked car
+    Mask moving(frame.scan.range_m.size());
+    for (std::size_t ray = 0; ray < moving.size(); ++ray) {
+        if (!(frame.scan.range_m[ray] > 0.0f)) continue;
+        const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+        const double t_s = frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
+        moving[ray] = in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, kBoxMargin_m);
+    }
+    return moving;
+}
+
 }  // namespace
 
 MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, const std::vector<Region>& regions,
@@ -64,19 +78,16 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 }
 
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
-    const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
     for (BoxTrack& box : labelled) box = box.labelled_part();   // whatever was discovered, the same returns are compared
-    std::erase_if(labelled, [](const BoxTrack& box) { return !box.moves(); });   // once, not at each point of a parked car
-    Mask moving(frame.scan.range_m.size());
-    for (std::size_t ray = 0; ray < moving.size(); ++ray) {
-        if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-        const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-        const double t_s = frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
-        moving[ray] = in_moving_box(labelled, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, kBoxMargin_m);
-    }
-    return moving;
+    return returns_in_moving(std::move(labelled), sequence, frame, sensor_offset);
+}
+
+std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+    std::vector<BoxTrack> discovered = sequence.boxes;
+    std::erase_if(discovered, [](const BoxTrack& box) { return box.category != kDiscoveredCategory; });
+    return returns_in_moving(std::move(discovered), sequence, frame, sensor_offset);
 }
 
 }  // namespace relidar

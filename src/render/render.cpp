@@ -143,7 +143,8 @@ std::vector<float> range_spread(const RenderedScan& scan) {
 }
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
-    : impl_(new Impl{config, layout_of(scene), without_scans(sequence), sequence.world_from_vehicle, first_origin(sequence),
+    : impl_(new Impl{with_farthest(config, sequence), layout_of(scene), without_scans(sequence),
+                     sequence.world_from_vehicle, first_origin(sequence),
                      shifted_sweeps(sequence), wanted_channels(config.render.channels),
                      ResidentScene(device, scene, config, {.accel = {}, .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}

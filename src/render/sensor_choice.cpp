@@ -11,6 +11,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/sensor_files.hpp>
+#include <relidar/stages/config.hpp>
 #include "render/channel_pairs.hpp"
 #include "render/empty_scan.hpp"
 
@@ -20,8 +21,8 @@ namespace {
 
 constexpr float kLeastWeight = 0.05f;  ///< a simulated ray that met less than this has no point to bin
 
-RangeLimits configured_limits(const Config& config) {
-    return {config.dataset.min_range_m, config.dataset.max_range_m};
+RangeLimits configured_limits(const Config& config, const Sequence& sequence) {
+    return {config.dataset.min_range_m, with_farthest(config, sequence).dataset.max_range_m};
 }
 
 /// Those of a Rosette are made for each scan.
@@ -38,7 +39,7 @@ bool rolls_like_log(const Config& config, const Sequence& sequence) {
 SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
     const Lidar& own = sequence.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = own.sensor;
-    const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config));
+    const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config, sequence));
     return {.rays = rays_of(own.pattern, [&] { return nominal_rays(own, 0.0); }),
             .is_own = true,
             .follows_sweeps = config.render.follow_sweeps && !own.pattern,
@@ -52,7 +53,7 @@ SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lida
 
 SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence, int lidar) {
     const std::string& method = config.sensor.grid_method;
-    const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config));
+    const RangeLimits limits = overlap({0.0, grid.max_range_m}, configured_limits(config, sequence));
     if (method == "cast")
         return {.rays = make_rays(grid),
                 .limits = limits,

@@ -20,6 +20,7 @@
 #include "run/scene_json.hpp"
 #include "run/sweeps_file.hpp"
 #include <relidar/error.hpp>
+#include <relidar/stages/config.hpp>
 #include <relidar/export.hpp>
 
 namespace relidar {
@@ -197,8 +198,9 @@ Run load_run(const fs::path& folder, const std::function<void(const std::string&
     // Earlier versions wrote true for what is automatic now, and training does the same with both.
     if (run.config.sensor.rolling_shutter == RollingShutter::yes) run.config.sensor.rolling_shutter = RollingShutter::automatic;
     const fs::path scene_path = folder / kSceneFile;
-    run_detail::SceneFile scene = run_detail::parse_scene_json(read_file(scene_path), scene_path.string());
+    run_detail::SceneFile scene = run_detail::parse_scene_json(read_text(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
+    run.config = with_farthest(std::move(run.config), run.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
     run.held_out_placed = scene.held_out_placed;

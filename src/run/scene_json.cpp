@@ -277,6 +277,7 @@ std::string to_scene_json(const Run& run) {
                  {"name", s.name},
                  {"source", s.source},
                  {"source_conventions", s.conventions},
+                 {"notes", s.notes},
                  {"counts", {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
                  {"world_offset_m", to_json(s.world_offset_m)},
                  {"rolling_shutter", s.rolling_shutter},
@@ -306,6 +307,8 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     s.name = root.at("name").text();
     s.source = root.at("source").text();
     s.conventions = root.at("source_conventions").text();
+    if (root.has("notes"))
+        for (std::size_t i = 0; i < root.at("notes").size(); ++i) s.notes.push_back(root.at("notes").at(i).text());
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
     s.rolling_shutter = root.at("rolling_shutter").boolean();
     s.lidars = read_lidars(root);

@@ -61,7 +61,7 @@ SensorModel read_sensor(const SensorName& name) {
     const std::string stem = path.stem().string();
     SensorModel sensor = [&] {
         if (path.extension() == ".npz") return sensor_files::read_ray_npz(name.name, stem);
-        const std::string text = read_file(path);
+        const std::string text = read_text(path);
         if (path.extension() == ".json") return sensor_files::parse_sensor_json(text, stem, name.name, name.columns, name.rate_hz);
         return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, name.name) : beam_sensor(text, name);
     }();

@@ -67,13 +67,12 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
     if (taken.contains(name)) throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
 }
 
-/// A misspelt mounting would leave a sensor at the rig's origin without a word.
-void check_keys(const Json& sensor, const std::string& where) {
-    static const std::vector<std::string> kKeys{"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"};
-    for (const auto& [key, value] : sensor.items())
-        if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end())
+/// Refuses other keys: a misspelt mounting would leave a sensor at the rig's origin without a message.
+void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
+    for (const auto& [key, value] : object.items())
+        if (std::find(known.begin(), known.end(), key) == known.end())
             throw DataError(fmt::format("{}: unknown key '{}'{} (known: {})", where, excerpt(key),
-                                        did_you_mean(key, kKeys, "'"), fmt::join(kKeys, ", ")));
+                                        did_you_mean(key, known, "'"), fmt::join(known, ", ")));
 }
 
 }  // namespace
@@ -82,11 +81,12 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     if (fs::path(path).extension() != ".json") return {};
     Json json;
     try {
-        json = Json::parse(read_file(path));
+        json = Json::parse(read_text(path));
     } catch (const std::exception&) {
         return {};   // find_sensor() says what is wrong with it
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
+    check_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() || json.at("sensors").size() > kMostSensors)
         throw DataError(fmt::format("{}: expected a list \"sensors\" of 1 to {}", path, kMostSensors));
     std::vector<MountedSensor> rig;
@@ -96,7 +96,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
         const std::string name = text_of(sensor, "name", where);
         check_name(name, names, where);
         names.insert(name);
-        check_keys(sensor, where);
+        check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
         const SensorModel model = find_sensor(beside(text_of(sensor, "sensor", where), path));
         rig.push_back({name, model, mounting(sensor, where), returns_of(sensor, where)});
     }

@@ -60,6 +60,8 @@ SensorModel rays_of_json(const Json& json, const std::string& name, const std::s
     const auto number = [&](const char* key, double missing) {
         return number_of(find(json, key, {}), missing, fmt::format("{}: {}", where, key));
     };
+    JsonField(json, where, "").check_members({"directions", "origin", "time", "ring", "divergence", "divergence_mrad",
+                                              "min_range_m", "max_range_m"});
     RayColumns c{.direction = list("directions"), .origin = list("origin"), .time_s = list("time"), .channel = list("ring")};
     const Json& directions = json.at("directions");
     const bool image = directions.is_array() && !directions.empty() && directions[0].is_array() && !directions[0].empty() &&
@@ -186,8 +188,11 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
     }
     if (json.is_object() && json.contains("directions")) return rays_of_json(json, name, where);
     const JsonField root(json, where, "");
-    if (root.has("window")) return window_of(root.at("window"), name);
-    if (root.has("rosette")) return rosette_of(root.at("rosette"), name);
+    if (root.has("window") || root.has("rosette")) {
+        const std::string kind = root.has("window") ? "window" : "rosette";
+        root.check_members({kind});
+        return kind == "window" ? window_of(root.at(kind), name) : rosette_of(root.at(kind), name);
+    }
     if (json.is_object() && find(json, "beam_altitude_angles", {"beam_intrinsics"}))
         return ouster_sensor(json, name, where, columns, rate_hz);
     throw DataError(

@@ -3,6 +3,7 @@
 #include <relidar/train.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <iterator>
 #include <system_error>
@@ -27,7 +28,7 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
     options.poses_from = config.dataset.poses_from;
     options.skip_broken = config.dataset.skip_broken;
     options.rolling_shutter = config.sensor.rolling_shutter != RollingShutter::no;
-    options.max_range_m = config.dataset.max_range_m;
+    options.max_range_m = config.dataset.max_range_m > 0.0 ? config.dataset.max_range_m : INFINITY;
     options.min_range_m = config.dataset.min_range_m;
     options.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
@@ -43,13 +44,38 @@ namespace {
 /// Whether poses of the sensor are known before any are found from the scans.
 bool has_poses(const Sequence& sequence, const Config& config) { return config.dataset.poses != kNoPoses && sequence.has_poses; }
 
-/// @param from, to  [poses] of the log, and as registered
-std::string corrections_text(const PoseTrack& from, const PoseTrack& to) {
-    std::vector<double> metres;
-    for (std::size_t k = 0; k < from.pose.size(); ++k) metres.push_back(glm::length(to.pose[k].translation - from.pose[k].translation));
-    std::sort(metres.begin(), metres.end());
-    return fmt::format("corrections of {:.3f} m (median) to {:.3f} m", metres[metres.size() / 2], metres.back());
-}
+/// By how much registration moved and turned the poses of a log.
+struct PoseCorrections {
+    double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
+
+    /// @param from, to  [poses] of the log, and as registered
+    PoseCorrections(const PoseTrack& from, const PoseTrack& to) {
+        std::vector<double> metres, degrees;
+        for (std::size_t k = 0; k < from.pose.size(); ++k) {
+            const glm::dquat turn = glm::conjugate(from.pose[k].rotation) * to.pose[k].rotation;
+            metres.push_back(glm::length(to.pose[k].translation - from.pose[k].translation));
+            degrees.push_back(2.0 * std::atan2(glm::length(glm::dvec3(turn.x, turn.y, turn.z)), std::abs(turn.w)) * 180.0 / kPi);
+        }
+        std::ranges::sort(metres);
+        std::ranges::sort(degrees);
+        median_m = metres[metres.size() / 2], most_m = metres.back();
+        median_deg = degrees[degrees.size() / 2], most_deg = degrees.back();
+    }
+    std::string text() const {
+        return fmt::format("corrections of {:.3f} m and {:.2f} degrees (median) to {:.3f} m and {:.2f} degrees", median_m, median_deg,
+                           most_m, most_deg);
+    }
+    /// A warning if the log's poses are worse than good poses of a vehicle ever are, otherwise empty.
+    std::string warning() const {
+        constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
+        if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
+        return fmt::format(
+            "warning: the log's poses do not fit its scans: {}. Usual reasons: quaternions in x y z w order instead of w x y z, poses "
+            "of another frame or without the lever arm to the LiDAR, drifting GNSS, or times that are off; dataset.poses=none does "
+            "without them",
+            text());
+    }
+};
 
 std::string way_text(const PoseTrack& track) {
     double metres = 0.0;
@@ -102,8 +128,11 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
                              100.0 * found.on_planes, found.rounds.back().residual_m,
                              !has_poses(sequence, config) ? way_text(found.world_from_vehicle)
-                                                              : corrections_text(sequence.world_from_vehicle, found.world_from_vehicle),
+                                 : PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).text(),
                              loops_text(found)));
+    if (has_poses(sequence, config))
+        if (const std::string warning = PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).warning(); !warning.empty())
+            session.tell(warning);
     tell_lost(sequence, found, config, session);
     return found;
 }
@@ -111,6 +140,10 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
 void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     Registration found = registered(sequence, split, config, session);
     if (!found.done) found.world_from_vehicle.pose.clear();
+    if (found.done && has_poses(sequence, config)) {
+        const std::string warning = PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).warning();
+        if (!warning.empty()) sequence.notes.push_back(warning);
+    }
     PoseTrack track{sequence.world_from_vehicle.time_s, session.group.broadcast(std::move(found.world_from_vehicle.pose))};
     if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
 }
@@ -146,12 +179,21 @@ void tell_noise(const Sequence& sequence, const PrepareSession& session) {
                                      1e3 * lidar.range_noise.at(40.0, 1.0)));
 }
 
+/// @throws Error with exit code 130 if the user has interrupted
+void stop_if_wanted(const PrepareSession& session) {
+    if (session.stop && session.stop())
+        throw Error(ExitCode::interrupted, "interrupted while the log was prepared: nothing is trained yet");
+}
+
 /// What the beams were found to be.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config, const PrepareSession& session) {
     if (session.group.is_first()) {
+        stop_if_wanted(session);
         calibrate_beams(sequence, split, config, session);
+        stop_if_wanted(session);
         measure_range_noise(sequence, split.train);
         tell_noise(sequence, session);
+        stop_if_wanted(session);
         if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
     }
     const auto take_of_first = [&](auto& values) { values = session.group.broadcast(std::move(values)); };
@@ -185,7 +227,11 @@ std::string continued(const BoxTrack& box) {
 
 void add_discovered(Sequence& sequence, const Split& split, const PrepareSession& session) {
     std::vector<std::string> movers, beside;
-    for (BoxTrack& box : discover_tracks(sequence, split.train, session.progress, session.group)) {
+    const Progress progress = [&](std::string_view what, double done) {
+        stop_if_wanted(session);
+        if (session.progress) session.progress(what, done);
+    };
+    for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
             beside.push_back(continued(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);

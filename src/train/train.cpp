@@ -10,6 +10,7 @@
 
 #include <relidar/error.hpp>
 #include <relidar/run.hpp>
+#include <relidar/stages/config.hpp>
 
 #include "train/checkpoints/checkpoint_keeper.hpp"
 #include "train/checkpoints/resume.hpp"
@@ -34,7 +35,12 @@ InitialiseOptions start_options(const Config& config) {
 Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session,
                   const Progress& progress) {
     std::vector<std::string> notes;
-    Scene scene = initialise_scene(sequence, split.train, start_options(config), progress, &notes);
+    const Progress until_stopped = [&](std::string_view what, double done) {
+        if (session.stop && session.stop())
+            throw Error(ExitCode::interrupted, "interrupted while the scene was initialised: nothing is trained yet");
+        if (progress) progress(what, done);
+    };
+    Scene scene = initialise_scene(sequence, split.train, start_options(config), until_stopped, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
     make_primitive(scene.surfels, config.image.primitive, config.init.thickness);
@@ -127,7 +133,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
     begin_stage(session.stages, "coverage");
     result.coverage = find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle, split.train,
-                                    config.dataset.max_range_m);
+                                    with_farthest(config, sequence).dataset.max_range_m);
     result.train_s = trained_s();
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();

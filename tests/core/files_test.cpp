@@ -56,6 +56,14 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
     EXPECT_TRUE(path_exists(file));
 }
 
+TEST_F(Files, AByteOrderMarkIsNoText) {
+    put(folder / "excel.csv", "\xEF\xBB\xBFx,y\n");
+    put(folder / "unicode.csv", std::string("\xFF\xFEx\0", 4));
+    EXPECT_EQ(read_text(folder / "excel.csv"), "x,y\n");
+    EXPECT_EQ(read_file(folder / "excel.csv").size(), 7u) << "bytes stay as they are";
+    EXPECT_THAT(data_error([&] { read_text(folder / "unicode.csv"); }), testing::HasSubstr("found text in UTF-16, expected UTF-8"));
+}
+
 TEST_F(Files, NumbersInNames) {
     EXPECT_EQ(file_number("0000000012"), 12);
     EXPECT_EQ(file_number("00000000000000000007"), 7);

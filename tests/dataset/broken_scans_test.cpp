@@ -3,10 +3,12 @@
 #include <relidar/dataset.hpp>
 
 #include <algorithm>
+#include <cstring>
 #include <filesystem>
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -76,6 +78,60 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
         EXPECT_LT(glm::length(apart), 1e-9) << i;
     }
     EXPECT_NO_THROW(check_sequence(left));
+}
+
+/// What reading a drive says. @return "" if it is read
+std::string complaint(const test::KittiDrive& drive) {
+    try {
+        load_sequence(drive.folder.string(), {});
+    } catch (const DataError& error) {
+        return error.what();
+    }
+    return "";
+}
+
+TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
+    const test::KittiDrive drive("cut_scans");
+    const std::string whole = test::read_text(drive.scan(1));
+    const std::size_t n = whole.size() / 16;
+    const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
+    put(whole.substr(0, 16 * (n / 3)));
+    EXPECT_THAT(complaint(drive), HasSubstr(fmt::format("0000000001.bin: {} points where the scans beside it have", n / 3)));
+    EXPECT_THAT(complaint(drive), HasSubstr("dataset.skip_broken=true leaves such scans out"));
+    put(whole.substr(0, 16 * (n - n / 8)));   // eight rings of 64
+    EXPECT_THAT(complaint(drive), HasSubstr("0000000001.bin: its points end in ring 56, those of the scans beside it in ring 64"));
+    put(std::string(whole.size(), '\0'));
+    EXPECT_THAT(complaint(drive), HasSubstr(fmt::format("0000000001.bin: all {} points are at the sensor", n)));
+    const Sequence left = load_sequence(drive.folder.string(), skipping());
+    EXPECT_EQ(numbers(left), (std::vector<int>{0, 2}));
+    EXPECT_THAT(left.notes, testing::Contains(HasSubstr("a broken scan is left out: ")));
+    put(whole);
+    EXPECT_EQ(complaint(drive), "");
+}
+
+/// Writes all intensities of a drive anew. @param of  what stands in place of 0.25
+void set_intensities(const test::KittiDrive& drive, float of) {
+    for (int frame = 0; frame < 3; ++frame) {
+        std::string bytes = test::read_text(drive.scan(frame));
+        for (std::size_t at = 12; at < bytes.size(); at += 16) std::memcpy(bytes.data() + at, &of, sizeof of);
+        test::write_text(drive.scan(frame), bytes);
+    }
+}
+
+TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
+    const test::KittiDrive drive("intensities");
+    set_intensities(drive, 51.0f);
+    const Sequence log = load_sequence(drive.folder.string(), {});
+    const Scan& scan = log.frames[0].scan;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        if (scan.range_m[i] > 0.0f) ASSERT_FLOAT_EQ(scan.intensity[i], 0.2f);
+    EXPECT_THAT(log.notes, testing::Contains(HasSubstr("whole numbers up to 51: they are read as shares of 255")));
+    for (const float wrong : {1.5f, 256.0f, -1.0f}) {
+        set_intensities(drive, wrong);
+        EXPECT_THAT(complaint(drive), HasSubstr("expected 0 to 1, or whole numbers up to 255")) << wrong;
+    }
+    set_intensities(drive, 0.0f);
+    EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Contains(HasSubstr("no intensities: every return has 0")));
 }
 
 TEST(BrokenScans, OfNuscenesAndArgoverse) {

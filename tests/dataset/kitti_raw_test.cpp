@@ -239,6 +239,29 @@ TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
     EXPECT_LT(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 10.3f);
 }
 
+TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
+    const KittiDrive drive("far");
+    for (int frame = 0; frame < 3; ++frame) {   // the walls are 16 times as far away
+        std::string bytes = test::read_text(drive.scan(frame));
+        for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
+            float p[3];
+            std::memcpy(p, bytes.data() + at, sizeof p);
+            for (float& x : p) x *= 16.0f;
+            std::memcpy(bytes.data() + at, p, sizeof p);
+        }
+        test::write_text(drive.scan(frame), bytes);
+    }
+    DatasetOptions options;
+    options.max_range_m = INFINITY;
+    const Sequence log = load_sequence(drive.folder.string(), options);
+    float farthest_m = 0.0f;
+    for (const Frame& frame : log.frames)
+        farthest_m = std::max(farthest_m, *std::max_element(frame.scan.range_m.begin(), frame.scan.range_m.end()));
+    EXPECT_GT(farthest_m, 16.0f * 14.0f) << "returns beyond 80 m are there";
+    EXPECT_EQ(log.lidars[0].sensor.max_range_m, std::ceil(farthest_m));
+    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("the farthest return; the sensor's own limit is not known")));
+}
+
 TEST(KittiRaw, RealDrive) {
     const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";

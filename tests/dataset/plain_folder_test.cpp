@@ -393,15 +393,20 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    test::write_text(
-        log.folder / "poses.txt",
+    // by position; then by the names of TUM, whose quaternions have w last, after a byte-order mark
+    const std::string logs[] = {
         "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 0 0.3826834323650898\n"
-        "0.35 2 3 1 0.7071067811865476 0 0 0.7071067811865476\n");
-    const Sequence found = load_sequence(log.folder.string(), {});
-    const PoseTrack world = shifted_track(found.world_from_vehicle, found.world_offset_m);
-    EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
-    EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
-    EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
+        "0.35 2 3 1 0.7071067811865476 0 0 0.7071067811865476\n",
+        "\xEF\xBB\xBF# timestamp tx ty tz qx qy qz qw\n-0.05 0 0 0 0 0 0 1\n0.15 2 0 0 0 0 0 1\n"
+        "0.25 2 3 0 0 0 0.3826834323650898 0.9238795325112867\n0.35 2 3 1 0 0 0.7071067811865476 0.7071067811865476\n"};
+    for (const std::string& poses : logs) {
+        test::write_text(log.folder / "poses.txt", poses);
+        const Sequence found = load_sequence(log.folder.string(), {});
+        const PoseTrack world = shifted_track(found.world_from_vehicle, found.world_offset_m);
+        EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
+        EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
+        EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
+    }
 }
 
 TEST(PlainFolder, BoxesByFrameAndYaw) {

@@ -184,6 +184,12 @@ TEST(Regions, KnowWhatMoves) {
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{true});
     EXPECT_EQ(moving_returns(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}), std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[4]), std::vector<bool>{false});
+    EXPECT_EQ(discovered_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is labelled";
+    s.boxes[0].category = kDiscoveredCategory;
+    EXPECT_EQ(discovered_returns(s, s.frames[2]), std::vector<bool>{true});
+    EXPECT_EQ(discovered_returns(s, s.frames[4]), std::vector<bool>{false});
+    EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
+    s.boxes[0].category = "Car";
     s.boxes[0].n_after = 3;   // the labels end before frame 2: what discovery adds changes no score
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false});
 }

@@ -78,6 +78,17 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
     EXPECT_NEAR(evaluation.mean.at("strict/depth_rmse_m"), sum / kFrames, 1e-9);
 }
 
+TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
+    const auto count = [&] {
+        ScanRenderer renderer(device(), run);
+        const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
+        return std::ranges::count_if(evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
+    };
+    EXPECT_GT(count(), 0);
+    std::ranges::fill(run.sequence.frames[3].scan.intensity, 0.0f);
+    EXPECT_EQ(count(), 0);
+}
+
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {{}, {}};
     for (int i = 0; i < kFrames; ++i) {

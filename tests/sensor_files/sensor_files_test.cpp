@@ -141,6 +141,14 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
     EXPECT_EQ(std::get<SpinningSensor>(find_sensor(old + ":1024x10").pattern).columns, 1024);
 }
 
+TEST(SensorFiles, ByteOrderMarksAreAccepted) {
+    const std::string mark = "\xEF\xBB\xBF";
+    EXPECT_EQ(make_rays(find_sensor(write("mark.csv", mark + "azimuth_deg,elevation_deg\r\n0,0\r\n"))).size(), 1u);
+    EXPECT_EQ(make_rays(find_sensor(write("mark_beams.csv", mark + "elevation_deg\n5\n-5\n") + ":360x10")).size(), 720u);
+    EXPECT_EQ(make_rays(find_sensor(write("mark.json", mark + R"({"directions": [[1,0,0]]})"))).size(), 1u);
+    EXPECT_EQ(find_rig(write("mark_rig.json", mark + R"({"sensors": [{"name": "a", "sensor": "VLP-16"}]})")).value().size(), 1u);
+}
+
 TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
     const auto usual = std::get<SpinningSensor>(find_sensor("VLP-16").pattern),
                fast = std::get<SpinningSensor>(find_sensor("vlp-16:904x20").pattern);
@@ -161,6 +169,10 @@ TEST(SensorFiles, WrongFilesAreNamed) {
                 HasSubstr("d.csv line 3: max_range_m is 60, expected 50 as in the first line"));
     EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")), HasSubstr("no azimuth_deg or no elevation_deg"));
     EXPECT_THAT(message(write("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}")), HasSubstr("directions number 1 has length 2, expected 1"));
+    EXPECT_THAT(message(write("n.json", R"({"directions": [[1,0,0]], "times": [0]})")),
+                HasSubstr("found the unknown member 'times', expected only directions, origin, time, ring"));
+    EXPECT_THAT(message(write("o.json", R"({"window": {}, "max_range_m": 50})")),
+                HasSubstr("found the unknown member 'max_range_m', expected only window"));
     EXPECT_THAT(message(write("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}")), HasSubstr("time has 2 numbers, expected 1"));
     EXPECT_THAT(message(write("c.json", "{\"directions\": [[1,0,\"x\"]]}")), HasSubstr("directions: found string, expected numbers"));
     EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') + std::string(50'000, ']') + "}")),
@@ -237,6 +249,8 @@ TEST(Rigs, WrongRigsAreNamed) {
                 HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
                 HasSubstr("sensor 0: unknown key 'translation', did you mean 'translation_m'?"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
+                HasSubstr("unknown key 'yaw_pitch_roll_deg' (known: sensors)"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
                 HasSubstr("sensor 0: returns: expected 1 or 2"));

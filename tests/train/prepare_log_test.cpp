@@ -127,5 +127,26 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     for (const std::size_t bytes : group.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
 }
 
+TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
+    const Sequence good = street();
+    Config config;
+    config.train.refine_poses = "sensor";
+    const Split split = split_frames(good, 10);
+    const auto warning_of = [&](Sequence log) {
+        std::string told;
+        prepare_log(log, split, config, {[&](const std::string& line) { told += line + "\n"; }, {}, {}});
+        const std::size_t at = told.find("warning: ");
+        EXPECT_EQ(at != std::string::npos, !log.notes.empty()) << "info shows what training has said";
+        return at == std::string::npos ? std::string() : told.substr(at);
+    };
+    EXPECT_EQ(warning_of(good), "");
+    Sequence bad = good;   // each second pose is a metre too far ahead
+    for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
+        bad.world_from_vehicle.pose[k].translation.x += 1.0;
+    const std::string warning = warning_of(bad);
+    EXPECT_NE(warning.find("the log's poses do not fit its scans"), std::string::npos) << warning;
+    EXPECT_NE(warning.find("x y z w order"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace relidar

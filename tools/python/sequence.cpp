@@ -17,6 +17,7 @@
 #include "module.hpp"
 #include "poses.hpp"
 #include "sensors.hpp"
+#include <relidar/stages/config.hpp>
 
 namespace relidar::python {
 namespace {
@@ -28,6 +29,7 @@ Log load(const std::string& dataset, const std::optional<Config>& config, const 
     log.config.dataset.path = absolute_dataset(dataset);
     const py::gil_scoped_release others_run;
     log.sequence = load_log(log.config, told_to(progress));
+    log.config = with_farthest(std::move(log.config), log.sequence);
     return log;
 }
 

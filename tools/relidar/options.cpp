@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "options.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 
@@ -106,6 +107,25 @@ void apply_sets(Config& config, const std::vector<std::string>& sets) {
         if (equals == std::string::npos || equals == 0)
             throw UsageError(fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
         set_key(config, set.substr(0, equals), set.substr(equals + 1));
+    }
+}
+
+std::vector<std::string> rendering_settings() {
+    return {"dataset.min_range_m", "dataset.max_range_m", "sensor.grid", "sensor.grid_method", "sensor.rolling_shutter",
+            "sensor.sub_rays", "sensor.divergence_mrad", "sensor.returns", "sensor.return_separation_m", "image.", "refine.enabled",
+            "render.", "trace."};
+}
+
+void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used, const std::string& command) {
+    Config scratch;
+    for (const std::string& set : sets) {
+        apply_sets(scratch, {set});   // a wrong key or value has its own message
+        const std::string key = set.substr(0, set.find('='));
+        const bool is_used = std::ranges::any_of(
+            used, [&](const std::string& name) { return name.ends_with('.') ? key.starts_with(name) : key == name; });
+        if (is_used) continue;
+        throw UsageError(fmt::format("--set: found {}, which changes nothing in `relidar {}`; expected {}", key, command,
+                                     used.empty() ? "no setting" : fmt::format("some of {}", fmt::join(used, ", "))));
     }
 }
 

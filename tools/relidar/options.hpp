@@ -43,6 +43,11 @@ void add_weather_option(CLI::App& command, std::string& weather, const std::stri
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);
 void apply_sets(Config& config, const std::vector<std::string>& sets);
+/// Settings that rendering a run reads: those of these names, or of groups that end in a dot.
+std::vector<std::string> rendering_settings();
+/// Refuses settings that a command would read without an effect. @param used  as rendering_settings() @param command  its name
+/// @throws UsageError naming the first of them
+void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used, const std::string& command);
 
 /// --frames and --sequence: what of a log is read.
 struct LogPart {

@@ -39,7 +39,7 @@ std::string unquoted(std::string_view text) {
 Metadata read_metadata(const fs::path& file) {
     Metadata metadata;
     bool in_files = false;
-    for (const std::string& line : split_lines(read_file(file))) {
+    for (const std::string& line : split_lines(read_text(file))) {
         const std::string_view text = trimmed(line);
         const auto value_of = [&](std::string_view key) { return unquoted(text.substr(key.size())); };
         if (text.starts_with("relative_file_paths:"))

@@ -269,7 +269,7 @@ private:
     void tell_correction(TopicTable& topics, const Pass& pass) const {
         const std::filesystem::path file = std::filesystem::path(path_).replace_extension(".csv");
         if (!path_exists(file)) return;
-        const std::string text = read_file(file);
+        const std::string text = read_text(file);
         pass.take({topics.number_of({file.filename().string(), packets::kCorrection, packets::kDatagrams}), 0, text, {}});
     }
 };

@@ -39,7 +39,7 @@ struct Forward {
 /// T_applanix_lidar.txt, 4x4: the LiDAR in the frame of the Applanix, x right, y forward, z up. Not known without the file.
 Forward read_forward(const fs::path& file) {
     if (!path_exists(file)) return {};
-    const auto m = parse_numbers(read_file(file));
+    const auto m = parse_numbers(read_text(file));
     if (!m || m->size() != 16) throw DataError(fmt::format("{}: {}, expected 4 lines of 4 numbers", file.string(),
                                                            m ? fmt::format("{} numbers", m->size()) : "a word is no number"));
     const auto& at = *m;

@@ -4,8 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include <relidar/error.hpp>
@@ -216,7 +218,7 @@ PointUnits read_units(const JsonField& root) {
 
 Head read_head(const fs::path& folder, double max_range_m) {
     const std::string file = (folder / kHeadFile).string();
-    const nlohmann::json json = parse_json(read_file(file), file);
+    const nlohmann::json json = parse_json(read_text(file), file);
     const JsonField root(json, file, "");
     root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames", "rate_hz", "motion_compensated",
                         "columns", "intensity_max", "time_unit", "point_times", "world_offset_m"});
@@ -235,6 +237,9 @@ Head read_head(const fs::path& folder, double max_range_m) {
                      [](const HeadFrame& a, const HeadFrame& b) { return std::pair(a.time_s, a.lidar) < std::pair(b.time_s, b.lidar); });
     head.motion_compensated = flag_or(root, "motion_compensated", false);
     head.units = read_units(root);
+    std::vector<std::string> skipped;
+    std::ranges::copy_if(head.units.columns, std::back_inserter(skipped), [](const std::string& c) { return !is_point_field(c); });
+    if (!skipped.empty()) head.notes.push_back(fmt::format("columns of the scans that are not read: {}", fmt::join(skipped, ", ")));
     if (root.has("world_offset_m")) {
         const auto v = root.at("world_offset_m").numbers<3>();
         for (std::size_t i = 0; i < 3; ++i) root.at("world_offset_m").at(i).number(-kFarthestWorld_m, kFarthestWorld_m);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // poses.txt and boxes.json of a plain folder.
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -8,6 +9,7 @@
 
 #include <relidar/error.hpp>
 
+#include "core/csv.hpp"
 #include "core/files.hpp"
 #include "core/json_field.hpp"
 #include "dataset/folder/folder_head.hpp"
@@ -22,22 +24,66 @@ constexpr double kMostBeyond_s = 0.1;  // of a frame before the first and after 
 constexpr double kLargestOfTrack = 1e12;  // of any length or time
 constexpr double kUnit = 1e-3;         // a quaternion's length may differ from 1 by this
 
+const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
+
 /// A line without what follows a '#'.
 std::string_view content(const std::string& line) {
     return trimmed(std::string_view(line).substr(0, line.find('#')));
 }
 
+std::vector<std::string_view> pose_words(std::string_view text) {
+    std::vector<std::string_view> words;
+    for (text = trimmed(text); !text.empty(); text = trimmed(text)) {
+        const std::size_t end = std::min(text.find_first_of(" \t"), text.size());
+        words.push_back(text.substr(0, end));
+        text.remove_prefix(end);
+    }
+    return words;
+}
+
+/// Whether a line names columns: a comment that names a part of a quaternion, or a line whose first word is no number.
+bool names_columns(const std::string& line) {
+    const std::vector<std::string_view> words = pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
+    if (content(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
+    return !words.empty() && !parse_number(words[0]);
+}
+
+/// Where a line holds each of kPoseNames. TUM's names of time and place are accepted too.
+std::vector<int> pose_places(const std::string& line, const std::string& where) {
+    std::vector<std::string_view> words = pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
+    for (std::string_view& word : words) {
+        if (word == "timestamp" || word == "time") word = "time_s";
+        if (word == "tx" || word == "ty" || word == "tz") word.remove_prefix(1);
+    }
+    const std::vector<int> at = find_columns(words, kPoseNames, where);
+    for (std::size_t c = 0; c < at.size(); ++c)
+        if (at[c] < 0) throw DataError(fmt::format("{}: found no column '{}', expected it", where, kPoseNames[c]));
+    return at;
+}
+
+/// Numbers of a line in the order of kPoseNames.
+std::array<double, 8> pose_row(const std::string& line, const std::vector<int>& at, const std::string& where) {
+    const auto v = parse_numbers(content(line));
+    if (!v || v->size() != at.size())
+        throw DataError(fmt::format("{}: '{}', expected 8 numbers: time_s x y z qw qx qy qz", where, excerpt(line)));
+    if (!std::all_of(v->begin(), v->end(), [](double x) { return std::abs(x) <= kLargestOfTrack; }))
+        throw DataError(fmt::format("{}: '{}', expected finite numbers within {}", where, excerpt(line), kLargestOfTrack));
+    std::array<double, 8> row{};
+    for (std::size_t c = 0; c < row.size(); ++c) row[c] = (*v)[static_cast<std::size_t>(at[c])];
+    return row;
+}
+
 PoseTrack read_track(const std::vector<std::string>& lines, const std::string& file) {
     PoseTrack track;
+    std::vector<int> at{0, 1, 2, 3, 4, 5, 6, 7};
     for (std::size_t i = 0; i < lines.size(); ++i) {
         const std::string where = fmt::format("{} line {}", file, i + 1);
+        if (track.pose.empty() && names_columns(lines[i])) {
+            at = pose_places(lines[i], where);
+            continue;
+        }
         if (content(lines[i]).empty()) continue;
-        const auto v = parse_numbers(content(lines[i]));
-        if (!v || v->size() != 8)
-            throw DataError(fmt::format("{}: '{}', expected 8 numbers: time_s x y z qw qx qy qz", where, excerpt(lines[i])));
-        const auto& n = *v;
-        if (!std::all_of(n.begin(), n.end(), [](double x) { return std::abs(x) <= kLargestOfTrack; }))
-            throw DataError(fmt::format("{}: '{}', expected finite numbers within {}", where, excerpt(lines[i]), kLargestOfTrack));
+        const auto n = pose_row(lines[i], at, where);
         if (!track.time_s.empty() && !(n[0] > track.time_s.back()))
             throw DataError(fmt::format("{}: time {} s after {} s, expected times that rise", where, n[0], track.time_s.back()));
         const glm::dquat q(n[4], n[5], n[6], n[7]);
@@ -90,7 +136,7 @@ BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {
 
 std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vector<HeadFrame>& frames) {
     if (!path_exists(file)) return std::nullopt;
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     const auto first = std::find_if(lines.begin(), lines.end(), [](const std::string& line) { return !content(line).empty(); });
     if (first == lines.end()) throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
     if (const auto numbers = parse_numbers(content(*first)); !numbers || numbers->size() != 12)
@@ -103,7 +149,7 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
 std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFrame>& frames, const std::vector<HeadFrame>& all) {
     if (!path_exists(path)) return {};
     const std::string file = path.string();
-    const nlohmann::json json = parse_json(read_file(file), file);
+    const nlohmann::json json = parse_json(read_text(file), file);
     const JsonField root(json, file, "");
     root.check_members({"boxes"});
     const JsonField boxes = root.at("boxes");

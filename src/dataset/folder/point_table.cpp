@@ -152,8 +152,8 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     const std::string ending = file.extension().string();
     if (ending == ".bin") return read_bin(file, columns.empty() ? kKitti : columns);
     if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
-    if (ending == ".pcd") return read_pcd(read_file(file), file.string());
-    if (ending == ".ply") return read_ply(read_file(file), file.string());
+    if (ending == ".pcd") return read_pcd(read_text(file), file.string());
+    if (ending == ".ply") return read_ply(read_text(file), file.string());
     throw DataError(fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin or .npy", file.string(), excerpt(ending)));
 }
 

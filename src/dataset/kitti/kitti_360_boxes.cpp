@@ -119,7 +119,7 @@ void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames, 
 
 std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const std::vector<Frame>& frames) {
     pugi::xml_document document;
-    const std::string text = read_file(file);
+    const std::string text = read_text(file);
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed) throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset, parsed.description()));
     const pugi::xml_node root = document.child("opencv_storage");

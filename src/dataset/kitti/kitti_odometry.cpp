@@ -18,7 +18,7 @@ namespace fs = std::filesystem;
 
 /// Seconds of the given frames, one number a line.
 std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& frames) {
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<double> time_s;
     for (const int frame : frames) {
         const std::size_t line = static_cast<std::size_t>(frame);

@@ -59,7 +59,7 @@ fs::path oxts_file(const fs::path& drive, int frame) {
 
 /// world_from_imu before the first frame's position is taken off.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
         throw DataError(fmt::format("{}: latitude {} and longitude {}, expected degrees", file.string(), v[0], v[1]));
@@ -106,7 +106,7 @@ fs::path find_calibration(const fs::path& drive) {
 
 Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
-    for (const std::string& line : split_lines(read_file(file))) {
+    for (const std::string& line : split_lines(read_text(file))) {
         const std::string where = file.string();
         if (line.rfind("R:", 0) == 0) r = finite_numbers(line.substr(2), 9, where + " key R");
         if (line.rfind("T:", 0) == 0) t = finite_numbers(line.substr(2), 3, where + " key T");
@@ -118,7 +118,7 @@ Pose read_calibration(const fs::path& file) {
 }
 
 Pose read_transform(const fs::path& file, const std::string& key) {
-    for (const std::string& line : split_lines(read_file(file)))
+    for (const std::string& line : split_lines(read_text(file)))
         if (line.rfind(key + ":", 0) == 0) return parse_matrix(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
     throw DataError(fmt::format("{}: no line '{}:', expected the key with 12 numbers", file.string(), key));
 }
@@ -138,7 +138,7 @@ std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>&
 }
 
 std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& frames) {
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<Pose> poses;
     for (const int frame : frames) {
         const std::size_t line = static_cast<std::size_t>(frame);
@@ -164,7 +164,7 @@ void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<int> frames;
     std::vector<Pose> poses;
     for (std::size_t l = 0; l < lines.size(); ++l) {

@@ -4,6 +4,7 @@
 #include "dataset/kitti/kitti_sweeps.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/format.h>
 
@@ -21,6 +22,7 @@ namespace {
 
 // The fits are far better than the file's millimetres with a few sweeps; more would only cost time.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
+constexpr float kAtSensor_m = 1e-3f;
 
 std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t n) {
     std::vector<const RawScan*> some;
@@ -34,6 +36,73 @@ ScanPoints points_of(const RawScan& raw) {
     for (const glm::vec4& p : raw.points) points.point_m.emplace_back(p), points.intensity.push_back(p.w);
     points.ring.assign(raw.ring.begin(), raw.ring.end());
     return points;
+}
+
+/// Points that are not at the sensor itself, where some writers put missing returns.
+std::size_t count_points(const RawScan& scan) {
+    return static_cast<std::size_t>(
+        std::ranges::count_if(scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
+}
+
+/// Finds scans that lack most of their points or whole rings. They are broken files: their missing points are no dropped rays.
+class WholeScans {
+public:
+    explicit WholeScans(const std::vector<RawScan>& raw) {
+        for (const RawScan& scan : raw) n_points_.push_back(count_points(scan)), n_rings_.push_back(scan.n_rings);
+    }
+
+    /// @throws DataError if scan i has no return, less than half the points of its neighbours, or ends rings before them
+    void check(std::size_t i, std::size_t n_in_file, const std::string& file) const {
+        constexpr int kMissingRings = 2;   // a beam without any return is no damage
+        if (n_points_[i] == 0)
+            throw DataError(fmt::format("{}: all {} points are at the sensor, expected returns", file, n_in_file));
+        const std::size_t usual = median_beside(n_points_, i);
+        if (2 * n_points_[i] < usual)
+            throw DataError(fmt::format("{}: {} points where the scans beside it have {}, expected a whole sweep: is the file "
+                                        "cut short?",
+                                        file, n_points_[i], usual));
+        if (n_rings_[i] + kMissingRings <= median_beside(n_rings_, i))
+            throw DataError(fmt::format("{}: its points end in ring {}, those of the scans beside it in ring {}, expected a whole "
+                                        "sweep: is the file cut short?",
+                                        file, n_rings_[i], median_beside(n_rings_, i)));
+    }
+
+private:
+    std::vector<std::size_t> n_points_;
+    std::vector<int> n_rings_;
+
+    /// Median of the values of up to five scans before and five after.
+    template <class T>
+    static T median_beside(const std::vector<T>& values, std::size_t i) {
+        constexpr std::size_t kReach = 5;
+        const std::size_t begin = i < kReach ? 0 : i - kReach, end = std::min(values.size(), i + kReach + 1);
+        std::vector<T> beside;
+        for (std::size_t k = begin; k < end; ++k)
+            if (k != i && values[k] > 0) beside.push_back(values[k]);
+        if (beside.empty()) return values[i];
+        std::ranges::sort(beside);
+        return beside[beside.size() / 2];
+    }
+};
+
+/// Intensities of a log that counts to 255 become shares of 255. @return a note, or nothing if they are shares already
+/// @throws DataError if they are neither
+std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
+    constexpr float kBytes = 255.0f;
+    float lowest = 0.0f, highest = 0.0f;
+    bool are_whole = true;
+    for (const RawScan& scan : raw)
+        for (const glm::vec4& p : scan.points) {
+            lowest = std::min(lowest, p.w), highest = std::max(highest, p.w);
+            are_whole = are_whole && p.w == std::floor(p.w);
+        }
+    if (lowest >= 0.0f && highest <= 1.0f) return "";
+    if (lowest < 0.0f || highest > kBytes || !are_whole)
+        throw DataError(fmt::format("{}: intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder, lowest,
+                                    highest));
+    for (RawScan& scan : raw)
+        for (glm::vec4& p : scan.points) p.w /= kBytes;
+    return fmt::format("intensities are whole numbers up to {}: they are read as shares of 255", highest);
 }
 
 /// Before rays are made: as many as the azimuths say, and no more than the points can be returns of.
@@ -62,6 +131,12 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
     });
+    const WholeScans whole(raw);
+    for (std::size_t at = 0; at < raw.size(); ++at)
+        broken.attempt(at, [&] { whole.check(at, raw[at].points.size(), file_of(at).string()); });
+    for (std::size_t at = 0; at < raw.size(); ++at)
+        if (broken.has(at)) raw[at] = {};   // shapes no beam
+    if (std::string note = scale_intensities(raw, folder.string()); !note.empty()) sequence.notes.push_back(std::move(note));
 
     const Cones cones = fit_cones(spread(raw, kFitScans), folder.string());
     run_parallel(static_cast<int>(raw.size()), [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });

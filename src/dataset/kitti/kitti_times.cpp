@@ -42,7 +42,7 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
 
 /// Time of each line, nothing where it is empty. @throws DataError where no line has a time
 std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) {
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;
     for (std::size_t l = 0; l < lines.size(); ++l) {

@@ -62,7 +62,7 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames, 
 std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
                                      const PoseTrack& world_from_sensor) {
     if (!path_exists(file)) return {};
-    const std::string text = read_file(file);
+    const std::string text = read_text(file);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed) throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset, parsed.description()));

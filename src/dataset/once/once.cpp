@@ -60,7 +60,7 @@ void count_boxes(const JsonField& frame, OnceFile& found) {
 
 OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
     const std::string where = file.string();
-    const nlohmann::json json = parse_json(read_file(file), where);
+    const nlohmann::json json = parse_json(read_text(file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
     OnceFile found;
     for (std::size_t i = 0; i < frames.size(); ++i) {

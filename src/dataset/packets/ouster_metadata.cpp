@@ -132,7 +132,7 @@ bool is_recording(const fs::path& file) {
 bool is_metadata_file(const fs::path& file) {
     std::error_code failed;
     const auto size = fs::file_size(file, failed);
-    return !failed && size <= kMostMetadata && file.extension() == ".json" && is_ouster_metadata(read_file(file));
+    return !failed && size <= kMostMetadata && file.extension() == ".json" && is_ouster_metadata(read_text(file));
 }
 
 /// By name; none of a folder that cannot be listed.
@@ -191,7 +191,7 @@ OusterFormats ouster_metadata_beside(const fs::path& recording, std::vector<std:
         if (formats.size() >= kMostFiles || !is_metadata_file(file)) continue;
         try {
             const fs::path shown = recording.has_parent_path() ? file : file.filename();
-            formats.push_back(read_ouster_metadata(read_file(file), shown.string()));
+            formats.push_back(read_ouster_metadata(read_text(file), shown.string()));
         } catch (const DataError& error) {
             broken.emplace_back(error.what());
         }

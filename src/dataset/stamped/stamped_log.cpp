@@ -172,7 +172,7 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
 }
 
 std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
-    const std::vector<std::string> lines = split_lines(read_file(file));
+    const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<StampedRow> rows;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trimmed(lines[l]).empty()) continue;

@@ -54,7 +54,7 @@ void take_poses(Sequence& sequence, const fs::path& poses_file) {
 
 SyntheticOptions read_options(const fs::path& path) {
     const std::string file = path.string();
-    const std::string text = read_file(path);
+    const std::string text = read_text(path);
     check_toml_depth(text, file);
     toml::table table;
     try {

@@ -266,7 +266,8 @@ const std::vector<EditOption>& edit_options() {
         {"--remove", "TRACK", "take an actor out; rays continue to what is behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]", "shift an actor in its own frame (forward, left, up) and turn it left, on all its path"},
         {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
-        {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]"},
+        {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg], or a "
+         "header with these names in any order, _rad for radians"},
         {"--copy",
          "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the surface below"},

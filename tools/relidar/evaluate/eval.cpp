@@ -23,6 +23,7 @@
 #include "evaluate/run_report.hpp"
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
+#include <relidar/stages/config.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -118,8 +119,12 @@ void keep_share(std::vector<int>& positions, const Ranks& ranks) {
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
     std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
+    std::vector<std::string> used = rendering_settings();
+    used.insert(used.end(), {"dataset.", "eval."});
+    check_sets(options.sets, used, "eval");
     Run run = load_run(options.target, note);
     apply_options(run.config, options);
+    run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
     const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures, ranks);
     check_held_out(run.split, run.folder.string());

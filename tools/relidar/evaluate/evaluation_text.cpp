@@ -30,7 +30,8 @@ constexpr const char* kPoints =
     "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of "
     "the image, render.range";
 constexpr const char* kRegions =
-    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5";
+    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5; "
+    "moving_boxes: labelled ones; discovered_boxes: those without a label that training found";
 constexpr const char* kActors =
     "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is "
     "now; tail_share_real: of the log's; people_*: people and cyclists that move and really return 10 points, in their boxes grown by "

@@ -66,6 +66,10 @@ void add_info(CLI::App& app, Call& call) {
                     "  relidar info run --json");
     command->callback([&call, options] {
         call.run = [options] {
+            const bool is_of_run = is_run(options->path) || holds_run(options->path);
+            check_sets(options->settings.sets,
+                       is_of_run ? std::vector<std::string>{} : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
+                       is_of_run ? "info RUN" : "info");
             if (is_run(options->path)) show_run(*options);
             else if (holds_run(options->path)) show_unfinished(options->path);
             else show_log(*options);

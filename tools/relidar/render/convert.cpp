@@ -25,6 +25,7 @@ struct ConvertOptions {
 };
 
 void run_convert(const ConvertOptions& options) {
+    check_sets(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
     Config config = resolve(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {

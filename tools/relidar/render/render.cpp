@@ -24,6 +24,7 @@
 #include <relidar/run.hpp>
 #include <relidar/scan_files.hpp>
 #include <relidar/sensor_files.hpp>
+#include <relidar/stages/config.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -313,8 +314,10 @@ void run_render(const RenderOptions& given) {
     const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
+    check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run, note);
     apply_sets(run.config, options.sets);
+    run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar(run.sequence, options.lidar);
@@ -429,6 +432,9 @@ void add_render(CLI::App& app, Call& call) {
         ->add_option("--sample", options->sample,
                      "draw each scan from the likely ones: drops by their probability, ranges and intensities with the noise of the log "
                      "(default: the likeliest scan, free of noise)")
+        ->check([](const std::string& text) {
+            return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text) : std::string();
+        })
         ->type_name("SEED");
     add_weather_option(*command, options->weather, "all scans; drawn by the seed of --sample, 0 without");
     add_file_options(*command, *options);

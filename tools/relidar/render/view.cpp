@@ -21,6 +21,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include <relidar/error.hpp>
+#include <relidar/stages/config.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -71,8 +72,10 @@ view::ServerOptions server_options(const ViewOptions& options) {
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
     const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
+    check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run, note);
     apply_sets(run.config, options.sets);
+    run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;   // removed if no run was saved

@@ -15,6 +15,7 @@
 #include "train/training.hpp"
 #include <relidar/export.hpp>
 #include <relidar/stages/checkpoint.hpp>
+#include <relidar/stages/config.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -86,7 +87,11 @@ void run_refine(const RefineOptions& options) {
     Run run = load_run(options.run, note);
     const std::optional<Checkpoint> start = find_start(options);
     if (start) take_refine_settings(*start, run.config);
+    std::vector<std::string> used = rendering_settings();
+    used.insert(used.end(), {"dataset.", "eval.", "refine.", "train.seed", "train.checkpoint_minutes"});
+    check_sets(options.sets, used, "refine");
     apply_sets(run.config, options.sets);
+    run.config = with_farthest(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;
     check_writable(run.folder);
     Device device(device_options(options.device));

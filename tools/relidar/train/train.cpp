@@ -20,6 +20,7 @@
 #include "train/train_blocks.hpp"
 #include "train/training.hpp"
 #include <relidar/stages/checkpoint.hpp>
+#include <relidar/stages/config.hpp>
 #include <relidar/run.hpp>
 
 namespace relidar::cli {
@@ -75,6 +76,11 @@ Config start_settings(const TrainOptions& options) {
 
 Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
+    if (const fs::path saved = fs::path(options.out) / kConfigFile; options.resume && config.dataset.max_range_m == 0.0 && is_file(saved)) {
+        Config trained;   // has the length that 0 stands for
+        load_config(trained, saved);
+        config.dataset.max_range_m = trained.dataset.max_range_m;
+    }
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
@@ -98,6 +104,19 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
     for (std::size_t i = 0; i < x.size(); ++i)
         if (x[i].key.starts_with(group) && x[i].value != y[i].value) return false;
     return true;
+}
+
+/// Of a finished run. @throws UsageError if a setting differs from those that it was trained with
+void check_unchanged(const fs::path& folder, const Config& config) {
+    Config trained;
+    load_config(trained, folder / kConfigFile);
+    std::string key = differing_setting(trained, config);
+    for (const char* group : {"refine.", "render.", "eval."})
+        if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
+    if (!key.empty())
+        throw UsageError(fmt::format("resuming {}: its training is finished with another setting {}, expected the same; --force "
+                                     "trains anew, and `relidar refine` trains the ray-drop network alone",
+                                     folder.string(), key));
 }
 
 /// Whether a run has its scene, of these settings and this log, and lacks what comes after it: held-out scans on it, the scatter of its
@@ -305,8 +324,9 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     TrainOptions options = sorted_out(given);
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
-    const Config config = config_of(options);
+    Config config = config_of(options);
     if (options.resume && !options.force && is_finished(options.out, config)) {
+        check_unchanged(options.out, config);
         if (!options.quiet)
             print(fmt::format("{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n", options.out,
                               config.train.iterations));
@@ -329,6 +349,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     StageTimes stages;
     stages.begin("read");
     Sequence sequence = load_dataset(config, options.quiet);
+    config = with_farthest(std::move(config), sequence);
     const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
