@@ -221,7 +221,7 @@ public:
     /// @param scatter [lidars] none, or an empty one: intensities are as the scene has them
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
     /// The weather from the next scan on, drawn by the seed of sampled scans and 0 for the likeliest. Its scans have the channel `source`.
-    /// @throws UsageError as check_weather()
+    /// @throws UsageError as check_weather(), and for weather on a log whose intensities are all 0
     void set_weather(const Weather& weather);
     /// Whether scans of a sensor are refined.
     bool refines(const SensorChoice& sensor) const;

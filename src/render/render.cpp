@@ -199,6 +199,9 @@ void ScanRenderer::scatter_intensities(const std::vector<IntensityScatter>& scat
 
 void ScanRenderer::set_weather(const Weather& weather) {
     check_weather(weather);
+    if (!weather.clear() && !impl_->has_intensities())
+        throw UsageError("weather: the run's log has no intensities, expected a log that has them: weather acts by the brightness of "
+                         "surfaces");
     impl_->weather = weather;
 }
 
@@ -354,18 +357,6 @@ float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t c
 /// Between which ranges a sensor sees anything; as far as the log where it does not say.
 RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
     return {sensor.limits.min_m, std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
-}
-
-/// @param rays  of the sensor, whose beams they are
-Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& rays) const {
-    WeatherSensor takes;
-    const double step = scatter[std::size_t(sensor.lidar)].step, divergence_rad = rays.largest_divergence();
-    if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
-    else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
-    if (step > 0.0) takes.darkest = 0.5 * step;
-    takes.separation_m = config.sensor.return_separation_m;
-    takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;
-    return {weather, takes};
 }
 
 /// What the water on the ground makes of rays that meet it; empty where the ground is dry. The scene is traced once more along the rays

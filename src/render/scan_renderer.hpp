@@ -119,6 +119,13 @@ struct ScanRenderer::Impl {
     void settle();
     bool wants(const std::string& channel) const { return std::ranges::find(wanted, channel, &ChannelInfo::name) != wanted.end(); }
     std::vector<ChannelInfo> rendered_channels() const;
+    /// Returns false if every return of the log has intensity 0.
+    bool has_intensities() const {
+        const auto is_dark = [](const IntensityScatter& lidar) {
+            return !lidar.empty() && std::ranges::all_of(lidar.values, [](float value) { return value == 0.0f; });
+        };
+        return scatter.empty() || !std::ranges::all_of(scatter, is_dark);
+    }
     void refine(RenderedScan& scan);
     float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
     RangeLimits limits_of(const SensorChoice& sensor) const;

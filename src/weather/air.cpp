@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Returns of fog, drops and flakes along a ray, and which of them a sensor reports. Fog is a soft target by Rasshofer, Spies and Spies
 // (2011), as Hahner et al. (ICCV 2021) use it; particles are drawn for each beam as in LISA (Kilic et al. 2021) and by Hahner et al.
-// (CVPR 2022). That fog and spray are uneven from stretch to stretch, and how much, is an assumption.
+// (CVPR 2022). Returns of the air must reach the log's weakest returns at their range. That fog and spray are uneven from stretch to stretch, and how much, is an assumption.
 #include <relidar/weather.hpp>
 
 #include <algorithm>
@@ -52,6 +52,12 @@ Echo second_of(const Candidates& candidates, const Echo& strongest, double separ
 
 }  // namespace
 
+double WeatherSensor::threshold(double range_m) const {
+    if (weakest_reflectivity.empty()) return weakest();
+    const std::size_t bin = std::min(std::size_t(std::max(range_m, 0.0) / kWeakestBin_m), weakest_reflectivity.size() - 1);
+    return std::max(weakest(), weakest_reflectivity[bin] / (range_m * range_m));
+}
+
 Air::Air(const Weather& weather, const WeatherSensor& sensor)
     : weather_(weather), sensor_(sensor), falling_(falling_in(weather)), alpha_(extinction(weather)) {
     check_weather(weather);
@@ -74,7 +80,7 @@ double Air::nearest_m() const { return std::max(kOverlap_m, sensor_.min_range_m)
 
 /// Diameter as water of the smallest particle that is bright enough; infinite where one that fills the beam is not.
 double Air::smallest_mm(double range_m) const {
-    const double share = sensor_.weakest() * range_m * range_m * std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
+    const double share = sensor_.threshold(range_m) * range_m * range_m * std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
     if (share > 1.0) return std::numeric_limits<double>::infinity();
     return 1e3 * beam_m(range_m) * std::sqrt(share) / falling_.widening;
 }
@@ -94,6 +100,7 @@ double Air::fog_power(double range_m) const {
 void Air::add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces) const {
     for (Echo surface : {surfaces.strongest, surfaces.second, surfaces.mirrored, surfaces.stray}) {
         if (surface.source == PointSource::nothing) continue;
+        if (surface.source != PointSource::surface && surface.range_m > sensor_.max_range_m) continue;
         const double left = std::exp(-2.0 * alpha_ * surface.range_m) * std::exchange(surface.through_water, 1.0),
                      squared_m2 = surface.range_m * surface.range_m;
         const double least = surface.source == PointSource::blooming ? 0.0 : sensor_.darkest;
@@ -111,7 +118,7 @@ void Air::add_fog(std::vector<Candidate>& candidates, double free_m, Random& ran
         if (range_m >= free_m || k + 1 >= fog_power_.size()) return;
         const double mean = std::lerp(fog_power_[k], fog_power_[k + 1], place - double(k));
         const double power = mean * std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
-        if (power >= sensor_.weakest()) candidates.push_back({{range_m, power * range_m * range_m, PointSource::fog}, power});
+        if (power >= sensor_.threshold(range_m)) candidates.push_back({{range_m, power * range_m * range_m, PointSource::fog}, power});
     }
 }
 
@@ -151,7 +158,7 @@ void Air::add_spray(std::vector<Candidate>& candidates, const RayEchoes& surface
             const double reflectivity = uneven * kPi * stretch.extinction_at(range_m) / kLidarRatio_sr * step_m *
                                         std::exp(-2.0 * alpha_ * range_m) * left_at(range_m);
             const double power = reflectivity / (range_m * range_m);
-            if (power >= sensor_.weakest()) candidates.push_back({{range_m, reflectivity, PointSource::spray}, power});
+            if (power >= sensor_.threshold(range_m)) candidates.push_back({{range_m, reflectivity, PointSource::spray}, power});
         }
     }
 }
@@ -167,7 +174,7 @@ void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surface
     if (!(per_m > 0.0)) return;
     for (double range_m = nearest_m() + waiting() / per_m; range_m < sensor_.max_range_m; range_m += waiting() / per_m) {
         const double power = std::sqrt(sensor_.weakest() * sensor_.weakest() + 2.0 * sigma * sigma * waiting());
-        candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
+        if (power >= sensor_.threshold(range_m)) candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
     }
 }
 

@@ -48,7 +48,6 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
 }
 
-/// gpu/copy, by which a device's memory is measured, copies what it is asked to and nothing beyond.
 /// An array that a launch leaves out is a few zeros, not address 0.
 TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     constexpr std::uint32_t n = 64;
@@ -61,6 +60,7 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
+/// gpu/copy, by which a device's memory is measured, copies what it is asked to and nothing beyond.
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);

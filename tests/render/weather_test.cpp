@@ -175,6 +175,18 @@ protected:
     Config config;
 };
 
+/// Without intensities nobody knows how bright surfaces are, and the air would win everywhere.
+TEST_F(RenderedWeather, NeedsALogWithIntensities) {
+    ScanRenderer renderer(device(), scene, config, log);
+    IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
+    renderer.scatter_intensities({scatter});
+    EXPECT_THROW(renderer.set_weather({.fog_visibility_m = 30.0}), UsageError);
+    EXPECT_NO_THROW(renderer.set_weather({}));
+    scatter.values.back() = 0.1f;
+    renderer.scatter_intensities({scatter});
+    EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
+}
+
 TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     ScanRenderer renderer(device(), scene, config, log);
     const auto render = [&](const std::string& sensor, std::optional<std::uint64_t> sample = {}) {

@@ -104,6 +104,7 @@ std::vector<IntensityScatter> example_scatter() {
     scatter.nodes = {{3, -1.0f / 3.0f, 1, 0, 5}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 3}};
     scatter.values = {0.1f, 0.2f, 0.3f, 0.5f, 0.7f};
     scatter.step = 0.1;
+    scatter.weakest = {0.1f, 0.2f};
     return {scatter};
 }
 
@@ -131,6 +132,7 @@ TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
     }
     EXPECT_EQ(a.values, b.values);
     EXPECT_EQ(a.step, b.step);
+    EXPECT_EQ(a.weakest, b.weakest);
     run.intensity_scatter.clear();
     save_run(run);
     EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty()) << "that of the run before stays";
