@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kPeriod_s = 0.1;
+constexpr double kTurn_s = 0.1;
 
 /// A wall of one surfel in the middle of a plane. @param half_m  what is seen of it is so far from the middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis, const glm::vec2& half_m) {
@@ -47,7 +47,7 @@ Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, con
     log.lidars[0].sensor.beams = {{0.0}};
     log.lidars[0].sensor.columns = columns;
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / columns;
-    log.lidars[0].sensor.period_s = kPeriod_s;
+    log.lidars[0].sensor.period_s = kTurn_s;
     BoxTrack box{.id = "actor", .category = "Van", .size_m = size_m, .world_from_box = {}};
     for (int k = 0; k <= 40; ++k) {
         const double t_s = 0.025 * k;
@@ -135,7 +135,7 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     }
     ASSERT_GT(std::min(n[0], n[1]), 3.0);
     const double between_s = t_s[1] / n[1] - t_s[0] / n[0];
-    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kPeriod_s, 5e-4) << "how long the head takes from post to post";
+    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kTurn_s, 5e-4) << "how long the head takes from post to post";
     EXPECT_NEAR(x_m[1] / n[1] - x_m[0] / n[0], kLength_m + kSpeed_mps * between_s, 0.01);
     EXPECT_NEAR(x_m[0] / n[0], -2.0 + kSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01) << "where the rear is when its ray is fired";
 }
