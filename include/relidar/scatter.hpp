@@ -10,8 +10,6 @@
 #include <span>
 #include <vector>
 
-#include <relidar/weather.hpp>
-
 namespace relidar {
 
 /// What a scene renders for the rays of a scan, row by row; columns go round. All arrays are [rows*columns].
@@ -45,9 +43,6 @@ struct IntensityScatter {
     std::vector<Node> nodes;     ///< [0] the root; none: nothing is known
     std::vector<float> values;   ///< intensities that were measured, leaf by leaf
     double step = 0.0;           ///< all intensities of the log are multiples of it; 0: they come in no steps
-    /// [k] intensity of the weakest returns from k to k + 1 times kWeakestBin_m metres: one in a
-    /// hundred is weaker. Bins of few returns have the value of the nearest bin.
-    std::vector<float> weakest = {};
 
     bool empty() const { return nodes.empty(); }
     /// The multiple of the step nearest to an intensity.

@@ -15,9 +15,6 @@ namespace relidar {
 
 class Random;
 
-/// Width of the bins of range in which the weakest returns of a log are kept.
-inline constexpr double kWeakestBin_m = 5.0;
-
 /// Where the sun stands, and how much of it arrives.
 struct Sun {
     double azimuth_deg = 0.0;     ///< from the x axis of the dataset's world towards its y axis
@@ -63,16 +60,15 @@ struct WeatherSensor {
     double min_range_m = 0.0;        ///< nothing nearer is a return; of the air nothing nearer than 1 m
     double max_range_m = 80.0;
     double darkest = 0.5 / 255.0;    ///< half a step of the sensor's intensities: what is darker counts as this
-    /// [k] reflectivity of the weakest returns that the sensor reports from k to k + 1 times
-    /// kWeakestBin_m metres; the last one holds beyond. Empty: weakest() is the only threshold.
-    std::vector<double> weakest_reflectivity = {};
+    /// Reflectivity below which the air, drops and noise return nothing at any range, because
+    /// receivers are less sensitive to near targets (sensitivity-time control). 0: weakest() is the
+    /// only threshold.
+    double weakest_reflectivity = 0.0;
 
     /// Power of the weakest return that is one: of the darkest surface where the range ends.
     double weakest() const { return darkest / (max_range_m * max_range_m); }
-    /// Power that anything but a surface of the scene needs at a range to be reported. Receivers
-    /// are less sensitive to near targets (sensitivity-time control), so that a threshold of power
-    /// is one of reflectivity: weakest_reflectivity / R^2. A surface of the scene was returned by
-    /// the log, so it needs weakest() alone.
+    /// Power that anything but a surface of the scene needs at a range to be reported. A surface of
+    /// the scene was returned by the log, so it needs weakest() alone.
     double threshold(double range_m) const;
 };
 
@@ -154,7 +150,7 @@ Particles falling_in(const Weather& weather);
 
 /// What comes back from the air along any ray of a sensor, and what the air leaves of surfaces.
 ///   fog:        power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx,  r = R + x,  p(x) = cos^2(pi x / (c tau)), |x| <= c tau / 2,
-///               from 1 m on, where the beam is in the receiver's view; beta of each stretch of c tau / 2 is drawn, log-normal with mean 1 times 0.046 / visibility
+///               from 1 m on; beta of each stretch of c tau / 2 is drawn, log-normal with mean 1 times 0.046 / visibility
 ///   drop, flake: power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R) the width of the beam; those of N(D) = N0 exp(-Lambda D) per
 ///               cubic metre and millimetre that are bright enough, a Poisson process along the beam
 ///   spray:      as fog, of extinction alpha(r) by place, power(R) = pi alpha(R) / S c tau / 2 exp(-2 depth(R)) / R^2, S = 18.8 sr

@@ -2,6 +2,7 @@
 // Trajectories as CSV, for tools that plan them.
 #include <relidar/edit.hpp>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -46,16 +47,21 @@ FieldPlaces places_without_header(std::size_t n_cells, const std::string& where)
                                     "pitch_deg,roll_deg, or a header with names",
                                     where, n_cells));
     FieldPlaces at(kFieldCount, -1);
-    for (std::size_t i = 0; i < n_cells; ++i) at[i] = static_cast<int>(i);
+    for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
     return at;
 }
 
-/// Values of a line; a field without a column is 0. @throws DataError naming the column that holds no number
+/// Values of a line; a field without a column is 0. A line may end before pitch and roll.
+/// @throws DataError naming the column that holds no number
 std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells, const FieldPlaces& at,
                                          const std::string& where) {
+    const auto n_expected = std::ranges::count_if(at, [](int place) { return place >= 0; });
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
-        if (at[f] < 0) continue;
+        const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
+        if (at[f] < 0 || (may_be_absent && static_cast<std::size_t>(at[f]) >= cells.size())) continue;
+        if (static_cast<std::size_t>(at[f]) >= cells.size())
+            throw DataError(fmt::format("{}: found {} columns, expected {}: '{}' is missing", where, cells.size(), n_expected, kNames[f]));
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
@@ -85,12 +91,12 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
         if (at.empty()) {
             const bool is_header = !parse_number(cells[0]);
-            n_cells = cells.size();
-            at = is_header ? places_of_header(cells, where) : places_without_header(n_cells, where);
+            n_cells = is_header ? cells.size() : kUnnamed;
+            at = is_header ? places_of_header(cells, where) : places_without_header(cells.size(), where);
             if (is_header) continue;
         }
-        if (cells.size() != n_cells)
-            throw DataError(fmt::format("{}: found {} columns, expected {} as in the first line", where, cells.size(), n_cells));
+        if (cells.size() > n_cells)
+            throw DataError(fmt::format("{}: found {} columns, expected {} at most", where, cells.size(), n_cells));
         const auto row = read_row(cells, at, where);
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             throw DataError(fmt::format("{}: time_s: found {} after {}, expected times that rise", where, row[kTime],

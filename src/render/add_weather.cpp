@@ -103,16 +103,6 @@ private:
     }
 };
 
-/// Reflectivities of the weakest returns of a log by range. A return of intensity 0 lies between 0
-/// and half a step, and is taken as a quarter of a step.
-std::vector<double> weakest_reflectivity(const IntensityScatter& scatter, const IntensityResponse& response, double darkest) {
-    std::vector<double> weakest(scatter.weakest.begin(), scatter.weakest.end());
-    if (weakest.empty()) weakest = {0.0};
-    for (std::size_t k = 0; k < weakest.size(); ++k)
-        weakest[k] = std::max(weakest[k], 0.5 * darkest) / response.at_range((double(k) + 0.5) * kWeakestBin_m);
-    return weakest;
-}
-
 }  // namespace
 
 /// @param rays  of the sensor, whose beams they are
@@ -122,7 +112,7 @@ Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& r
     if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
     if (step > 0.0) takes.darkest = 0.5 * step;
-    takes.weakest_reflectivity = weakest_reflectivity(scatter[std::size_t(sensor.lidar)], sweep.intensity_response, takes.darkest);
+    takes.weakest_reflectivity = 0.5 * takes.darkest;   // what is reported as 0 lies between 0 and half a step
     takes.separation_m = config.sensor.return_separation_m;
     takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;
     return {weather, takes};

@@ -18,7 +18,7 @@ namespace relidar::run_detail {
 namespace {
 
 constexpr const char* kScatterFormat = "relidar intensity scatter";
-constexpr const char* kScatterVersion = "2";
+constexpr const char* kScatterVersion = "1";
 
 using Node = IntensityScatter::Node;
 
@@ -45,7 +45,6 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
     arrays.push_back(array_of(name("at"), at));
     arrays.push_back(array_of(name("values"), scatter.values));
     arrays.push_back(array_of(name("step"), std::vector{scatter.step}));
-    if (!scatter.weakest.empty()) arrays.push_back(array_of(name("weakest"), scatter.weakest));
 }
 
 /// Reads the arrays of one LiDAR.
@@ -86,10 +85,6 @@ struct ScatterArrays {
         }
         result.step = read("step", "f8", 1)[0];
         if (result.step < 0.0) throw DataError(fmt::format("{}: array {}.step: found {}, expected 0 or more", file, lidar, result.step));
-        if (find_array(arrays, fmt::format("{}.weakest", lidar))) {
-            const std::vector<double> weakest = read("weakest", "f4");
-            result.weakest.assign(weakest.begin(), weakest.end());
-        }
         return result;
     }
 };

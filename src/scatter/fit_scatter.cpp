@@ -249,34 +249,6 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// Intensity of the weakest returns by range, see IntensityScatter::weakest.
-std::vector<float> weakest_returns(std::span<const MeasuredIntensities> images) {
-    constexpr std::size_t kFewest = 100;
-    std::vector<std::vector<float>> bins;
-    for (const auto& [rendered, measured] : images) {
-        for (std::size_t i = 0; i < measured.size(); ++i) {
-            if (measured[i] == kNoIntensity || !(rendered.range_m[i] > 0.0f)) continue;
-            const auto bin = std::size_t(rendered.range_m[i] / kWeakestBin_m);
-            if (bin >= bins.size()) bins.resize(bin + 1);
-            bins[bin].push_back(measured[i]);
-        }
-    }
-    std::vector<float> weakest;
-    for (std::vector<float>& bin : bins) {
-        if (bin.size() < kFewest) {
-            weakest.push_back(weakest.empty() ? kNoIntensity : weakest.back());
-            continue;
-        }
-        const auto percentile = bin.begin() + std::ptrdiff_t(bin.size() / 100);
-        std::ranges::nth_element(bin, percentile);
-        weakest.push_back(*percentile);
-    }
-    const auto first = std::ranges::find_if(weakest, [](float value) { return value != kNoIntensity; });
-    if (first == weakest.end()) return {};
-    std::fill(weakest.begin(), first, *first);
-    return weakest;
-}
-
 /// The common divisor of two numbers, but for what is less than `error`.
 double common_divisor(double a, double b, double error) {
     while (b > error) {
@@ -325,7 +297,6 @@ IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
     }
     for (const Return& one : returns.all) result.values.push_back(one.value);
     result.step = find_step(result.values);
-    result.weakest = weakest_returns(images);
     return result;
 }
 

@@ -35,12 +35,7 @@ InitialiseOptions start_options(const Config& config) {
 Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session,
                   const Progress& progress) {
     std::vector<std::string> notes;
-    const Progress until_stopped = [&](std::string_view what, double done) {
-        if (session.stop && session.stop())
-            throw Error(ExitCode::interrupted, "interrupted while the scene was initialised: nothing is trained yet");
-        if (progress) progress(what, done);
-    };
-    Scene scene = initialise_scene(sequence, split.train, start_options(config), until_stopped, &notes);
+    Scene scene = initialise_scene(sequence, split.train, start_options(config), progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
     make_primitive(scene.surfels, config.image.primitive, config.init.thickness);

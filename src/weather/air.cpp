@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Returns of fog, drops and flakes along a ray, and which of them a sensor reports. Fog is a soft target by Rasshofer, Spies and Spies
 // (2011), as Hahner et al. (ICCV 2021) use it; particles are drawn for each beam as in LISA (Kilic et al. 2021) and by Hahner et al.
-// (CVPR 2022). Returns of the air must reach the log's weakest returns at their range. That fog and spray are uneven from stretch to stretch, and how much, is an assumption.
+// (CVPR 2022). That fog and spray are uneven from stretch to stretch, and how much, is an assumption.
 #include <relidar/weather.hpp>
 
 #include <algorithm>
@@ -52,11 +52,7 @@ Echo second_of(const Candidates& candidates, const Echo& strongest, double separ
 
 }  // namespace
 
-double WeatherSensor::threshold(double range_m) const {
-    if (weakest_reflectivity.empty()) return weakest();
-    const std::size_t bin = std::min(std::size_t(std::max(range_m, 0.0) / kWeakestBin_m), weakest_reflectivity.size() - 1);
-    return std::max(weakest(), weakest_reflectivity[bin] / (range_m * range_m));
-}
+double WeatherSensor::threshold(double range_m) const { return std::max(weakest(), weakest_reflectivity / (range_m * range_m)); }
 
 Air::Air(const Weather& weather, const WeatherSensor& sensor)
     : weather_(weather), sensor_(sensor), falling_(falling_in(weather)), alpha_(extinction(weather)) {

@@ -47,7 +47,7 @@ class Render(TestCase):
         for sensor in (None, "VLP-16:90x10"):
             scan = never_drops.render(time=time) if sensor is None else never_drops.render(sensor, time=time)
             returned = scan["drop_prob"] < 0.5
-            self.assertGreater(np.mean(scan["instance"] < 0), 0.05)
+            self.assertTrue(np.any(scan["instance"] < 0))
             self.assertTrue(np.all(returned[(scan["instance"] >= 0) & (scan["weight"] > 0.9) & (scan["median_range"] > 3)]))
             self.assertTrue(np.all(scan["median_range"][returned] > 0) and np.all(scan["range"][returned] > 0))
             self.assertTrue(np.all(scan["instance"][returned] >= 0))

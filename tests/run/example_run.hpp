@@ -31,6 +31,7 @@ inline Run example_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     run.config = make_preset("quick");
+    run.config.dataset.max_range_m = 80.0;   // loading would replace 0 by the log's own limit
     run.config.dataset.path = "/data/log \"one\"";
     Sequence& s = run.sequence;
     s.name = "example \xC3\xA9";

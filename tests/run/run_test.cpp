@@ -104,7 +104,6 @@ std::vector<IntensityScatter> example_scatter() {
     scatter.nodes = {{3, -1.0f / 3.0f, 1, 0, 5}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 3}};
     scatter.values = {0.1f, 0.2f, 0.3f, 0.5f, 0.7f};
     scatter.step = 0.1;
-    scatter.weakest = {0.1f, 0.2f};
     return {scatter};
 }
 
@@ -132,7 +131,6 @@ TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
     }
     EXPECT_EQ(a.values, b.values);
     EXPECT_EQ(a.step, b.step);
-    EXPECT_EQ(a.weakest, b.weakest);
     run.intensity_scatter.clear();
     save_run(run);
     EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty()) << "that of the run before stays";
@@ -350,7 +348,7 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
     // for people only; edits: a run as trained has none
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};
+    const std::vector<std::string> told = {"/notes", "/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {

@@ -202,21 +202,5 @@ TEST(Scatter, FindsTheStepOfALog) {
     EXPECT_EQ(scatter.quantised(0.0f), 0.0f);
 }
 
-/// Each bin of 5 m holds intensities 0.01 k + 0.1 bin for k = 0..99, as often as each other: one in a
-/// hundred is weaker than k = 1. The bin from 5 to 10 m is empty and has the value of the bin before.
-TEST(Scatter, TheWeakestReturnsAreThoseOfTheirRange) {
-    MeasuredIntensities image{panels(), std::vector<float>(kRays, kNoIntensity)};
-    for (std::size_t i = 0; i < 4000; ++i) {
-        const std::size_t bin = i / 2000 * 2, k = i % 100;
-        image.rendered.range_m[i] = 5.0f * float(bin) + 2.0f;
-        image.measured[i] = 0.01f * float(k) + 0.1f * float(bin);
-    }
-    const IntensityScatter scatter = fit_scatter(std::vector{image});
-    ASSERT_EQ(scatter.weakest.size(), 3u);
-    EXPECT_FLOAT_EQ(scatter.weakest[0], 0.01f);
-    EXPECT_FLOAT_EQ(scatter.weakest[1], 0.01f);
-    EXPECT_FLOAT_EQ(scatter.weakest[2], 0.21f);
-}
-
 }  // namespace
 }  // namespace relidar

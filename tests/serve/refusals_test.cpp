@@ -125,7 +125,7 @@ const std::vector<Case>& cases_of_patterns() {
              v1::SpinningSensor& s = *spec(r).mutable_spinning();
              s.add_beams()->set_elevation_rad(-0.1), s.add_beams()->set_elevation_rad(0.1), s.set_columns(8), s.set_period_s(0.1);
          },
-         Code::INVALID_ARGUMENT, "beams[1].elevation_rad: found 0.1 after -0.1, expected beams from the highest down"},
+         Code::INVALID_ARGUMENT, "beams: found -0.1 rad first and 0.1 rad last, expected beams from the highest down"},
         {"a window upside down",
          [](auto& r) {
              v1::ScanningWindow& w = *spec(r).mutable_window();

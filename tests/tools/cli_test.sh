@@ -754,9 +754,9 @@ whole_or_none() {
     good info killed
     mv out before
     local full_disk='ulimit -f 8; trap "" XFSZ; exec "$@"'   # no file of more than 8 KiB
-    check "an edit on a full disk succeeds" eval '! bash -c "$full_disk" - "$relidar" edit run --out full --remove 0 >out 2>err'
-    check "an edit on a full disk does not name the file" grep -q "full/" err
-    absent full
+    check "an edit on a full disk succeeds" eval '! bash -c "$full_disk" - "$relidar" edit run --out full_disk --remove 0 >out 2>err'
+    check "an edit on a full disk does not name the file" grep -q "full_disk/" err
+    absent full_disk
     check "an edit on a full disk replaces a run" eval '! bash -c "$full_disk" - "$relidar" edit run --out killed --remove 1 --force >out 2>err'
     good info killed
     check "an edit on a full disk changed a run" cmp out before

@@ -23,7 +23,7 @@ std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::u
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
     for (std::uint32_t i = 0; i < rows * columns; ++i) {
-        rays.push_back({glm::vec3(i, i / columns, i % columns), {1, 0, 0}});
+        rays.push_back({glm::vec3(i, i / columns, i % columns), {1, 0, 0}, 0.0f});
         targets.push_back({float(i), 0.5f, 1.0f});
     }
     std::vector<FrameData> frames(1);

@@ -57,8 +57,8 @@ private:
 };
 
 /// Long enough for two stretches. Its poses drift, its movers have no label, its beams are off.
-Sequence street() {
-    Sequence street = make_synthetic_street({.n_frames = 400, .rows = 32, .columns = 128, .range_noise_m = 0.01});
+Sequence street(int n_frames = 400) {
+    Sequence street = make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 128, .range_noise_m = 0.01});
     street.boxes.clear();
     PoseTrack track = street.world_from_vehicle;
     for (std::size_t k = 0; k < track.pose.size(); ++k) track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));
@@ -128,8 +128,9 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
 }
 
 TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
-    const Sequence good = street();
+    const Sequence good = street(40);
     Config config;
+    config.train.allow_lost_scans = true;
     config.train.refine_poses = "sensor";
     const Split split = split_frames(good, 10);
     const auto warning_of = [&](Sequence log) {

@@ -358,7 +358,7 @@ TEST(Weather, FogReturnsAsItsIntegral) {
 /// whose intensities come in steps of 0.01 and are 0 down to the shortest ranges.
 WeatherSensor sensor_with_time_control() {
     WeatherSensor sensor = sensor_to(80.0);
-    sensor.weakest_reflectivity.assign(17, 0.0025);
+    sensor.weakest_reflectivity = 0.0025;
     return sensor;
 }
 

@@ -16,6 +16,7 @@
 #include "evaluate/run_report.hpp"
 #include "train/training.hpp"
 #include <relidar/run.hpp>
+#include <relidar/stages/config.hpp>
 #include <relidar/scan_files.hpp>
 
 namespace relidar::cli {
@@ -144,7 +145,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     prepare_log_shown(sequence, split, config, options.quiet);
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
-    Run run{run_folder.path(), config, std::move(sequence), split, {}, {}};
+    Run run{run_folder.path(), with_farthest(config, sequence), std::move(sequence), split, {}, {}};
     take_result(run, result);
     save_run(run);
     stop_if_interrupted();

@@ -94,9 +94,6 @@ void read_beam(const v1::Beam& message, const std::string& field, SpinningSensor
     const Beam beam{read_between(field + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
                     read_between(field + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
                     read_between(field + ".origin_offset_m", message.origin_offset_m(), -kFarthestBeam_m, kFarthestBeam_m)};
-    if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad)
-        refuse(field + ".elevation_rad", fmt::format("{} after {}", beam.elevation_rad, sensor.beams.back().elevation_rad),
-               "beams from the highest down: row 0 of an image is the highest");
     sensor.beams.push_back(beam);
 }
 
@@ -105,6 +102,10 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     check_rows(field, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
     for (const v1::Beam& beam : message.beams()) read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
+    // Neighbours may change places by a little, as those of a log's own sensor do.
+    if (const auto& beams = sensor.beams; !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
+        refuse(field + ".beams", fmt::format("{} rad first and {} rad last", beams.front().elevation_rad, beams.back().elevation_rad),
+               "beams from the highest down: row 0 of an image is the highest");
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
