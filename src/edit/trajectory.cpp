@@ -55,13 +55,13 @@ FieldPlaces places_without_header(std::size_t n_cells, const std::string& where)
 /// @throws DataError naming the column that holds no number
 std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells, const FieldPlaces& at,
                                          const std::string& where) {
-    const auto n_expected = std::ranges::count_if(at, [](int place) { return place >= 0; });
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
         const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
         if (at[f] < 0 || (may_be_absent && static_cast<std::size_t>(at[f]) >= cells.size())) continue;
         if (static_cast<std::size_t>(at[f]) >= cells.size())
-            throw DataError(fmt::format("{}: found {} columns, expected {}: '{}' is missing", where, cells.size(), n_expected, kNames[f]));
+            throw DataError(fmt::format("{}: found {} columns, expected {}: '{}' is missing", where, cells.size(),
+                                        std::ranges::count_if(at, [](int place) { return place >= 0; }), kNames[f]));
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))

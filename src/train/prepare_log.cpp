@@ -110,7 +110,7 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
 }
 
 /// @return done where there are poses to be taken
-Registration registered(const Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
+Registration registered(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     Registration found;
     try {
         RegisterOptions options = register_options(sequence, config);
@@ -125,14 +125,14 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
     }
     if (found.stopped) throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
     if (!found.done) return found;
+    const PoseCorrections corrections(sequence.world_from_vehicle, found.world_from_vehicle);
     session.tell(fmt::format("scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
                              100.0 * found.on_planes, found.rounds.back().residual_m,
-                             !has_poses(sequence, config) ? way_text(found.world_from_vehicle)
-                                 : PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).text(),
-                             loops_text(found)));
-    if (has_poses(sequence, config))
-        if (const std::string warning = PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).warning(); !warning.empty())
-            session.tell(warning);
+                             has_poses(sequence, config) ? corrections.text() : way_text(found.world_from_vehicle), loops_text(found)));
+    if (const std::string warning = corrections.warning(); has_poses(sequence, config) && !warning.empty()) {
+        session.tell(warning);
+        sequence.notes.push_back(warning);   // info shows the notes of a run
+    }
     tell_lost(sequence, found, config, session);
     return found;
 }
@@ -140,10 +140,6 @@ Registration registered(const Sequence& sequence, const Split& split, const Conf
 void register_sensor(Sequence& sequence, const Split& split, const Config& config, const PrepareSession& session) {
     Registration found = registered(sequence, split, config, session);
     if (!found.done) found.world_from_vehicle.pose.clear();
-    if (found.done && has_poses(sequence, config)) {
-        const std::string warning = PoseCorrections(sequence.world_from_vehicle, found.world_from_vehicle).warning();
-        if (!warning.empty()) sequence.notes.push_back(warning);
-    }
     PoseTrack track{sequence.world_from_vehicle.time_s, session.group.broadcast(std::move(found.world_from_vehicle.pose))};
     if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
 }
