@@ -60,15 +60,13 @@ struct WeatherSensor {
     double min_range_m = 0.0;        ///< nothing nearer is a return; of the air nothing nearer than 1 m
     double max_range_m = 80.0;
     double darkest = 0.5 / 255.0;    ///< half a step of the sensor's intensities: what is darker counts as this
-    /// Reflectivity below which the air, drops and noise return nothing at any range, because
-    /// receivers are less sensitive to near targets (sensitivity-time control). 0: weakest() is the
-    /// only threshold.
+    /// Reflectivity below which nothing is returned at any range, because receivers are less
+    /// sensitive to near targets (sensitivity-time control). 0: weakest() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Power of the weakest return that is one: of the darkest surface where the range ends.
     double weakest() const { return darkest / (max_range_m * max_range_m); }
-    /// Power that anything but a surface of the scene needs at a range to be reported. A surface of
-    /// the scene was returned by the log, so it needs weakest() alone.
+    /// Power that a surface, the air, a drop or noise needs at a range to be reported.
     double threshold(double range_m) const;
 };
 
@@ -179,7 +177,8 @@ private:
     double beam_m(double range_m) const { return sensor_.aperture_m + sensor_.divergence_rad * range_m; }
     double smallest_mm(double range_m) const;
     double fog_power(double range_m) const;
-    void add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces) const;
+    double surface_reflectivity(const Echo& surface, Random& random) const;
+    void add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces, Random& random) const;
     void add_fog(std::vector<Candidate>& candidates, double free_m, Random& random) const;
     void add_particles(std::vector<Candidate>& candidates, double free_m, Random& random) const;
     void add_spray(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const;

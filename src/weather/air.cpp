@@ -93,16 +93,26 @@ double Air::fog_power(double range_m) const {
     return kPi * kBackscatter / weather_.fog_visibility_m * sum;
 }
 
-void Air::add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces) const {
-    for (Echo surface : {surfaces.strongest, surfaces.second, surfaces.mirrored, surfaces.stray}) {
-        if (surface.source == PointSource::nothing) continue;
-        if (surface.source != PointSource::surface && surface.range_m > sensor_.max_range_m) continue;
-        const double left = std::exp(-2.0 * alpha_ * surface.range_m) * std::exchange(surface.through_water, 1.0),
-                     squared_m2 = surface.range_m * surface.range_m;
-        const double least = surface.source == PointSource::blooming ? 0.0 : sensor_.darkest;
-        const double power = std::max(surface.reflectivity, least) * left / squared_m2;
-        surface.reflectivity *= left;
-        if (power >= sensor_.weakest()) candidates.push_back({surface, power});
+/// Returns the reflectivity of a surface that the log returned. Below one intensity step the log does
+/// not contain the reflectivity, so this draws it between the weakest that is returned and one step.
+double Air::surface_reflectivity(const Echo& surface, Random& random) const {
+    const double step = 2.0 * sensor_.darkest;
+    if (surface.reflectivity >= step) return surface.reflectivity;
+    return std::lerp(sensor_.threshold(surface.range_m) * surface.range_m * surface.range_m, step, random.uniform());
+}
+
+void Air::add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces, Random& random) const {
+    for (Echo echo : {surfaces.strongest, surfaces.second, surfaces.mirrored, surfaces.stray}) {
+        if (echo.source == PointSource::nothing) continue;
+        const bool is_surface = echo.source == PointSource::surface;
+        if (!is_surface && echo.range_m > sensor_.max_range_m) continue;
+        const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * std::exchange(echo.through_water, 1.0);
+        const double darkest = echo.source == PointSource::mirror ? sensor_.darkest : 0.0;
+        const double reflectivity =
+            is_surface ? surface_reflectivity(echo, random) : std::max(echo.reflectivity, darkest);
+        const double power = reflectivity * transmission / (echo.range_m * echo.range_m);
+        echo.reflectivity *= transmission;
+        if (power >= (is_surface ? sensor_.threshold(echo.range_m) : sensor_.weakest())) candidates.push_back({echo, power});
     }
 }
 
@@ -177,7 +187,7 @@ void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surface
 RayEchoes Air::look(const RayEchoes& surfaces, double free_m, std::uint64_t seed) const {
     Random random(seed);
     std::vector<Candidate> candidates;
-    add_surfaces(candidates, surfaces);
+    add_surfaces(candidates, surfaces, random);
     if (!fog_power_.empty()) add_fog(candidates, free_m, random);
     if (!particles_.empty()) add_particles(candidates, free_m, random);
     if (!surfaces.spray.empty()) add_spray(candidates, surfaces, free_m, random);

@@ -436,7 +436,23 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
         rain_before = in_rain;
     }
     EXPECT_LT(fog_before, clear / 2);
-    EXPECT_LT(rain_before, clear);
+    EXPECT_LT(rain_before, clear - 200);
+}
+
+/// A surface that the log reported with intensity 0 is as bright as 0.0025 to 0.01, evenly. Weather
+/// that leaves the share A of its light hides those below 0.0025 / A.
+TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
+    for (const double rain_mm_h : {5.0, 25.0, 100.0})
+        for (const double range_m : {20.0, 50.0}) {
+            const Weather weather{.rain_mm_h = rain_mm_h};
+            const double left = std::exp(-2.0 * extinction(weather) * range_m);
+            const double expected = std::min(0.0025 * (1.0 / left - 1.0) / (0.01 - 0.0025), 1.0);
+            const Air air(weather, sensor_with_time_control());
+            int n_hidden = 0;
+            for (std::uint64_t seed = 0; seed < kRays; ++seed)
+                n_hidden += !shows_surface(air.look({wall(range_m, 0.0), {}}, range_m, seed));
+            EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays)) << rain_mm_h << ' ' << range_m;
+        }
 }
 
 TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
