@@ -47,22 +47,6 @@ struct DatasetOptions {
 /// @throws DataError naming the file and what is wrong with it; UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
-/// Fails early, before long work: whether there is a dataset as load_sequence() takes it, and the part of this name in it (empty: none is
-/// named), as far as names of files tell and, of a Waymo segment, its number of records. Reads no scan.
-/// @throws DataError, UsageError as load_sequence()
-void check_dataset(const std::string& dataset, const std::string& sequence = {});
-
-/// A part of a dataset that the LiDAR-RT paper evaluates.
-struct PublishedPart {
-    std::string name;      ///< for DatasetOptions::sequence: "ks1" ... "wd4"
-    std::string kind;      ///< of the dataset: "kitti360" or "waymo"
-    bool is_dynamic;       ///< as the paper says: things move in it
-    int n_frames;
-    int n_test_frames;     ///< of them, held out
-};
-/// All of them, in the order of the paper's supplementary tables.
-std::vector<PublishedPart> published_parts();
-
 /// A dataset as load_sequence() takes it, made independent of the working folder; a kind in front stays.
 std::string absolute_dataset(const std::string& dataset);
 

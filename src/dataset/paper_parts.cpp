@@ -24,14 +24,4 @@ ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart>
     return {part->drive, {begin, end}, true, test_frames};
 }
 
-std::vector<PublishedPart> published_parts() {
-    std::vector<PublishedPart> parts;
-    const auto add = [&](const PaperPart& part, const char* kind) {
-        parts.push_back({part.name, kind, part.name[1] == 'd', part.last - part.first + 1, kPaperTestFrames});
-    };
-    for (const PaperPart& part : kKitti360Parts) add(part, "kitti360");
-    for (const PaperPart& part : kWaymoParts) add(part, "waymo");
-    return parts;
-}
-
 }  // namespace relidar

@@ -40,15 +40,14 @@ struct DatasetKind {
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
     bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
-    void (*check)(const fs::path&, const DatasetOptions&) = nullptr;   ///< whether that one is there; none: only reading it tells
 };
 
 constexpr DatasetKind kKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
     {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
-    {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true, check_kitti_360},
-    {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true, check_waymo},
+    {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
+    {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
     {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes, true},
     {"boreas", "applanix", "a Boreas sequence", load_boreas},
@@ -259,15 +258,6 @@ std::string absolute_dataset(const std::string& dataset) {
     if (path.empty()) return dataset;
     const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();   // without a slash at the end
     return kind.empty() ? absolute : kind + ":" + absolute;
-}
-
-void check_dataset(const std::string& dataset, const std::string& sequence) {
-    const DatasetKind& reader = reader_of(dataset, sequence);
-    const fs::path path = parted(dataset).second;
-    if (!path_exists(path)) throw DataError(fmt::format("{}: no such file or folder, expected a dataset", path.string()));
-    DatasetOptions options;
-    options.sequence = sequence;
-    if (reader.check && !sequence.empty()) reader.check(path, options);
 }
 
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {

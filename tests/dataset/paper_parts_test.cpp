@@ -43,15 +43,15 @@ TEST(PaperParts, HoldOutFourFramesThatAreTheirs) {
 }
 
 TEST(PaperParts, AreAllNamed) {
-    std::string static_ones, dynamic_ones;
-    for (const PublishedPart& part : published_parts()) {
-        (part.is_dynamic ? dynamic_ones : static_ones) += part.name + " ";
-        EXPECT_EQ(part.kind, part.name[0] == 'k' ? "kitti360" : "waymo");
-        EXPECT_EQ(part.n_frames, part.name == "ks4" ? 63 : part.name.starts_with("ks") ? 64 : 50) << part.name;
-        EXPECT_EQ(part.n_test_frames, 4);
-    }
-    EXPECT_EQ(static_ones, "ks1 ks2 ks3 ks4 ws1 ws2 ws3 ws4 ");
-    EXPECT_EQ(dynamic_ones, "kd1 kd2 kd3 kd4 kd5 kd6 wd1 wd2 wd3 wd4 ");
+    std::string names;
+    for (const auto& parts : {std::span<const PaperPart>(kKitti360Parts), std::span<const PaperPart>(kWaymoParts)})
+        for (const PaperPart& part : parts) {
+            const std::string name = part.name;
+            names += name + " ";
+            EXPECT_EQ(part.last - part.first + 1, name == "ks4" ? 63 : name.starts_with("ks") ? 64 : 50) << name;
+        }
+    EXPECT_EQ(names, "ks1 ks2 ks3 ks4 kd1 kd2 kd3 kd4 kd5 kd6 ws1 ws2 ws3 ws4 wd1 wd2 wd3 wd4 ");
+    EXPECT_EQ(kPaperTestFrames, 4);
 }
 
 }  // namespace

@@ -354,12 +354,12 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     options.people = options.gait = true;
     save_synthetic(options, folder);
     EXPECT_EQ(recognise_dataset(folder), "synthetic");
-    EXPECT_NO_THROW(check_dataset(folder.string()));
-    EXPECT_NO_THROW(check_dataset("synthetic:" + folder.string()));
-    EXPECT_THROW(check_dataset("synthetc:" + folder.string()), UsageError);
-    EXPECT_THROW(check_dataset(folder.string(), "kd1"), UsageError) << "a street is one drive";
-    EXPECT_THROW(check_dataset((folder / "none").string()), DataError);
-    EXPECT_THROW(check_dataset("synthetic:" + (folder / "none").string()), DataError);
+    DatasetOptions part;
+    part.sequence = "kd1";
+    EXPECT_THROW(load_sequence(folder.string(), part), UsageError) << "a street is one drive";
+    EXPECT_THROW(load_sequence("synthetc:" + folder.string(), {}), UsageError);
+    EXPECT_THROW(load_sequence((folder / "none").string(), {}), DataError);
+    EXPECT_THROW(load_sequence("synthetic:" + (folder / "none").string(), {}), DataError);
     const Sequence made = make_synthetic_street(options);
     DatasetOptions range;
     range.frames = {1, 3};

@@ -46,11 +46,13 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
     EXPECT_THAT(squashed.conventions, HasSubstr("the tanh of Waymo's"));
 }
 
-TEST(Waymo, PartsAreMissedBeforeTheyAreRead) {
+TEST(Waymo, MissingPartsAreErrorsOfUsage) {
     const WaymoSegment segment("waymo_parts");
-    EXPECT_NO_THROW(check_dataset(segment.folder.string(), "1083056"));
-    EXPECT_THROW(check_dataset(segment.folder.string(), "wd1"), UsageError) << "its three records end before frame 148";
-    EXPECT_THROW(check_dataset(segment.folder.string(), "ws1"), UsageError) << "another segment";
+    DatasetOptions part;
+    part.sequence = "wd1";
+    EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "its three records end before frame 148";
+    part.sequence = "ws1";
+    EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "another segment";
 }
 
 /// Compares every pixel of a frame with what it was cast from.

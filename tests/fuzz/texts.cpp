@@ -12,8 +12,6 @@
 #include <relidar/run.hpp>
 #include <relidar/sensor_files.hpp>
 
-#include "../../tools/relidar/batch/manifest.hpp"
-#include "../../tools/relidar/batch/state.hpp"
 #include "run/example_run.hpp"
 
 namespace relidar::fuzz {
@@ -92,22 +90,6 @@ void read_entities(std::string_view input, const fs::path& folder) {
     for (const ScenarioEntity& entity : read_scenario(folder / "s.xosc"))
         if (!entity.world_from_reference.pose.empty() && entity.world_from_reference.pose.size() < 100) box_track(entity, 0.0, {4, 2, 1.5});
 }
-
-/// Patterns of logs may match half of the file system: only those of the folder are looked up.
-void read_manifest(std::string_view input, const fs::path& folder) {
-    if (input.find("/*") == std::string_view::npos) (void)cli::parse_manifest(std::string(input), "manifest.toml", folder);
-}
-
-std::vector<std::string> state_seeds(const fs::path& folder) {
-    cli::JobState state;
-    state.phase = cli::JobPhase::failed;
-    state.done = {"train street"};
-    state.metrics = {{"strict/depth_medae_m", 0.02}};
-    cli::save_state(folder, state);
-    return {contents(folder / "job.json")};
-}
-
-void read_state(std::string_view input, const fs::path&) { (void)cli::parse_state(std::string(input), "job.json"); }
 
 /// TOML from tokens: a byte each.
 std::string toml_of(std::string_view input) {
@@ -212,14 +194,6 @@ std::vector<Harness> text_harnesses() {
                  "seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = 8.0\nmoving_cars = true\n"};
          },
          read_street},
-        {"manifest",
-         [](const fs::path&) {
-             return std::vector<std::string>{
-                 "[defaults]\npreset = \"quick\"\nsettings.train.iterations = 5\nsteps = [\"eval {run}\"]\n[[job]]\nlog = \"kitti_raw:a\"\n"
-                 "name = \"b\"\nframes = \"0:5\"\n[[job]]\nlogs = [\"c\", \"d/e.tfrecord\"]\nsequences = [\"kd1\"]\nout = \"f/{name}\"\n"};
-         },
-         read_manifest},
-        {"job_state", state_seeds, read_state},
         // a file is settings or a street
         {"toml",
          [](const fs::path&) {

@@ -21,8 +21,7 @@ using Names = std::set<std::string>;
 const Names kPlaceholders = {
     "relidar/stage.hpp", "relidar/stages/stage.hpp", "src/stage", "RELIDAR_UPPER",   // any stage, any macro
     "kernel_params.hpp", "relidarTargets.cmake",                                     // made by the build
-    "tables.md",                                                                     // written by `relidar tables`
-    "--requeue",                                                                     // Slurm's
+    "scores.md",                                                                     // written by `relidar eval --table`
 };
 
 const Names kSourceExtensions = {".cpp", ".hpp", ".h", ".glsl", ".comp", ".rgen", ".md", ".cmake", ".sh", ".py", ".js", ".css", ".proto"};

@@ -16,10 +16,10 @@ source "$tests/checks.sh"
 
 help_tells() {
     good --help
-    for command in devices sensors config convert info train batch refine render serve edit assets view eval export import bench demo; do
+    for command in devices sensors config convert info train refine render serve edit assets view eval export import bench demo; do
         says "^  $command "
     done
-    for command in devices sensors config convert info train batch refine render serve edit assets view eval export import bench demo; do
+    for command in devices sensors config convert info train refine render serve edit assets view eval export import bench demo; do
         good "$command" --help
         says "Example"
     done

@@ -30,8 +30,6 @@ void add_config(CLI::App& app, Call& call);
 void add_convert(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
-void add_batch(CLI::App& app, Call& call);
-void add_tables(CLI::App& app, Call& call);
 void add_refine(CLI::App& app, Call& call);
 void add_serve(CLI::App& app, Call& call);
 void add_edit(CLI::App& app, Call& call);

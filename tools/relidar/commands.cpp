@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every command there is, in the order of `relidar --help`. main.cpp runs the one that was typed; `relidar batch` reads the command lines
-// of a manifest with the same parser before it starts the first.
+// All commands, in the order of `relidar --help`. main.cpp runs the one that the user typed.
 #include "command.hpp"
 
 namespace relidar::cli {
 
 void add_commands(CLI::App& app, Call& call) {
     for (const auto& add :
-         {add_demo, add_train, add_batch, add_tables, add_refine, add_render, add_view, add_serve, add_edit, add_assets, add_eval,
+         {add_demo, add_train, add_refine, add_render, add_view, add_serve, add_edit, add_assets, add_eval,
           add_export, add_import, add_convert, add_info, add_bench, add_config, add_devices, add_sensors, add_pipelines})
         add(app, call);
 }

@@ -26,7 +26,7 @@ constexpr const char* kFooter =
     "  relidar render run --out scans --frames all\n"
     "  relidar eval run\n"
     "  relidar view run                              look at it in the browser, and drive the sensor\n"
-    "  relidar batch fleet.toml --out fleet          many logs, on one machine or many\n"
+    "  relidar eval runs/*/ --table scores.md        the scores of several runs as a table\n"
     "  relidar edit run --out empty --remove 0       remove, move, copy, insert actors; render the result\n"
     "  relidar serve run                             scans for simulators, by gRPC\n"
     "`relidar COMMAND --help` says more. Exit codes: 0 done, 1 fault of relidar, 2 usage, 3 data, 4 device, 130 interrupted.";

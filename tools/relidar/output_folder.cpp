@@ -106,8 +106,7 @@ OutputFolder::~OutputFolder() {
     if (!was_there_) fs::remove(path_, failed);   // refuses where something is in it
 }
 
-FolderLock::FolderLock(fs::path file, int descriptor, bool exclusive)
-    : file_(std::move(file)), descriptor_(descriptor), exclusive_(exclusive) {}
+FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
 
 FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patience) : file_(folder / kLockFile) {
     const auto end = std::chrono::steady_clock::now() + patience;
@@ -116,8 +115,7 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
     if (!lock) throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time", folder.string(),
                                               holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
-    exclusive_ = lock->exclusive;
-    if (exclusive_) remove_half_written(folder);
+    if (lock->exclusive) remove_half_written(folder);
 }
 
 std::unique_ptr<FolderLock> FolderLock::take_if_free(const fs::path& folder) {
@@ -125,7 +123,7 @@ std::unique_ptr<FolderLock> FolderLock::take_if_free(const fs::path& folder) {
     const std::optional<OpenLock> lock = open_locked(file);
     if (!lock) return nullptr;
     if (lock->exclusive) remove_half_written(folder);
-    return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor, lock->exclusive));
+    return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor));
 }
 
 bool FolderLock::is_held(const fs::path& folder) {

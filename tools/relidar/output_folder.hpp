@@ -45,17 +45,11 @@ public:
     /// Whether some process holds it. Writes nothing.
     static bool is_held(const std::filesystem::path& folder);
 
-    /// Whether the file system knows locks: otherwise nobody is kept out.
-    bool is_exclusive() const { return exclusive_; }
-    /// A process that inherits it holds the lock as well, for as long as it lives.
-    int descriptor() const { return descriptor_; }
-
 private:
-    FolderLock(std::filesystem::path file, int descriptor, bool exclusive);
+    FolderLock(std::filesystem::path file, int descriptor);
 
     std::filesystem::path file_;
     int descriptor_;
-    bool exclusive_;
 };
 
 /// A folder for results that this process alone writes.

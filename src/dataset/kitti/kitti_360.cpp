@@ -129,12 +129,6 @@ void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive, 
 
 }  // namespace
 
-void check_kitti_360(const fs::path& folder, const DatasetOptions& options) {
-    check_folder(folder / "data_3d_raw", "the scans of KITTI-360");
-    const Drive drive = choose_drive(folder / "data_3d_raw", options);
-    (void)list_scans(folder / "data_3d_raw" / drive.name / "velodyne_points/data", drive.frames.begin, drive.frames.end);
-}
-
 Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
     check_folder(given, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(given);

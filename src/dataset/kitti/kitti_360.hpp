@@ -14,9 +14,6 @@ namespace relidar {
 /// @param folder  with data_3d_raw @throws DataError naming file and field, UsageError for an unknown drive or a range without scans
 Sequence load_kitti_360(const std::filesystem::path& folder, const DatasetOptions& options);
 
-/// Whether the drive is there, and scans of the frames. Reads none. @throws as load_kitti_360()
-void check_kitti_360(const std::filesystem::path& folder, const DatasetOptions& options);
-
 namespace kitti {
 
 /// Boxes of data_3d_bboxes/*/DRIVE.xml in the dataset's world, of what can move (vehicles, people, cycles): those labelled at a frame, and

@@ -292,11 +292,6 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
 
 }  // namespace
 
-void check_waymo(const fs::path& path, const DatasetOptions& options) {
-    const Segment segment = choose_segment(path, options);
-    (void)record_range(TfRecords(segment.file), segment.frames);
-}
-
 Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     const Segment segment = choose_segment(path, options);
     const TfRecords records(segment.file);

@@ -14,7 +14,4 @@ namespace relidar {
 /// @throws DataError naming file, record and field, UsageError for an unknown segment or a range without frames
 Sequence load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
 
-/// Whether the segment is there, and records of the frames. Reads none. @throws as load_waymo()
-void check_waymo(const std::filesystem::path& path, const DatasetOptions& options);
-
 }  // namespace relidar

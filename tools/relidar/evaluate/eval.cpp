@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar eval: the held-out frames of a run rendered again and scored against the log it was trained on, and the baseline that
-// any rendering has to beat, for which a log is enough.
+// relidar eval: renders the held-out frames of a run and scores them against the log. Scores the baseline, which needs a log only. Puts
+// the scores of several runs into a table.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -21,6 +21,7 @@
 #include "ranks.hpp"
 #include "render/recast.hpp"
 #include "evaluate/run_report.hpp"
+#include "evaluate/score_table.hpp"
 #include <relidar/export.hpp>
 #include <relidar/run.hpp>
 #include <relidar/stages/config.hpp>
@@ -29,7 +30,9 @@ namespace relidar::cli {
 namespace {
 
 struct EvalOptions {
-    std::string target;
+    std::vector<std::string> targets;   ///< what the user typed
+    std::string target;                 ///< the run or log to score
+    std::vector<std::string> tables;
     std::string out;
     LogPart part;
     std::string baseline;
@@ -193,6 +196,15 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     const Ranks ranks;
     EvalOptions options = given;
     options.quiet = options.quiet || !ranks.is_first();
+    if (!options.tables.empty()) {
+        if (ranks.is_first()) write_score_tables(options.targets, options.tables);
+        if (!options.quiet)
+            for (const std::string& file : options.tables) print("table  " + absolute_path(file) + "\n");
+        return;
+    }
+    if (options.targets.size() > 1)
+        throw UsageError(fmt::format("RUN: found {} runs, expected one, or --table for a table of their scores", options.targets.size()));
+    options.target = options.targets.front();
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
         throw UsageError(fmt::format("--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
@@ -210,12 +222,27 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     score_run(options, ranks, command_line);
 }
 
+/// Adds --table. It only reads scores, so it excludes all options for scoring.
+void add_table_option(CLI::App& command, EvalOptions& options) {
+    const std::vector<CLI::Option*> others = command.get_options();
+    CLI::Option* table = command
+                             .add_option("--table", options.tables,
+                                         "write the scores that the runs have already as a table; the extension decides: .md, .csv, or "
+                                         ".html for a page; repeatable")
+                             ->type_name("FILE")
+                             ->type_size(1)
+                             ->allow_extra_args(false);
+    for (CLI::Option* other : others)
+        if (!other->get_positional() && !other->check_lname("quiet") && !other->check_lname("help")) table->excludes(other);
+}
+
 }  // namespace
 
 void add_eval(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<EvalOptions>();
-    command->add_option("RUN", options->target, "run folder of `relidar train`; with --baseline also a log")->required();
+    command->add_option("RUN", options->targets, "run folder of `relidar train`; with --baseline also a log; with --table several runs")
+        ->required();
     command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")->type_name("FILE");
     command
         ->add_option("--baseline", options->baseline,
@@ -237,6 +264,7 @@ void add_eval(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
+    add_table_option(*command, *options);
     command->footer(
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
         "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
@@ -250,6 +278,7 @@ void add_eval(CLI::App& app, Call& call) {
         "  relidar eval run --out median.json --set render.range=median\n"
         "  mpirun -n 8 relidar eval run\n"
         "  relidar eval run --baseline nearest --pictures pictures\n"
+        "  relidar eval runs/*/ --table scores.md --table scores.html\n"
         "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
     command->callback([&call, options] { call.run = [&call, options] { run_eval(*options, call.command_line); }; });
 }

@@ -111,6 +111,8 @@ void check_unchanged(const fs::path& folder, const Config& config) {
     Config trained;
     load_config(trained, folder / kConfigFile);
     std::string key = differing_setting(trained, config);
+    if (key.empty() && trained.dataset.path != config.dataset.path) key = "dataset.path";
+    if (key.empty() && trained.dataset.sequence != config.dataset.sequence) key = "dataset.sequence";
     for (const char* group : {"refine.", "render.", "eval."})
         if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
