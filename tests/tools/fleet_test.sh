@@ -45,7 +45,7 @@ score_tables() {
     has t.md "Compare the runs with care: their protocols differ in grid."
     bad 2 "RUN: found 2 runs, expected one, or --table" eval scored/a scored/d
     bad 2 "table: found t.txt, expected a file that ends in .md, .csv or .html" eval scored/a --table t.txt
-    bad 2 "--set excludes --table" eval scored/a --table t.md --set render.range=median
+    bad 2 "--set: found it with --table, which only reads scores" eval scored/a --table t.md --set render.range=median
     bad 3 "nowhere: not a run folder" eval scored/a nowhere --table t.md
     mkdir scored/unscored scored/damaged
     touch scored/unscored/scene.json scored/damaged/scene.json

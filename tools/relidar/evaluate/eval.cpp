@@ -222,18 +222,13 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     score_run(options, ranks, command_line);
 }
 
-/// Adds --table. It only reads scores, so it excludes all options for scoring.
-void add_table_option(CLI::App& command, EvalOptions& options) {
-    const std::vector<CLI::Option*> others = command.get_options();
-    CLI::Option* table = command
-                             .add_option("--table", options.tables,
-                                         "write the scores that the runs have already as a table; the extension decides: .md, .csv, or "
-                                         ".html for a page; repeatable")
-                             ->type_name("FILE")
-                             ->type_size(1)
-                             ->allow_extra_args(false);
-    for (CLI::Option* other : others)
-        if (!other->get_positional() && !other->check_lname("quiet") && !other->check_lname("help")) table->excludes(other);
+/// @throws UsageError if --table was given with an option for scoring
+void check_table_options(const CLI::App& command) {
+    for (const CLI::Option* option : command.get_options()) {
+        if (option->count() == 0 || option->get_positional() || option->check_lname("table") || option->check_lname("quiet")) continue;
+        throw UsageError(fmt::format("{}: found it with --table, which only reads scores; expected it in `relidar eval RUN`",
+                                     option->get_name()));
+    }
 }
 
 }  // namespace
@@ -264,7 +259,13 @@ void add_eval(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    add_table_option(*command, *options);
+    command
+        ->add_option("--table", options->tables,
+                     "write the scores that the runs have already as a table; the extension decides: .md, .csv, or .html for a page; "
+                     "repeatable")
+        ->type_name("FILE")
+        ->type_size(1)
+        ->allow_extra_args(false);
     command->footer(
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
         "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
@@ -280,7 +281,10 @@ void add_eval(CLI::App& app, Call& call) {
         "  relidar eval run --baseline nearest --pictures pictures\n"
         "  relidar eval runs/*/ --table scores.md --table scores.html\n"
         "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
-    command->callback([&call, options] { call.run = [&call, options] { run_eval(*options, call.command_line); }; });
+    command->callback([&call, options, command] {
+        if (!options->tables.empty()) check_table_options(*command);
+        call.run = [&call, options] { run_eval(*options, call.command_line); };
+    });
 }
 
 }  // namespace relidar::cli
