@@ -44,7 +44,7 @@ public:
 
     Sequence load() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
-        check_frame_of_points();
+        is_deskewed_ = bag_.points_in() == "sensor at the stamp";
         tell_topics();
         find_frames();
         add_lidars();
@@ -89,15 +89,6 @@ private:
 
     void note(const std::string& text) {
         if (!text.empty()) sequence_.notes.push_back(text);
-    }
-
-    /// Recordings of relidar say in which frame their points are. @throws DataError for the world
-    void check_frame_of_points() {
-        const std::string frame = bag_.points_in();
-        if (frame == "world")
-            throw DataError(fmt::format("{}: its points are in the world, expected the sensor's frame: render it without --frame world",
-                                        sequence_.source));
-        is_deskewed_ = frame == "sensor at the stamp";
     }
 
     void tell_topics() {
