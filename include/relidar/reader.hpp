@@ -46,11 +46,11 @@ struct Sweep {
 Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor);
 
 /// The scan of a spinning LiDAR, a cell for every ray fired, image order as RayTable has it. Each point is put on the ray that took it: a
-/// return keeps its own direction, its ray starts at the beam's origin. A firing without a point becomes a dropped ray of the model. Points
-/// beyond sensor.max_range_m are dropped. Of two first returns for one ray the second goes to a free cell beside it, else the nearer is
-/// kept. A ray was fired when its point was measured, or the nearest firing of that sweep; without times of points, when a head that faces
-/// forward at time 0 gets there. A sweep with fewer firings than sensor.columns repeats some of them, returns included, rather than invent
-/// drops: first where firings are missing, then at its end.
+/// return keeps its own direction, its ray starts at the beam's origin. A firing without a point becomes a dropped ray of the model. Of two
+/// first returns for one ray the second goes to a free cell beside it, else the nearer is kept. Points beyond sensor.max_range_m only get
+/// rays that no other point takes: drop_outside() removes them. A ray was fired when its point was measured, or the nearest firing of that
+/// sweep; without times of points, when a head that faces forward at time 0 gets there. A sweep with fewer firings than sensor.columns
+/// repeats some of them, returns included, rather than invent drops: first where firings are missing, then at its end.
 /// @param points  with rings @throws UsageError where the points have no rings, or one of no beam, or arrays of different lengths
 Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep);
 

@@ -11,6 +11,9 @@
 
 namespace relidar {
 
+/// Range of a simulated sensor whose file gives none.
+inline constexpr double kDefaultMaxRange_m = 80.0;
+
 /// A sensor by name or file, optionally followed by ":columns[xHz]" where it spins, as in "beams.csv:1024x10".
 ///   NAME          of sensor_names(), in any case
 ///   FILE.csv      a beam table (parse_beam_table()), or a ray table: a line a ray in the order of firing, with the columns azimuth_deg
@@ -24,8 +27,10 @@ namespace relidar {
 ///                 {"window": {rows, columns, left_deg, right_deg, top_deg, bottom_deg}} or {"rosette": {rays, deflection_deg, first_hz,
 ///                 second_hz}}, each with period_s (0.1) and divergence_mrad, min_range_m, max_range_m (0, 0, 80)
 /// @param also_known  names that the caller knows beside sensor_names(), for the message
+/// @param max_range_m  of a file that gives none
 /// @throws UsageError for an unknown name (the nearest known one is named), DataError for a bad file
-SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {});
+SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {},
+                        double max_range_m = kDefaultMaxRange_m);
 
 /// The sensor of what a FILE.json holds. @param name  of the sensor @param where  what messages call the text @throws DataError
 SensorModel sensor_of_json(const std::string& text, const std::string& name, const std::string& where);

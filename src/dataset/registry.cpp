@@ -142,6 +142,42 @@ void find_farthest(Sequence& sequence) {
     }
 }
 
+/// Returns of a scan that its LiDAR's limits exclude.
+struct OutsideRange {
+    std::size_t near = 0, far = 0, all = 0;
+};
+
+OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
+    OutsideRange counts;
+    const auto look = [&](float range_m) {
+        counts.all += range_m > 0.0f;
+        counts.near += range_m > 0.0f && double(range_m) < limits.min_m;
+        counts.far += double(range_m) > limits.max_m;
+    };
+    for (const float range_m : scan.range_m) look(range_m);
+    for (const SecondReturn& second : scan.second_returns)
+        for (const float range_m : second.range_m) look(range_m);
+    return counts;
+}
+
+/// Notes for each LiDAR how many returns its limits exclude. @param counts  [frames]
+void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+        OutsideRange sum;
+        for (std::size_t i = 0; i < counts.size(); ++i)
+            if (sequence.frames[i].lidar == int(l))
+                sum.near += counts[i].near, sum.far += counts[i].far, sum.all += counts[i].all;
+        if (sum.near + sum.far == 0) continue;
+        const Lidar& lidar = sequence.lidars[l];
+        std::string parts = sum.far > 0 ? fmt::format("{} beyond {} m", sum.far, lidar.sensor.max_range_m) : "";
+        if (sum.near > 0)
+            parts += fmt::format("{}{} nearer than {} m", parts.empty() ? "" : " and ", sum.near, lidar.sensor.min_range_m);
+        sequence.notes.push_back(fmt::format("range{}: {} of {} returns ({:.2g} %) count as dropped: {}",
+                                             lidar.name.empty() ? "" : " of " + lidar.name, sum.near + sum.far, sum.all,
+                                             100.0 * double(sum.near + sum.far) / double(sum.all), parts));
+    }
+}
+
 /// No LiDAR sees anything beyond its own limits and the given ones.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     find_farthest(sequence);
@@ -150,7 +186,14 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
-    for (Frame& frame : sequence.frames) drop_outside(frame.scan, sequence.lidar_of(frame).sensor.range_limits());
+    std::vector<OutsideRange> counts(sequence.frames.size());
+    run_parallel(static_cast<int>(counts.size()), [&](int i) {
+        Frame& frame = sequence.frames[std::size_t(i)];
+        const RangeLimits limits = sequence.lidar_of(frame).sensor.range_limits();
+        counts[std::size_t(i)] = count_outside(frame.scan, limits);
+        drop_outside(frame.scan, limits);
+    });
+    note_outside_range(sequence, counts);
 }
 
 /// Notes that a log has no intensities: it has returns, and all of them have intensity 0.

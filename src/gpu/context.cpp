@@ -13,6 +13,7 @@
 #include "gpu/cooperative_matrix.hpp"
 #include "gpu/memory.hpp"
 #include "gpu/pipeline_cache.hpp"
+#include "gpu/swiftshader.hpp"
 #include "gpu/transfers.hpp"
 
 namespace relidar::gpu {
@@ -152,7 +153,7 @@ void require(const DeviceInfo& info, Traversal wanted) {
         throw DeviceError(
             fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that the choice is left to relidar",
                         info.index, info.name, info.why_not_software));
-    const bool runs_the_rest = info.driver.starts_with("SwiftShader");   // the trees refuse it; tests run its other kernels
+    const bool runs_the_rest = gpu::is_swiftshader(info);   // the trees refuse it; tests run its other kernels
     if (wanted == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
         throw DeviceError(
             fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, expected all of one of them",

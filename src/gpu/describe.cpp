@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "gpu/context.hpp"
+#include "gpu/swiftshader.hpp"
 
 namespace relidar::gpu {
 
@@ -96,8 +97,6 @@ bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
            std::pair(major, minor) < std::pair(24, 1);
 }
 
-/// SwiftShader's compiler ends the process on kernels that trace (docs/platform.md).
-bool is_swiftshader(const VkPhysicalDeviceDriverProperties& driver) { return driver.driverID == VK_DRIVER_ID_GOOGLE_SWIFTSHADER; }
 constexpr const char* kNoCompiler = "a compiler for kernels that trace, which SwiftShader's is not";
 
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
@@ -181,7 +180,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     if (!optional.halves) info.why_not_halves = "storageBuffer16BitAccess";
     describe_matrix_units(physical, is_13, info);
     info.known_subgroups = known_subgroups(sizes, optional);
-    info.why_not_software = is_swiftshader(driver) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
+    info.why_not_software = is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();
     return info;
 }

@@ -90,6 +90,7 @@ public:
         if (points.firing.empty()) nearest_ = nearest_firings(sweep.firings, sweep.lattice.n_ticks);
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
+        for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
     }
     std::vector<ImageCells> by_return;
     std::vector<int> firing_of;  ///< [points] kEmpty where it is beyond the range
@@ -128,6 +129,14 @@ private:
             break;
         }
         if (point != kEmpty && range < range_of(cells.at(ring, firing))) cells.at(ring, firing) = point;
+    }
+
+    /// A point beyond the sensor's range gets its ray only if no other point wants it.
+    void add_beyond(std::size_t i) {
+        if (!(double(range_of(static_cast<int>(i))) > sensor_.max_range_m)) return;
+        const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
+        int& point = cells_of(number_of(points_, i)).at(points_.ring[i], firing);
+        if (point == kEmpty) point = static_cast<int>(i);
     }
 };
 

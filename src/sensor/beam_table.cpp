@@ -32,7 +32,7 @@ const std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0,
                                                   {"origin_left_m", -10.0, 10.0, 0.0},
                                                   {"firing_offset_us", 0.0, 1e6, 0.0},
                                                   {"min_range_m", 0.0, kFarthestLimit_m, SpinningSensor{}.min_range_m},
-                                                  {"max_range_m", 0.0, kFarthestLimit_m, SpinningSensor{}.max_range_m},
+                                                  {"max_range_m", 0.0, kFarthestLimit_m, RangeLimits{}.max_m},
                                                   {"channel", 0.0, 65535.0, 0.0}}};
 
 using Values = std::array<double, kFieldCount>;

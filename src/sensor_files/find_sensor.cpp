@@ -56,7 +56,17 @@ SensorModel beam_sensor(const std::string& text, const SensorName& name) {
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
 
-SensorModel read_sensor(const SensorName& name) {
+/// Sets the maximum range of a sensor that has none.
+void limit_range(SensorModel& sensor, double max_range_m, const std::string& where) {
+    if (!std::isinf(sensor.limits.max_m)) return;
+    if (!(sensor.limits.min_m < max_range_m))
+        throw DataError(fmt::format("{}: found {} to {} m, the default of max_range_m; expected min_range_m < max_range_m", where,
+                                    sensor.limits.min_m, max_range_m));
+    sensor.limits.max_m = max_range_m;
+    if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
+}
+
+SensorModel read_sensor(const SensorName& name, double max_range_m) {
     const fs::path path = name.name;
     const std::string stem = path.stem().string();
     SensorModel sensor = [&] {
@@ -68,6 +78,7 @@ SensorModel read_sensor(const SensorName& name) {
     if (name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         throw UsageError(fmt::format("sensor '{}:{}': found columns for a table of rays, expected the file alone: it does not spin",
                                      name.name, name.columns));
+    limit_range(sensor, max_range_m, name.name);
     return sensor;
 }
 
@@ -77,11 +88,12 @@ SensorModel sensor_of_json(const std::string& text, const std::string& name, con
     return sensor_files::parse_sensor_json(text, name, where, 0, 0.0);
 }
 
-SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known) {
+SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known, double max_range_m) {
     const SensorName name = parse_name(name_or_file);
     if (const auto known = known_sensor(name.name, name.columns, name.rate_hz)) return *known;
     const std::string extension = fs::path(name.name).extension().string();
-    if (extension == ".csv" || extension == ".json" || extension == ".npz" || path_exists(name.name)) return read_sensor(name);
+    if (extension == ".csv" || extension == ".json" || extension == ".npz" || path_exists(name.name))
+        return read_sensor(name, max_range_m);
     std::vector<std::string> known = also_known;
     for (const std::string& sensor : sensor_names()) known.push_back(sensor);
     throw UsageError(fmt::format(

@@ -50,7 +50,7 @@ void check(const RayColumns& c, const std::string& where) {
     check_reach(c.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
     check_reach(c.channel, 0.0, 65535.0, "ring", where);
     check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence in radians,", where);
-    check_reach({c.limits.min_m, c.limits.max_m}, 0.0, kMostRange_m, "range limits", where);
+    check_reach({c.limits.min_m, std::isinf(c.limits.max_m) ? kMostRange_m : c.limits.max_m}, 0.0, kMostRange_m, "range limits", where);
     if (!(c.limits.min_m < c.limits.max_m))
         throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, c.limits.min_m,
                                     c.limits.max_m));

@@ -18,7 +18,7 @@ struct RayColumns {
     std::vector<double> time_s;      ///< [n]; or 0
     std::vector<double> channel;     ///< [n]; or 0
     std::vector<double> divergence_rad = {};   ///< [n], or one of all rays; or 0
-    RangeLimits limits{0.0, 80.0};
+    RangeLimits limits = {};
 };
 
 /// The sensor of such rays. @param where  what messages call it

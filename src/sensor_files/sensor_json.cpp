@@ -138,7 +138,7 @@ Common common_of(const JsonField& field) {
     const auto number = [&](const char* key, double missing, double low, double high) {
         return field.has(key) ? field.at(key).number(low, high) : missing;
     };
-    const Common common{{number("min_range_m", 0.0, 0.0, 1e4), number("max_range_m", 80.0, 0.0, 1e4)},
+    const Common common{{number("min_range_m", 0.0, 0.0, 1e4), number("max_range_m", RangeLimits{}.max_m, 0.0, 1e4)},
                         number("period_s", 0.1, 1e-4, 10.0), 1e-3 * number("divergence_mrad", 0.0, 0.0, 100.0)};
     if (!(common.limits.min_m < common.limits.max_m))
         field.fail(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m), "expected min_range_m < max_range_m");

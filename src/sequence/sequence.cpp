@@ -280,7 +280,9 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     if (!lidar.pattern) return find_start(rays, lidar.sensor);
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
-    const double first_s = double(*std::ranges::min_element(rays.time_offset_s));
+    const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
+    if (first == last) return {};   // of a motion-compensated scan
+    const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
     return SweepStart{0.0, first_s};
 }

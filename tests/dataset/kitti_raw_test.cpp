@@ -241,6 +241,7 @@ TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
 
 TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     const KittiDrive drive("far");
+    float farthest_m = 0.0f;   // from the sensor
     for (int frame = 0; frame < 3; ++frame) {   // the walls are 16 times as far away
         std::string bytes = test::read_text(drive.scan(frame));
         for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
@@ -248,17 +249,21 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
             std::memcpy(p, bytes.data() + at, sizeof p);
             for (float& x : p) x *= 16.0f;
             std::memcpy(bytes.data() + at, p, sizeof p);
+            farthest_m = std::max(farthest_m, std::hypot(p[0], p[1], p[2]));
         }
         test::write_text(drive.scan(frame), bytes);
     }
     DatasetOptions options;
     options.max_range_m = INFINITY;
     const Sequence log = load_sequence(drive.folder.string(), options);
-    float farthest_m = 0.0f;
-    for (const Frame& frame : log.frames)
-        farthest_m = std::max(farthest_m, *std::max_element(frame.scan.range_m.begin(), frame.scan.range_m.end()));
-    EXPECT_GT(farthest_m, 16.0f * 14.0f) << "returns beyond 80 m are there";
-    EXPECT_EQ(log.lidars[0].sensor.max_range_m, std::ceil(farthest_m));
+    double offset_m = 0.0;   // ranges count from where a beam starts, not from the sensor
+    for (const Beam& beam : drive.beams)
+        offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m, beam.origin_left_m)));
+    const double limit_m = log.lidars[0].sensor.max_range_m;
+    EXPECT_GT(farthest_m, 80.0f);
+    EXPECT_GE(limit_m, double(farthest_m) - offset_m);
+    EXPECT_LE(limit_m, std::ceil(double(farthest_m) + offset_m));
+    EXPECT_EQ(limit_m, std::floor(limit_m)) << "whole metres";
     EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("the farthest return; the sensor's own limit is not known")));
 }
 

@@ -57,6 +57,11 @@ protected:
         const std::string said = complaint(name, text, options);
         EXPECT_NE(said.find(part), std::string::npos) << "said: " << said << "\nexpected: " << part;
     }
+    static DatasetOptions without_poses() {
+        DatasetOptions options;
+        options.poses_file = kNoPoses;
+        return options;
+    }
     /// The head with members of its own.
     std::string with(const std::string& members) const { return head.substr(0, head.size() - 1) + ", " + members + "}"; }
     std::string replaced(std::string text, const std::string& from, const std::string& to) const {
@@ -176,6 +181,22 @@ TEST_F(FolderDamage, OfPointFiles) {
     expect("scans/a.npy", test::npy(points), "a.npy: an array of 2 dimensions, the last of 6, expected [points, 4]");
     expect("scans/a.npy", "x", "a.npy");
     expect("scans/a.npz", "x", "a.npz");
+}
+
+/// Point clouds of relidar say in which frame their points are.
+TEST_F(FolderDamage, OfDeskewedPoints) {
+    for (const char* frame : {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {
+        const std::string pcd = fmt::format("# {}\n", frame) + test::pcd_binary(points);
+        const std::string ply = replaced(test::ply_binary(points), "ply\n", fmt::format("ply\ncomment {}\n", frame));
+        expect("scans/a.pcd", pcd, "a.pcd: its rays are deskewed or in the world");
+        fs::rename(folder / "scans/a.pcd", folder / "a.pcd");
+        expect("scans/a.ply", ply, "a.ply: its rays are deskewed or in the world");
+        fs::rename(folder / "a.pcd", folder / "scans/a.pcd");
+        put("sequence.json", with(R"("motion_compensated": true)"));
+        EXPECT_EQ(complaint("scans/a.pcd", pcd, without_poses()), "nothing");
+        put("sequence.json", head);
+    }
+    expect("scans/a.pcd", "# points_in sensor at each ray's firing time\n" + test::pcd_binary(points), "nothing");
 }
 
 TEST_F(FolderDamage, OfValues) {

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <functional>
+#include <regex>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -163,6 +164,27 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
         EXPECT_EQ(found.lidars[std::size_t(l)].sensor.max_range_m, street.lidars[std::size_t(l)].sensor.max_range_m);
     }
     expect_same_scans(found, street);
+}
+
+TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
+    Sequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
+    street.rolling_shutter = false;
+    const fs::path folder = fresh("compensated_log");
+    save_folder(street, folder);
+    const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
+    EXPECT_EQ(find_array(arrays, "deskewed")->as_float(), std::vector<float>{1.0f});
+    EXPECT_EQ(find_array(arrays, "time")->as_float(), std::vector<float>(8 * 64, 0.0f));
+    const Sequence found = load_sequence(folder.string(), {});
+    EXPECT_FALSE(found.rolling_shutter);
+    EXPECT_FALSE(found.frames[1].start);
+    for (std::size_t i = 0; i < 8 * 64; ++i) {
+        const auto seen = world_return(found, found.frames[1], i), truth = world_return(street, street.frames[1], i);
+        ASSERT_LT(glm::distance(seen.point_m, truth.point_m), 1e-6) << i;
+    }
+    const std::regex statement("\"motion_compensated\": true");
+    const std::string head = test::read_text(folder / "sequence.json");
+    test::write_text(folder / "sequence.json", std::regex_replace(head, statement, "\"motion_compensated\": false"));
+    EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "each scan says it too";
 }
 
 TEST(SaveFolder, ReadsARangeOfItsFrames) {

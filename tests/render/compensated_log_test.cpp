@@ -160,6 +160,12 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
 
     write(sensor, true);
     expect_statements(true);
+    expect_recordings(true);   // the reader undoes it
+    for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
+        DatasetOptions without_poses;
+        without_poses.poses_file = kNoPoses;
+        EXPECT_FALSE(load_sequence((folder / recording).string(), without_poses).rolling_shutter) << recording;
+    }
     const std::vector<TimedPoint> deskewed = points();
     ASSERT_EQ(deskewed.size(), raw.size());
     for (std::size_t i = 0; i < raw.size(); ++i) {

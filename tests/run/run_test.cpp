@@ -10,23 +10,16 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
-#include "../export/temporary_folder.hpp"
 #include "../support/comma_locale.hpp"
-#include "example_run.hpp"
+#include "saved_run.hpp"
 
 namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
 
-class RunFolder : public TemporaryFolder {
+class RunFolder : public SavedRun {
 protected:
-    void SetUp() override {
-        TemporaryFolder::SetUp();
-        run = example_run(folder / "run");
-        save_run(run);
-        scene = contents(run.folder / "scene.json");
-    }
     std::string load_error() {
         return data_error([&] { load_run(run.folder); });
     }
@@ -35,9 +28,6 @@ protected:
         put(run.folder / "scene.json", changed.dump());
         return load_error();
     }
-
-    relidar::Run run;
-    std::string scene;
 };
 
 void expect_equal(const Pose& a, const Pose& b) {

@@ -8,24 +8,10 @@
 
 #include <gmock/gmock.h>
 
-#include "../export/temporary_folder.hpp"
-#include "example_run.hpp"
+#include "saved_run.hpp"
 
 namespace relidar {
 namespace {
-
-class SavedRun : public TemporaryFolder {
-protected:
-    void SetUp() override {
-        TemporaryFolder::SetUp();
-        run = example_run(folder / "run");
-        save_run(run);
-        scene = contents(run.folder / "scene.json");
-    }
-
-    relidar::Run run;
-    std::string scene;
-};
 
 /// While it lives, no file of this process gets larger, as on a full disk.
 class FullDisk {

@@ -231,6 +231,24 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
 }
 
+TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
+    const std::vector<float> ahead{1.0f, 0.0f, 0.0f};
+    write_npz(path_of("endless.npz"), {make_array("directions", {1, 3}, ahead.data(), ahead.size())});
+    for (const std::string& file : {
+             write("endless_beams.csv", "elevation_deg\n5\n-5\n"), write("endless_rays.csv", "azimuth_deg,elevation_deg\n0,0\n"),
+             write("endless_rays.json", R"({"directions": [[1, 0, 0]]})"), path_of("endless.npz"),
+             write("endless_window.json", R"({"window": {"rows": 2, "columns": 2, "left_deg": 40, "right_deg": -40, "top_deg": 10,
+                                                         "bottom_deg": -10}})")}) {
+        EXPECT_EQ(find_sensor(file).limits.max_m, kDefaultMaxRange_m) << file;
+        const SensorModel sensor = find_sensor(file, {}, 250.0);
+        EXPECT_EQ(sensor.limits.max_m, 250.0) << file;
+        const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
+        EXPECT_TRUE(!spinning || spinning->max_range_m == 250.0) << file;
+    }
+    EXPECT_THAT(message(write("beyond.csv", "elevation_deg,min_range_m\n5,90\n")), HasSubstr("expected min_range_m < max_range_m"));
+    EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m) << "a data sheet gives a limit";
+}
+
 TEST(Rigs, WrongRigsAreNamed) {
     const auto complaint = [](const std::string& text) {
         try {

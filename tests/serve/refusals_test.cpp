@@ -58,6 +58,14 @@ const std::vector<Case>& cases_of_poses() {
         {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); }, Code::NOT_FOUND,
          "actors.actors[0].name: found \"cat\", expected one that is there, as \"car\""},
         {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT, "actors.actors[0].poses: found 0 poses"},
+        {"actor of another time",
+         [](auto& r) {
+             r.set_time_s(0.5);
+             v1::ActorTrack& car = actor(r, "car");
+             add_pose(*car.mutable_poses(), 3.0, at_x(4)), add_pose(*car.mutable_poses(), 4.0, at_x(5));
+         },
+         Code::INVALID_ARGUMENT,
+         "reading actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses that cover the scan's time"},
         {"actor twice",
          [](auto& r) {
              for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));

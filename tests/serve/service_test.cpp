@@ -159,6 +159,45 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     }
 }
 
+/// The sensor drives towards the wall at 20 m/s.
+TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
+    relidar::Run run = small_run(folder / "small");
+    run.sequence.rolling_shutter = false;
+    save_run(run);
+    start();
+    constexpr double kTime_s = 0.5, kEnd_s = 0.6, kPeriod_s = 0.1, kWall_m = 10.0;
+    const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
+    v1::RenderLidarRequest request = standing();
+    request.clear_path();
+    for (const double time_s : {0.4, kEnd_s}) add_pose(*request.mutable_path(), time_s, at_x(sensor_x(time_s)));
+    request.set_time_s(kTime_s);
+    request.mutable_actors();
+    for (const bool is_own : {true, false}) {
+        request.mutable_sensor()->set_name(is_own ? "native" : "VLP-16:360x10");
+        for (const bool beside_image : {true, false}) {   // points alone are made on the device
+            request.mutable_wanted()->set_range_image(beside_image), request.mutable_wanted()->set_drop_probability(beside_image);
+            const v1::LidarScan scan = scan_of(request);
+            const std::vector<glm::vec3> points = values<glm::vec3>(scan.points().xyz_m());
+            const std::vector<float> times_s = values<float>(scan.points().time_s());
+            const std::vector<std::uint16_t> rings = values<std::uint16_t>(scan.points().ring());
+            ASSERT_GT(points.size(), 10u);
+            EXPECT_EQ(scan.time_s(), kTime_s);
+            float latest_s = 0.0f;
+            for (std::size_t i = 0; i < points.size(); ++i) {
+                const glm::dvec3 seen_m = glm::dvec3(points[i]) + glm::dvec3(sensor_x(kEnd_s), 0.0, 0.0);
+                EXPECT_NEAR(seen_m.x, kWall_m, 1e-3);
+                const glm::dvec3 ray = seen_m - glm::dvec3(sensor_x(kTime_s + double(times_s[i])), 0.0, 0.0);
+                const double elevation = std::atan2(ray.z, std::hypot(ray.x, ray.y)), azimuth = std::atan2(ray.y, ray.x);
+                EXPECT_NEAR(elevation, is_own ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0, 3e-4) << i;
+                if (is_own) EXPECT_EQ(times_s[i], 0.0f);
+                else EXPECT_NEAR(times_s[i], -azimuth / (2.0 * kPi) * kPeriod_s, 1e-3) << "a head that turns clockwise";
+                latest_s = std::max(latest_s, std::abs(times_s[i]));
+            }
+            EXPECT_EQ(latest_s > 0.01f, !is_own);
+        }
+    }
+}
+
 /// A network that says of every ray that it returns, of a sensor that mostly sees nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     relidar::Run run = small_run(folder / "small");
@@ -239,6 +278,9 @@ TEST_F(Service, ActorsAreTheLogsOrTheClients) {
     car.set_name("car");
     add_pose(*car.mutable_poses(), 0.0, at_x(6.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "where the client has it";
+    car.clear_poses();
+    add_pose(*car.mutable_poses(), -0.5, at_x(4.0)), add_pose(*car.mutable_poses(), 0.0, at_x(5.0));   // until 0.5 s before the scan
+    EXPECT_NEAR(range_m(), 6.0, 0.05) << "it goes on at the same speed";
     request.mutable_actors()->clear_actors();
     EXPECT_NEAR(range_m(), 10.0, 0.05) << "nobody is there";
     EXPECT_EQ(instance(), 0);

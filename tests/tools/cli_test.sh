@@ -647,6 +647,18 @@ baseline() {
     for frame in 3 7 8; do exists named/range_00000$frame.png; done
     absent named/range_000010.png
     bad 2 "dataset.test_frames: found 99, expected frames that are read of the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
+    for set in train.iterations=3 sensor.grid_method=cast dataset.path=elsewhere; do
+        bad 2 "found ${set%=*}, which changes nothing in .relidar eval LOG --baseline." eval street --baseline nearest --set $set
+    done
+    # a log without intensities: points of x y z alone
+    mkdir -p dark/scans
+    for scan in 0 1 2; do awk 'BEGIN { print "ply\nformat ascii 1.0\nelement vertex 72\nproperty float x\nproperty float y\nproperty float z\nproperty ushort ring\nend_header"
+        for (ring = 0; ring < 2; ++ring) for (k = 0; k < 36; ++k) print 20 * cos(k * 0.1745329), 20 * sin(k * 0.1745329), 1 - 2 * ring, ring }' >dark/scans/$scan.ply; done
+    printf '{"format": "relidar log", "version": 1, "rate_hz": 10}' >dark/sequence.json
+    printf '1 0 0 0 0 1 0 0 0 0 1 0\n%.0s' 1 2 3 >dark/poses.txt
+    good eval dark --baseline nearest --set dataset.test_frames=1 --pictures dark_pictures
+    for picture in range drop; do exists dark_pictures/${picture}_000001.png; done
+    absent dark_pictures/intensity_000001.png
     good eval street --baseline nearest-actors --set dataset.test_every=5 --quiet
     check "eval --quiet prints" test ! -s out -a ! -s err
     printf 'no weights' >weights.safetensors

@@ -231,6 +231,23 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
     EXPECT_EQ(status, 200);
 }
 
+TEST(ViewServer, AnswersWhileManyConnectionsAreSilent) {
+    const ServerOptions options;
+    const Echo echo(options);
+    Socket page(echo.port());   // is open before
+    std::vector<std::unique_ptr<RawClient>> silent;
+    for (std::size_t i = 0; i < 3 * options.max_connections; ++i) silent.push_back(std::make_unique<RawClient>(echo.port()));
+    page.send(text_frame("there"));
+    EXPECT_EQ(page.receive(12), std::string("\x81\x0a") + "echo there");
+    const auto start = std::chrono::steady_clock::now();
+    int status = 0;
+    while (status != 200 && std::chrono::steady_clock::now() - start < std::chrono::seconds(5)) {
+        status = status_of(ask(echo.port(), get("/")));
+        std::this_thread::sleep_for(milliseconds(20));
+    }
+    EXPECT_EQ(status, 200) << "the server closes silent connections, although their clients keep them open";
+}
+
 TEST(ViewServer, AnswersTexts) {
     const Echo echo;
     Socket socket(echo.port());

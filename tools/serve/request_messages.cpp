@@ -25,11 +25,15 @@ constexpr int kMostSensors = 64;         // of a rig
 constexpr std::size_t kLongestSpawnName = 200;   // bytes, of spawned actors
 constexpr double kBeyondPath_s = 1.0;   // a sweep may begin before its path and end after it; more is a mistake of times
 
+bool is_far_beyond(double time_s, const PoseTrack& path) {
+    const bool moves = path.pose.size() > 1;
+    return moves && (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
+}
+
 /// A moment on the sensor's path, or not far beyond it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
-    const bool moves = path.pose.size() > 1;
-    if (moves && (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s))
+    if (is_far_beyond(time_s, path))
         refuse(field, fmt::format("{} with a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
                fmt::format("seconds on the path, or at most {} s before or after it", kBeyondPath_s));
     return time_s;
@@ -41,11 +45,17 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
     return names;
 }
 
-std::vector<ActorWish> read_actors(const v1::ActorTracks& message) {
+/// @throws Refusal for poses that end long before the scan, or begin long after it
+std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s) {
     std::vector<ActorWish> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const std::string field = fmt::format("actors.actors[{}]", i);
         wishes.push_back({field + ".name", message.actors(i).name(), read_track(message.actors(i).poses(), field + ".poses")});
+        const PoseTrack& track = wishes.back().dataset_from_actor;
+        if (is_far_beyond(time_s, track))
+            refuse(field + ".poses",
+                   fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(), track.time_s.back(), time_s),
+                   fmt::format("poses that cover the scan's time, or end at most {} s before or after it", kBeyondPath_s));
     }
     return wishes;
 }
@@ -206,7 +216,7 @@ WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const
                                                  : path.time_s.front() - firing_span(*wanted.sensor).first_s;
     wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s") : path.time_s.back();
     wanted.request.dataset_from_sensor = path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
-    if (message.has_actors()) place_actors(read_actors(message.actors()), wanted);
+    if (message.has_actors()) place_actors(read_actors(message.actors(), wanted.request.time_s), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (!message.weather().empty()) wanted.weather = read_weather(message.weather());
     if (message.has_wanted()) {

@@ -111,6 +111,12 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
     }
 }
 
+std::string Bag::points_in() const {
+    for (const auto& file : files_)
+        if (std::string frame = file->points_in(); !frame.empty()) return frame;
+    return "";
+}
+
 void Bag::note(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }

@@ -68,6 +68,8 @@ public:
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
     /// One message again; from any thread.
     virtual std::string read(const Place& place) const = 0;
+    /// Frame of the points as relidar's own recordings say it, after a pass; empty for other recordings.
+    virtual std::string points_in() const { return ""; }
 };
 
 /// By the kinds of file. @param skip_broken  damaged chunks are left out with a note, not an error
@@ -86,6 +88,8 @@ public:
     const std::vector<Topic>& topics() const { return topics_.topics(); }  ///< that passes have met
     const std::vector<std::string>& notes() const { return notes_; }       ///< what the files lack
     const std::vector<std::filesystem::path>& files() const { return paths_; }
+    /// Frame of the points as relidar's own recordings say it, after a pass; empty for other recordings.
+    std::string points_in() const;
 
     /// A pass over all files. Messages come in the order in which they lie there.
     void each(const Wanted& wanted, const Take& take, const Progress& progress = {});

@@ -66,7 +66,14 @@ ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud,
     double zero_s = at.time_s - cloud_s;  // what counts as 0 s of the frame, in times of points
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
-    return folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
+    ScanPoints points = folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
+    if (!deskewed_by_) return points;
+    const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
+    for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
+        const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
+        points.point_m[i] = glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.point_m[i])));
+    }
+    return points;
 }
 
 Scan BagScans::rays(std::size_t frame) const {

@@ -2,7 +2,9 @@
 // Clouds of a recording as scans of a log's frames.
 #pragma once
 
+#include <functional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "dataset/bag/bag.hpp"
@@ -28,11 +30,16 @@ struct LidarTopic {
     SpinningSensor sensor = {};  ///< of packets
 };
 
+/// world_from_lidar at a time of the log.
+using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
+
 class BagScans : public folder::ScanSource {
 public:
     /// @param clouds  [frames]
-    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds, Clock clock)
-        : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock) {}
+    /// @param deskewed_by  poses that moved points to the time of their cloud: undone
+    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds, Clock clock,
+             LidarPose deskewed_by = {})
+        : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
 
     std::string name(std::size_t frame) const override;
     bool has_points(std::size_t frame) const override { return lidars_[clouds_[frame].lidar].clouds->packets.empty(); }
@@ -44,6 +51,7 @@ private:
     const std::vector<LidarTopic>& lidars_;
     const std::vector<FrameCloud>& clouds_;
     const Clock clock_;
+    const LidarPose deskewed_by_;
 
     ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };

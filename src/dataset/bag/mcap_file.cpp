@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // MCAP (mcap.dev/spec): records of a code, 8 bytes of length, and a body. They are read from the first to the last, so that neither an
 // index nor a summary is needed, nor an end.
+#include <algorithm>
+#include <array>
 #include <map>
 #include <set>
 
@@ -16,7 +18,15 @@ namespace {
 
 constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
 constexpr std::size_t kRecordHead = 9;  // code, length
-enum McapCode : std::uint8_t { kMcapFooter = 2, kMcapSchema = 3, kMcapChannel = 4, kMcapMessage = 5, kMcapChunk = 6, kMcapDataEnd = 15 };
+enum McapCode : std::uint8_t {
+    kMcapFooter = 2,
+    kMcapSchema = 3,
+    kMcapChannel = 4,
+    kMcapMessage = 5,
+    kMcapChunk = 6,
+    kMcapMetadata = 12,
+    kMcapDataEnd = 15
+};
 
 struct McapRecord {
     std::uint8_t code;
@@ -64,6 +74,7 @@ public:
 
     void each(TopicTable& topics, const Pass& pass) override {
         schemas_.clear(), channels_.clear();
+        points_in_.clear();
         std::uint64_t at = kMcapMagic.size();
         for (;;) {
             if (file_.size() - at < kRecordHead) break;
@@ -93,9 +104,12 @@ public:
         return std::string(message_of(next_record(reader).body).bytes);
     }
 
+    std::string points_in() const override { return points_in_; }
+
 private:
     PartFile file_;
     const bool skip_broken_;
+    std::string points_in_;
     ChunkCache chunks_;
     struct Schema {
         std::string name, encoding;
@@ -109,7 +123,8 @@ private:
     }
 
     void read_record(std::uint8_t code, std::uint64_t at, std::uint64_t length, TopicTable& topics, const Pass& pass) {
-        if (code != kMcapSchema && code != kMcapChannel && code != kMcapMessage && code != kMcapChunk) return;
+        constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
+        if (std::ranges::find(kRead, code) == kRead.end()) return;
         std::string body = file_.part(at + kRecordHead, length);
         if (code != kMcapChunk) return take({code, body}, {at, Place::kNoChunk}, topics, pass);
         const std::string records = records_of_chunk(body);
@@ -118,6 +133,15 @@ private:
         while (reader.left() > 0) {
             const std::uint64_t in_chunk = reader.at();
             take(next_record(reader), {at, in_chunk}, topics, pass);
+        }
+    }
+
+    /// Metadata that relidar writes.
+    void read_metadata(ByteReader reader) {
+        if (reader.sized() != "relidar") return;
+        for (ByteReader pairs(reader.sized()); pairs.left() > 0;) {
+            const std::string_view key = pairs.sized(), value = pairs.sized();
+            if (key == "points_in") points_in_ = value;
         }
     }
 
@@ -132,6 +156,8 @@ private:
             const std::string name(reader.sized()), encoding(reader.sized());
             const auto known = schemas_.find(schema);
             channels_[id] = topics.number_of({name, known == schemas_.end() ? "" : known->second.name, encoding});
+        } else if (record.code == kMcapMetadata) {
+            read_metadata(reader);
         } else if (record.code == kMcapMessage) {
             const McapMessage message = message_of(record.body);
             const auto channel = channels_.find(message.channel);

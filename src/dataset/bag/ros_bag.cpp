@@ -44,6 +44,7 @@ public:
 
     Sequence load() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
+        is_deskewed_ = bag_.points_in() == "sensor at the stamp";
         tell_topics();
         find_frames();
         add_lidars();
@@ -54,11 +55,13 @@ public:
             head.lidars.emplace_back().lidar = sequence_.lidars[l];
             head.lidars.back().is_guessed = true;
             head.lidars.back().has_beams = !sequence_.lidars[l].sensor.beams.empty();
-            head.motion_compensated = head.motion_compensated || lidars_[l].units.is_deskewed;
+            head.motion_compensated = head.motion_compensated || lidars_[l].units.is_deskewed || (is_deskewed_ && !has_poses_);
         }
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
-        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock), options);
+        LidarPose deskewed_by;
+        if (is_deskewed_ && has_poses_) deskewed_by = [&](std::size_t lidar, double t_s) { return lidar_pose(lidar, t_s); };
+        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
         if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return recentred_pose(t_s); }));
         return std::move(sequence_);
     }
@@ -74,6 +77,7 @@ private:
     std::vector<LidarTopic> lidars_;  ///< [LiDARs]
     std::vector<FrameCloud> frames_;  ///< [frames]
     bool has_poses_ = false;          ///< of the recording's own
+    bool is_deskewed_ = false;        ///< relidar wrote the points in the sensor's frame at the stamp
 
     const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
     const CloudTopic& main() const { return topic_of(clouds_.main); }
@@ -177,6 +181,8 @@ private:
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
             if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty()) note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
+            if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != TimeZero::none)
+                note(name_of(clouds) + ": relidar deskewed the points to the stamp: they are moved back to the sensor at their own times");
         }
     }
 
@@ -199,6 +205,11 @@ private:
         const Pose world_from_vehicle = poses_.path->at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
         return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
+    }
+
+    Pose lidar_pose(std::size_t lidar, double t_s) const {
+        const Pose pose = own_pose(t_s);
+        return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
     }
 
     std::optional<Pose> recentred_pose(double t_s) const {

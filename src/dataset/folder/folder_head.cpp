@@ -101,9 +101,10 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
 /// A sensor by name or file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
+    const double max_range_m = lidar.sensor.max_range_m;   // of a file that gives none
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const SensorModel model =
-        find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name);
+        find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name, {}, max_range_m);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning && spins)
         field.fail(fmt::format("found {}, which does not spin", excerpt(name)), "expected a spinning sensor, or \"spins\": false");

@@ -26,13 +26,13 @@ constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams
 constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
 
 /// First returns that spinning_scan() has a ray for, if none lie on one.
-std::size_t count_in_range(const ScanPoints& points, double max_range_m) {
+std::size_t count_first_returns(const ScanPoints& points) {
     constexpr float kLeastRange_m = 1e-3f;
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const float range_m = glm::length(points.point_m[i]);
         const bool is_first = points.return_number.empty() || points.return_number[i] == 0;
-        n += is_first && range_m >= kLeastRange_m && double(range_m) <= max_range_m;
+        n += is_first && range_m >= kLeastRange_m;
     }
     return n;
 }
@@ -54,7 +54,9 @@ public:
     std::string name(std::size_t i) const override { return files_[i].string(); }
     bool has_points(std::size_t i) const override { return !is_image_file(files_[i]); }
     ScanPoints points(std::size_t i) const override {
-        return points_of(read_point_file(files_[i], head_.units.columns), head_.units, sequence_.frames[i].time_s, name(i));
+        const PointTable table = read_point_file(files_[i], head_.units.columns);
+        check_deskewed(table.is_deskewed, head_, name(i));
+        return points_of(table, head_.units, sequence_.frames[i].time_s, name(i));
     }
     Scan rays(std::size_t i) const override {
         const Frame& frame = sequence_.frames[i];
@@ -78,7 +80,7 @@ public:
           broken_(broken),
           plans_(head.lidars.size()),
           left_out_(sequence.frames.size(), 0),
-          in_range_(sequence.frames.size(), 0),
+          n_first_(sequence.frames.size(), 0),
           behind_(sequence.frames.size(), 0) {}
 
     void find_sensors() {
@@ -118,15 +120,15 @@ public:
         else
             recover_rings(points, sensor.beams);
         frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
-        in_range_[i] = count_in_range(points, sensor.max_range_m);
-        behind_[i] = in_range_[i] - std::min(in_range_[i], frame.scan.count_returns());
+        n_first_[i] = count_first_returns(points);
+        behind_[i] = n_first_[i] - std::min(n_first_[i], frame.scan.count_returns());
     }
 
     void tell_left_out() {
         const auto sum = [](const std::vector<std::size_t>& counts) { return std::reduce(counts.begin(), counts.end()); };
         if (const std::size_t n = sum(left_out_); n > 0)
             note(fmt::format("{} points of rings that the fitted scans do not have are left out", n));
-        if (const std::size_t n = sum(behind_), all = sum(in_range_); n > 0)
+        if (const std::size_t n = sum(behind_), all = sum(n_first_); n > 0)
             note(fmt::format("{} of {} points ({:.2g} %) are left out: a nearer one takes their ray, which lies beside no free one", n, all,
                              100.0 * double(n) / double(all)));
     }
@@ -139,7 +141,7 @@ private:
     BrokenScans& broken_;
     std::vector<Plan> plans_;            ///< [lidars]
     std::vector<std::size_t> left_out_;  ///< [frames] points
-    std::vector<std::size_t> in_range_;  ///< [frames] first returns
+    std::vector<std::size_t> n_first_;   ///< [frames] first returns
     std::vector<std::size_t> behind_;    ///< [frames] of them: on rays that have another one
 
     void note(const std::string& text) {

@@ -147,13 +147,31 @@ bool is_point_file(const fs::path& file) {
 
 bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || file.extension() == ".exr"; }
 
+namespace {
+
+/// Returns true if relidar wrote the point cloud and deskewed it or moved it to the world.
+bool says_deskewed(std::string_view bytes) {
+    constexpr std::size_t kHeader = 4096;   // bytes that are looked at
+    const std::string_view header = bytes.substr(0, kHeader);
+    return header.find(" points_in sensor at time_s") != header.npos || header.find(" points_in world") != header.npos;
+}
+
+PointTable read_with_header(const fs::path& file, PointTable (*read)(const std::string& bytes, const std::string& where)) {
+    const std::string bytes = read_text(file);
+    PointTable table = read(bytes, file.string());
+    table.is_deskewed = says_deskewed(bytes);
+    return table;
+}
+
+}  // namespace
+
 PointTable read_point_file(const fs::path& file, const std::vector<std::string>& columns) {
     static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
     const std::string ending = file.extension().string();
     if (ending == ".bin") return read_bin(file, columns.empty() ? kKitti : columns);
     if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
-    if (ending == ".pcd") return read_pcd(read_text(file), file.string());
-    if (ending == ".ply") return read_ply(read_text(file), file.string());
+    if (ending == ".pcd") return read_with_header(file, read_pcd);
+    if (ending == ".ply") return read_with_header(file, read_ply);
     throw DataError(fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin or .npy", file.string(), excerpt(ending)));
 }
 

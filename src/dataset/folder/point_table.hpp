@@ -18,6 +18,7 @@ bool is_point_field(std::string_view name);
 struct PointTable {
     std::size_t n = 0;
     std::map<std::string, std::vector<double>> fields;  ///< [n] each
+    bool is_deskewed = false;                           ///< the file says that its points are deskewed or in the world
 
     /// Values of the first of these names that is there, nullptr where none is.
     const std::vector<double>* find(std::initializer_list<const char*> names) const;

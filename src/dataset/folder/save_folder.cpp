@@ -174,7 +174,7 @@ void save_folder(const Sequence& sequence, const fs::path& given, const FolderOp
     fs::create_directory(staged.path() / "scans");
     for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
         const Frame& frame = sequence.frames[i];
-        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan);
+        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan, !sequence.rolling_shutter);
     });
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)

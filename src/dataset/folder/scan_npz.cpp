@@ -144,17 +144,15 @@ RayTable own_rays(const Arrays& arrays) {
     return rays;
 }
 
-/// A rendering may have brought its rays to one moment, or to the world.
-void check_frame(const Arrays& arrays, bool motion_compensated) {
-    const NamedArray* deskewed = arrays.find("deskewed");
-    if (deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f && !motion_compensated)
+}  // namespace
+
+void check_deskewed(bool is_deskewed, const Head& head, const std::string& where) {
+    if (is_deskewed && !head.motion_compensated)
         throw DataError(
             fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: render it without "
                         "--deskew and --frame world, or say \"motion_compensated\": true",
-                        arrays.where()));
+                        where));
 }
-
-}  // namespace
 
 float unit_intensity(double found, const PointUnits& units, const std::string& where) {
     if (!std::isfinite(found)) throw DataError(fmt::format("{}: intensity {}, expected a number", where, found));
@@ -186,7 +184,8 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     const NamedArray* range = find_array(given, "range");
     if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2) flip_rows(given, range->shape[0]);
     const Arrays arrays(where, std::move(given));
-    check_frame(arrays, head.motion_compensated);
+    const NamedArray* deskewed = arrays.find("deskewed");
+    check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head, arrays.where());
     Scan scan;
     scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
     add_what_is_said(arrays, source, scan.rays);
@@ -206,7 +205,7 @@ Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source)
     return scan_of_images(file.string(), read_npz(file), source);
 }
 
-void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
+void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {
     const RayTable& rays = scan.rays;
     const std::vector<std::size_t> shape = {std::size_t(rays.rows), std::size_t(rays.columns)};
     std::vector<NamedArray> arrays;
@@ -220,7 +219,8 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
     add("intensity", scan.intensity);
     add_vectors("directions", rays.direction);
     add_vectors("origin", rays.origin);
-    add("time", rays.time_offset_s);
+    if (motion_compensated) add("time", std::vector<float>(rays.size(), 0.0f));
+    else add("time", rays.time_offset_s);
     add("ring", rays.channel);
     if (!rays.ray_divergence_rad.empty()) add("divergence", rays.ray_divergence_rad);
     for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
@@ -228,6 +228,8 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan) {
         add(fmt::format("intensity_{}", k + 2), scan.second_returns[k].intensity);
     }
     arrays.push_back(make_array("divergence_rad", {}, &rays.divergence_rad, 1));
+    const std::int32_t deskewed = motion_compensated ? 1 : 0;
+    arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
     write_npz(file, arrays);
 }
 

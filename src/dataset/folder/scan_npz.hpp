@@ -28,8 +28,12 @@ Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source)
 /// What both have in common. @param where  file, for messages
 Scan scan_of_images(const std::string& where, std::vector<NamedArray> arrays, const ImageSource& source);
 
-/// Bit-equal when it is read again.
-void write_scan_npz(const std::filesystem::path& file, const Scan& scan);
+/// Bit-equal when it is read again, except that all times of a motion-compensated scan are 0.
+void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
+
+/// @param is_deskewed  the file says that its points are deskewed or in the world
+/// @throws DataError if the log's head does not say that too
+void check_deskewed(bool is_deskewed, const Head& head, const std::string& where);
 
 /// A file's intensity as 0..1. @throws DataError where it is no number, or brighter than what sequence.json calls bright by default
 float unit_intensity(double found, const PointUnits& units, const std::string& where);

@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
+#include <relidar/math.hpp>
 #include <relidar/reader.hpp>
 
 #include "core/parallel.hpp"
@@ -44,11 +45,33 @@ std::size_t count_points(const RawScan& scan) {
         std::ranges::count_if(scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
 }
 
+/// Azimuth at which the last ring of a scan ends, degrees from 0 to 360: rings begin at 0 and rise.
+double end_azimuth_deg(const RawScan& scan) {
+    if (scan.points.empty()) return 0.0;
+    if (scan.n_rings > kRings) return 360.0;   // a stray point begins the next ring
+    const double azimuth = std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
+    return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
+}
+
 /// Finds scans that lack most of their points or whole rings. They are broken files: their missing points are no dropped rays.
 class WholeScans {
 public:
     explicit WholeScans(const std::vector<RawScan>& raw) {
-        for (const RawScan& scan : raw) n_points_.push_back(count_points(scan)), n_rings_.push_back(scan.n_rings);
+        for (const RawScan& scan : raw) {
+            n_points_.push_back(count_points(scan));
+            n_rings_.push_back(scan.n_rings);
+            end_deg_.push_back(end_azimuth_deg(scan));
+        }
+    }
+
+    /// Returns a note if a scan ends early in one of its last rings, else an empty text.
+    std::string note(std::size_t i, const std::string& file) const {
+        constexpr double kEarly_deg = 60.0;   // rings end up to 20 degrees apart on a real drive
+        const double usual_deg = median_beside(end_deg_, i);
+        if (n_points_[i] == 0 || end_deg_[i] + kEarly_deg > usual_deg) return "";
+        return fmt::format("{}: its last ring ends at azimuth {:.0f} degrees, those of the scans beside it at {:.0f}: the file may be cut "
+                           "short, and what is missing counts as dropped rays",
+                           file, end_deg_[i], usual_deg);
     }
 
     /// @throws DataError if scan i has no return, less than half the points of its neighbours, or ends rings before them
@@ -70,6 +93,7 @@ public:
 private:
     std::vector<std::size_t> n_points_;
     std::vector<int> n_rings_;
+    std::vector<double> end_deg_;
 
     /// Median of the values of up to five scans before and five after.
     template <class T>
@@ -133,7 +157,10 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     });
     const WholeScans whole(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
-        broken.attempt(at, [&] { whole.check(at, raw[at].points.size(), file_of(at).string()); });
+        broken.attempt(at, [&] {
+            whole.check(at, raw[at].points.size(), file_of(at).string());
+            if (std::string note = whole.note(at, file_of(at).string()); !note.empty()) sequence.notes.push_back(std::move(note));
+        });
     for (std::size_t at = 0; at < raw.size(); ++at)
         if (broken.has(at)) raw[at] = {};   // shapes no beam
     if (std::string note = scale_intensities(raw, folder.string()); !note.empty()) sequence.notes.push_back(std::move(note));

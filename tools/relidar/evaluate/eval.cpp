@@ -169,8 +169,15 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
+/// Settings that change the scores of a baseline.
+const std::vector<std::string> kBaselineSettings = {
+    "dataset.sequence", "dataset.lidars",      "dataset.frames_begin", "dataset.frames_end",  "dataset.test_every",
+    "dataset.poses",    "dataset.test_frames", "dataset.poses_from",   "dataset.skip_broken", "dataset.min_range_m",
+    "dataset.memory_mib", "dataset.max_range_m", "dataset.waymo_intensity", "sensor.grid", "sensor.rolling_shutter", "eval."};
+
 /// The baseline alone: a log, no run, no device.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
+    check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
     apply_options(config, options);
     config.dataset.path = absolute_dataset(options.target);
@@ -179,6 +186,7 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
     const Sequence log = load_dataset(config, options.quiet);
     if (!options.quiet)
         for (const std::string& text : log.notes) note(text);
+    config = with_farthest(std::move(config), log);
     Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
     check_held_out(split, options.target);
     keep_share(split.test, ranks);

@@ -29,6 +29,11 @@ std::vector<float> distance(const std::vector<float>& a, const std::vector<float
     return result;
 }
 
+/// Returns false if every return has intensity 0: the log has none.
+bool has_intensities(const RangeImage& real) {
+    return std::ranges::any_of(real.intensity, [](float intensity) { return intensity > 0.0f; });
+}
+
 }  // namespace
 
 std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real_caption,
@@ -50,26 +55,30 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
         drops.images.emplace_back("rendered drop probability", drop_picture(rendered));
     }
     drops.images.emplace_back("absolute error, black 0 to white 1", error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
-    return {{title + ": range",
-             {{real_caption, range_picture(real, max_range_m)},
-              {"rendered", range_picture(rendered, max_range_m)},
-              {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
-               error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}},
-            {title + ": intensity",
-             {{real_caption, intensity_picture(real)},
-              {"rendered", intensity_picture(rendered)},
-              {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
-               error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}},
-            std::move(drops)};
+    std::vector<ReportFigure> figures = {
+        {title + ": range",
+         {{real_caption, range_picture(real, max_range_m)},
+          {"rendered", range_picture(rendered, max_range_m)},
+          {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
+           error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}}};
+    if (has_intensities(real))
+        figures.push_back({title + ": intensity",
+                           {{real_caption, intensity_picture(real)},
+                            {"rendered", intensity_picture(rendered)},
+                            {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
+                             error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
+    figures.push_back(std::move(drops));
+    return figures;
 }
 
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
-    constexpr const char* kNames[] = {"range", "intensity", "drop"};   // in the order of comparison_figures
+    std::vector<const char*> names = {"range", "intensity", "drop"};   // in the order of comparison_figures
+    if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
     for (std::size_t k = 0; k < figures.size(); ++k) {
         std::vector<Image> strip;
         for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
-        write_png(folder / fmt::format("{}_{:06}.png", kNames[k], frame.frame), stack(strip, picture_stretch(frame.real)));
+        write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame), stack(strip, picture_stretch(frame.real)));
     }
 }
 

@@ -15,12 +15,13 @@ struct ScoredFrame;
 
 namespace relidar::cli {
 
-/// Range, intensity and ray-drop of a frame, each real, rendered and error.
+/// Range, intensity and ray-drop of a frame, each real, rendered and error. No intensity if the log has none.
 /// @param title in front of each figure's name @param real caption of the real images
 std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real,
                                              double max_range_m);
 
-/// Writes FOLDER/{range,intensity,drop}_000123.png of a frame: real, rendered and error stacked.
+/// Writes FOLDER/{range,intensity,drop}_000123.png of a frame: real, rendered and error stacked. No intensity if the log
+/// has none.
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
 /// Real and rendered range stacked.

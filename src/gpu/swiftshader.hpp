@@ -1,0 +1,11 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <relidar/gpu.hpp>
+
+namespace relidar::gpu {
+
+/// SwiftShader's compiler ends the process on kernels that trace (docs/platform.md).
+inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
+
+}  // namespace relidar::gpu
