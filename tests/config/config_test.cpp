@@ -54,7 +54,7 @@ bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
     for (const char* value : {"0.12345678", "seen", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "ray",
                               "surfel", "median", "expected", "gaussian", "adaptive", "pixel", "direction", "grid", "sensor", "none",
-                              "removed", "range", "fp16", "clamp", "a \"b\" \\c"}) {
+                              "removed", "range", "clamp", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);

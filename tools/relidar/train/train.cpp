@@ -285,7 +285,6 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
     run.config = config;
     Device device(device_options(options.device));
-    check_network(device, config);
     StageTimes stages;
     stages.begin("read");
     const Sequence log = load_dataset(config, options.quiet);
@@ -345,7 +344,6 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (resume && in_blocks) check_trained_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
-    check_network(device, config);
     StageTimes stages;
     stages.begin("read");
     Sequence sequence = load_dataset(config, options.quiet);

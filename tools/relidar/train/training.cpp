@@ -126,16 +126,6 @@ bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stag
     return true;
 }
 
-void check_network(const Device& device, const Config& config) {
-    const DeviceInfo& info = device.info();
-    const auto check = [&](const char* key, const std::string& value, const std::string& missing) {
-        if (config.refine.enabled && value != "fp32" && !missing.empty())
-            throw DeviceError(fmt::format("training with {}={} on {}: missing {}; set {}=fp32", key, value, info.name, missing, key));
-    };
-    check("refine.precision", config.refine.precision, info.why_not_matrices);
-    check("refine.storage", config.refine.storage, info.why_not_halves);
-}
-
 bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
     Progress progress(quiet);
     session.progress = shown_by(progress);

@@ -28,9 +28,6 @@ void learn_scatter_shown(Device& device, Run& run, bool quiet);
 /// @param stages  "place", "scatter", "save"
 bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages);
 
-/// @throws DeviceError where this device or build cannot train the network that a training ends with: before that training
-void check_network(const Device& device, const Config& config);
-
 /// Trains the ray-drop network of a run whose sequence has its scans, with a progress line. @return whether it was not interrupted
 /// @param session  its progress, step, stop and note are filled in here
 bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session = {});
