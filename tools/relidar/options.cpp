@@ -70,10 +70,9 @@ void add_weather_option(CLI::App& command, std::string& weather, const std::stri
     command
         .add_option("--weather", weather,
                     fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), wet=MILLIMETRES (of water on level "
-                                "ground), spray=MILLIMETRES (of water that vehicles throw up), sun=AZIMUTH:ELEVATION[:KLUX] (degrees "
-                                "of the dataset's world) or bloom=REFLECTIVITY (stray light of reflectors), or several with commas "
-                                "between, in {} (default: clear); channel source says why there is a "
-                                "point",
+                                "ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees of the dataset's world) or bloom=REFLECTIVITY (stray "
+                                "light of reflectors), or several with commas between, in {} (default: clear); channel source says "
+                                "why there is a point",
                                 which))
         ->type_name("WEATHER");
 }
