@@ -48,7 +48,6 @@ wrong_usage() {
     bad 2 "out is required, or --resume with a run folder" train --resume
     bad 2 "argument extra: not expected" info street extra
     bad 2 "setting loss.dept: unknown key, did you mean loss.depth\?" train street --out x --set loss.dept=1
-    bad 2 "setting train.sub_rays: it was removed: it gained nothing beyond noise" train street --out x --set train.sub_rays=5
     bad 2 'setting loss.depth: found "abc", expected a number >= 0' train street --out x --set loss.depth=abc
     bad 2 'setting loss.depth: found "nan"' train street --out x --set loss.depth=nan
     bad 2 '--set: found "loss.depth", expected key=value' train street --out x --set loss.depth

@@ -115,7 +115,7 @@ std::vector<std::string> track_names(const Run& run) {
 }
 
 std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
-    Run run = load_run(folder, warn);
+    Run run = load_run(folder);
     set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
@@ -168,7 +168,7 @@ void add_calls(py::class_<LoadedRun>& type) {
                     "Reads a run folder.\n\n"
                     "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
                     "device: to render on; None: the default one\n\n"
-                    "Raises DataError naming the file that is missing, damaged or of a newer format.")
+                    "Raises DataError naming the file that is missing, damaged or of another format.")
         .def(
             "save", [](LoadedRun& run, const fs::path& folder, bool overwrite) { save_to(run.run, folder, overwrite); }, py::arg("folder"),
             py::kw_only(), py::arg("overwrite") = false,

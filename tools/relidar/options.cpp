@@ -95,7 +95,7 @@ void add_settings_options(CLI::App& command, Settings& settings) {
 
 Config resolve(const Settings& settings) {
     Config config = make_preset(settings.preset);
-    if (!settings.file.empty()) load_config(config, settings.file, note);
+    if (!settings.file.empty()) load_config(config, settings.file);
     apply_sets(config, settings.sets);
     return config;
 }

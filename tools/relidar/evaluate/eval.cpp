@@ -122,7 +122,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset.", "eval."});
     check_sets(options.sets, used, "eval");
-    Run run = load_run(options.target, note);
+    Run run = load_run(options.target);
     apply_options(run.config, options);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;

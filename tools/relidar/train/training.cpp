@@ -109,11 +109,16 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     return result;
 }
 
+namespace {
+
+/// learn_scatter() with a progress line. Ctrl-C ends it with nothing known.
 void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
     end_progress_line();
 }
+
+}  // namespace
 
 bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages) {
     stages.begin("place");
