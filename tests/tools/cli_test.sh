@@ -515,7 +515,6 @@ XOSC
     good eval moved --out edited.json
     says "the street was cast again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
-    bad 3 'moved: realism: found an edited run' eval moved --realism
     good eval path --out path.json   # of a name that no car of the street has
     good render run --out cars --frames 5:6 --only actors
     good render run --out car --frames 5:6 --only 0 --only background --format ply
@@ -579,19 +578,6 @@ wrong_edits() {
     absent x
 }
 
-# Rows and columns are few, but patches go over the edges.
-realism() {
-    good eval run --realism --out told.json
-    says "^by all +[0-9.]+ ± [0-9.]+ +[0-9.]+ ± [0-9.]+ +[0-9.]+ ± [0-9.]+$"
-    says "^realism: a classifier tells likeliest scans from real ones in [0-9.]+ %, .* of cases; 50 % is perfect \(patches of 2 frames"
-    for key in realism likeliest sampled control auc_error; do check "told.json lacks $key" grep -q "\"$key\"" told.json; done
-    check "realism without being asked for" test "$(grep -c realism run/metrics.json)" = 0
-    good train street --out lone --preset quick --set train.pose_register=false --set train.iterations=1 --set dataset.test_every=10 --no-eval --quiet
-    bad 3 "lone: realism: found 1 held-out frame, expected at least 2" eval lone --realism
-    rm -r lone
-    bad 2 "realism: found a log, expected a run" eval street --baseline nearest --realism
-}
-
 evaluation() {
     cp run/metrics.json before.json
     good eval run
@@ -601,7 +587,6 @@ evaluation() {
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised
     exists sub/metrics.json
-    realism
     bad 3 "cannot be made a folder" eval run --out broken.toml/m.json
     bad 3 "nowhere: no such folder" eval run --set dataset.path=nowhere
     mkdir short && sed 's/^n_frames.*/n_frames = 8/' street/street.toml >short/street.toml
