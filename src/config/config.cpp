@@ -17,8 +17,8 @@
 #include "config/field_text.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include "core/toml_depth.hpp"
 #include <relidar/error.hpp>
-#include <relidar/stages/toml_depth.hpp>
 
 namespace relidar {
 namespace {

@@ -15,8 +15,10 @@
 
 #include "batch/logs.hpp"
 #include <relidar/error.hpp>
-#include <relidar/stages/toml_depth.hpp>
 
+namespace relidar {
+void check_toml_depth(std::string_view text, const std::string& file);   // private header of core
+}
 namespace relidar::cli {
 namespace {
 
