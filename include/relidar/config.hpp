@@ -5,8 +5,6 @@
 
 #include <cstdint>
 #include <filesystem>
-#include <functional>
-#include <map>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -157,20 +155,19 @@ struct ConfigKey {
 /// All settings, in the order of the TOML file.
 std::vector<ConfigKey> config_keys(const Config& config);
 
-/// Sets one field from text. @throws UsageError for an unknown key (the nearest known one is named), one that was removed (with the
-/// reason), or a value of the wrong kind or out of range
+/// Sets one field from text.
+/// @throws UsageError for an unknown key (the message names the nearest known one), or for a value
+/// of the wrong kind or out of range
 void set_key(Config& config, const std::string& key, const std::string& value);
 
-/// Reads a TOML file over `config`: tables are the first part of a key. Settings that an earlier version had are no error where their
-/// value says what the program does now.
-/// @param note  is told in one line which those are @throws UsageError as set_key, DataError for a malformed or missing file
-void load_config(Config& config, const std::filesystem::path& path, const std::function<void(const std::string&)>& note = {});
+/// Reads a TOML file over `config`: tables are the first part of a key.
+/// @throws UsageError as set_key, DataError for a malformed or missing file
+void load_config(Config& config, const std::filesystem::path& path);
+/// Reads a file that to_toml() wrote, as config.toml of a run.
+/// @throws DataError if the file is malformed, lacks a setting, or names an unknown one
+Config load_saved_config(const std::filesystem::path& path);
 
-/// The same for settings by key, as checkpoints hold them: brings those of an earlier version to the keys of this one.
-/// @throws UsageError for one whose value is not what the program does now
-void update_settings(std::map<std::string, std::string>& settings);
-
-/// Every value used, as TOML with its help as comments; load_config reads it back to the same values.
+/// Every value used, as TOML with its help as comments; load_saved_config() reads it back to the same values.
 std::string to_toml(const Config& config);
 /// The same without those expert settings that are as the preset has them.
 std::string to_short_toml(const Config& config);

@@ -55,19 +55,6 @@ PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>&
 /// Is given each frame once it is scored, with its images, and may add metrics.
 using SeeFrame = std::function<void(ScoredFrame&)>;
 
-/// How well a classifier tells scans apart that should look alike (two_sample_test()).
-struct Realism {
-    /// Two kinds of scans.
-    struct Pair {
-        std::string name;      ///< likeliest, sampled: simulated scans, beside the real ones; control: real scans beside other real ones
-        std::vector<TwoSampleScore> scores;
-    };
-    std::vector<Pair> pairs;
-    std::size_t n_moments = 0;   ///< frames held out, LiDARs that sweep together counted once
-    std::size_t n_patches = 0;   ///< of real scans; as many of simulated ones
-    double seconds = 0.0;        ///< that it took, rendering included
-};
-
 /// Scored frames and what they are on average.
 struct Evaluation {
     std::string title = "rendered";  ///< what was scored
@@ -76,7 +63,6 @@ struct Evaluation {
     MetricRow kernel_ms;    ///< mean of one launch
     double trace_ms = 0.0;  ///< mean of one frame, with transfers
     double mrays_per_s = 0.0;
-    std::optional<Realism> realism = {};   ///< where it was measured
 };
 
 /// Gives frames of a run the scans of the log it was trained on. Poses stay those of the run.
@@ -96,30 +82,6 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 /// @throws DataError where an LPIPS file is named and cannot be read
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
                            const Progress& progress = {}, const SeeFrame& see = {});
-
-/// Can a classifier tell simulated scans from real ones? Collects patches of held-out frames while they are scored, on the pixels that they
-/// are scored on, points as files hold them.
-class RealismTest {
-public:
-    static constexpr std::uint64_t kSampleSeed = 1;   ///< of the sampled scans, see sample_returns()
-
-    /// @param run  with the scans of its held-out frames, without edits, whose traffic the log does not show; stays as it is, like the log
-    /// @param log  that it was trained on
-    /// @throws DataError for an edited run, scans that are no images, and fewer than two moments held out
-    RealismTest(const Run& run, const Sequence& log);
-    /// Renders the frame once more, as a sampled scan, and keeps patches of all. @param frame  held out, with its images
-    void add(ScanRenderer& renderer, const ScoredFrame& frame);
-    /// Of the frames added. Real scans are told from the nearest training scans of their LiDARs; this is left out where fewer than two
-    /// moments have one of the same shape. @throws DataError where fewer than two moments have pixels that return in both scans
-    Realism result(const Progress& progress = {}) const;
-
-private:
-    const Run& run_;
-    const Sequence& log_;
-    std::size_t n_each_ = 0;   ///< patches of a frame
-    double seconds_ = 0.0;
-    std::map<std::string, std::map<int, PatchPairs>> patches_;   ///< by name of the pair, then by moment, which is the number of a frame
-};
 
 /// Means of scored frames. @param times of the renderer that made them
 Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);

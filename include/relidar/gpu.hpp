@@ -2,7 +2,6 @@
 // The Vulkan devices of this machine, and an open one. What runs on it is in relidar/stages/gpu.hpp.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
@@ -33,13 +32,9 @@ struct DeviceInfo {
     int subgroup_size = 1;             ///< lanes that run together
     bool known_subgroups = false;      ///< kernels can be made to run in subgroups of that size, all lanes there
     bool timestamps = false;           ///< compute timestamps
-    /// [m, n, k] of what matrix units do for a subgroup: m x k halves times k x n halves, added to floats; zeros where they cannot be used
-    std::array<int, 3> matrix_size{};
     std::string why_not_ray_query;     ///< missing extensions and features, empty where ray_query
     bool software = false;             ///< relidar's own tree can be built and walked
     std::string why_not_software;      ///< missing subgroup operations, empty where software
-    std::string why_not_matrices;      ///< what the build or the device lacks for matrix units, empty where matrix_size is not zero
-    std::string why_not_halves;        ///< what the device lacks for arrays of halves, empty where nothing
     std::string why_not_usable;        ///< missing base features, empty where relidar runs at all
 };
 

@@ -156,51 +156,6 @@ double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows
 /// @throws DataError where there is no target point or a coordinate is not finite
 std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query, const std::vector<glm::dvec3>& target);
 
-/// A mean and its standard error.
-struct Estimate {
-    double value = 0.0;
-    double error = 0.0;
-};
-
-/// How well a classifier that sees something of two kinds of patches tells the kinds apart.
-struct TwoSampleScore {
-    std::string sees;     ///< range, intensity, mask (which rays return), or all
-    Estimate auc;         ///< area under the curve of the receiver operating characteristic; 0.5: it cannot tell
-    Estimate accuracy;    ///< share of the patches that it puts to the right kind; 0.5: it guesses
-};
-
-/// Patches of two range images of the same rays, around the same pixels, for two_sample_test().
-class PatchPairs {
-public:
-    static constexpr int kRows = 5, kColumns = 9;
-    static constexpr std::size_t kPixels = std::size_t(kRows) * kColumns;
-    /// Of a patch: what range, intensity and mask are of each of its pixels, then what is known of its centre.
-    ///   range      ln(1 + r) - ln(1 + r of the centre), 0 where the ray does not return
-    ///   intensity  0..1, 0 where it does not return
-    ///   mask       1 where it returns, else 0
-    ///   centre     ln(1 + r), row / rows
-    static constexpr std::size_t kFeatures = 3 * kPixels + 2;
-
-    /// Adds patches around pixels that return in both images, `n` of them drawn by `seed`, or all where there are fewer. Beyond the highest
-    /// and the lowest row the patch has that row again; columns go round.
-    /// @throws DataError where the images differ in shape or hold a value that is not finite
-    void add(const RangeImage& first, const RangeImage& second, std::size_t n, std::uint64_t seed);
-
-    std::size_t size() const { return first_.size() / kFeatures; }
-    const std::vector<float>& first() const { return first_; }     ///< [size()][kFeatures] of the first image
-    const std::vector<float>& second() const { return second_; }
-
-private:
-    std::vector<float> first_, second_;
-};
-
-/// Classifier two-sample test (Lopez-Paz and Oquab, ICLR 2017): boosted decision trees learn on every other frame which kind a patch is of,
-/// and are tried on the frames between them; then the other way round. Scores are means over frames, each by trees that have not seen it;
-/// the errors are those of these means. On all cores; nothing in it is random.
-/// @param frames [at least 2] none of them empty @return by what is seen of a patch; every classifier sees the centre's range and row too
-/// @throws DataError for fewer frames, and for an empty one
-std::vector<TwoSampleScore> two_sample_test(const std::vector<PatchPairs>& frames);
-
 /// Mean over frames, metric by metric, over the frames that have it.
 MetricRow mean(const std::vector<MetricRow>& rows);
 

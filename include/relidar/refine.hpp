@@ -29,8 +29,6 @@ struct RefineOptions {
     int epochs = 4;                  ///< each of them is seen so often
     int batch = 1;                   ///< images a step
     double rate = 2e-3;              ///< Adam's, at the start; it falls to a hundredth
-    std::string precision = "fp32";  ///< what convolutions multiply in training: "fp32", or "fp16" by matrix units; sums are fp32 in both
-    std::string storage = "fp32";    ///< what images between the layers are kept as in training: "fp32", or "fp16" for half of the memory
     bool operator==(const RefineOptions&) const = default;
 };
 
@@ -103,7 +101,7 @@ using RefineCallback = std::function<bool(const RefineProgress& progress, const 
 /// Trains a network on images of one shape. The same seed gives the same network, to the last bit on one device.
 /// @param start  state to go on from, of a training with the same images, options and seed; null: from the beginning
 /// @throws DataError for images of different shapes, too small, with values that are not finite, or without dropped pixels, and for a start
-/// of another network or with more steps than there are; DeviceError where device or build lack what options.precision needs
+/// of another network or with more steps than there are; DeviceError if the device cannot run its layers
 DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
                                const RefineCallback& progress, const RefineState* start = nullptr);
 
@@ -112,9 +110,8 @@ class DropPass;
 /// A network ready to be asked, in evaluation mode: the same image gives the same answer.
 class DropRefiner {
 public:
-    /// @param precision  as RefineOptions has it, whichever the network was trained with
     /// @throws DataError where the arrays do not fit the network's shape; DeviceError as train_drop_network
-    DropRefiner(Device& device, const DropNetwork& network, const std::string& precision = "fp32");
+    DropRefiner(Device& device, const DropNetwork& network);
     ~DropRefiner();
     DropRefiner(DropRefiner&&) noexcept;
     DropRefiner& operator=(DropRefiner&&) noexcept;

@@ -108,7 +108,6 @@ struct RaysInWeather {
     std::span<const WetRay> wet{};           ///< [n]
     std::span<const Echo> stray{};           ///< [n] of retro-reflectors elsewhere
     std::span<const float> from_sun{};       ///< [n] radians
-    std::span<const std::vector<SprayStretch>> spray{};   ///< [n]
 };
 
 /// Puts weather between a sensor and its scan. Surfaces are darker or none; where something in the air is what a ray returns, its range and

@@ -38,8 +38,8 @@ struct Run {
     Scene scene;
     std::vector<RunEdit> edits{};   ///< oldest first; empty for a run as it was trained
     DropNetwork drop_network{};     ///< corrects ray-drop; empty: there is none
-    Coverage coverage{};            ///< where training scans have looked; empty: not known, as of runs made before it was kept
-    std::vector<IntensityScatter> intensity_scatter{};   ///< [lidars] empty: not known, as of runs made before it was kept
+    Coverage coverage{};            ///< where training scans have looked; empty: not known
+    std::vector<IntensityScatter> intensity_scatter{};   ///< [lidars] empty: not known
     bool held_out_placed = false;   ///< place_held_out() has been asked: what comes behind training is not done twice
     std::string refined_poses{};    ///< which poses training has corrected, as train.refine_poses says it; empty: none, they are the log's
 
@@ -62,9 +62,8 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier);
 /// Does the same in place of the run's folder with everything in it, in one step if the file system can exchange folders.
 void replace_folder(const Run& run);
 
-/// @param note  is told in one line of settings that an earlier version had (load_config())
 /// @throws DataError naming the file that is missing, truncated or inconsistent
-Run load_run(const std::filesystem::path& folder, const std::function<void(const std::string&)>& note = {});
+Run load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2], opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D
 /// Gaussians alone; in the metadata the name of the primitive, models and instances. Files of its blocks, which lie below the same

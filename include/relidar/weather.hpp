@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fog, rain, snow and spray between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the
+// Fog, rain and snow between a sensor and what it sees: light that is lost on the way, and returns of what hangs or falls in the
 // air; water on the ground, which darkens it and mirrors what stands on it; the sun and reflectors, whose light blinds a sensor.
 // Powers are relative: a surface of reflectivity rho at R metres returns rho / R^2 in clear air, rho exp(-2 alpha R) / R^2 in weather.
 // (Not in the paper; docs/method.md has the models and their sources.)
@@ -30,7 +30,6 @@ struct Weather {
     double rain_mm_h = 0.0;   ///< millimetres of water an hour
     double snow_mm_h = 0.0;   ///< the same, melted
     double wet_mm = 0.0;      ///< depth of the water on level ground
-    double spray_mm = 0.0;    ///< depth of the water that wheels throw up behind vehicles
     Sun sun = {};
     /// that a retro-reflector of one square degree lends rays one degree beside it: the reflectivity that its stray light looks like, the
     /// median over beams
@@ -40,7 +39,7 @@ struct Weather {
     bool operator==(const Weather&) const = default;
 };
 
-/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", "wet=MILLIMETRES", "spray=MILLIMETRES" (or "spray": 0.5),
+/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", "wet=MILLIMETRES",
 /// "sun=AZIMUTH:ELEVATION" in degrees or "sun=AZIMUTH:ELEVATION:KLUX" (without: 100), "bloom=REFLECTIVITY" (or "bloom": 1.2e-4), or
 /// several with commas between; "clear" or nothing is clear air, dry ground and no sun.
 /// @throws UsageError for other words, for numbers that are no weather, and for rain and snow at once
@@ -79,8 +78,7 @@ enum class PointSource : std::int32_t {
     snow = 3,
     mirror = 4,  ///< a surface that wet ground mirrors: as far behind the ground as the light went on from there
     noise = 5,   ///< nothing: light of the sun that looks like a return
-    blooming = 6,   ///< stray light of a retro-reflector elsewhere
-    spray = 7
+    blooming = 6   ///< stray light of a retro-reflector elsewhere
 };
 
 /// A return of a ray.
@@ -91,24 +89,12 @@ struct Echo {
     double through_water = 1.0;  ///< share of it that water on the way leaves; 1 of what look() returns
 };
 
-/// A part of a ray that lies in spray: its extinction is alpha exp(-decay (r - from_m)) at r metres, 1/m.
-struct SprayStretch {
-    double from_m = 0.0, to_m = 0.0;
-    double alpha = 0.0, decay = 0.0;
-
-    /// What it takes away there, 1/m; for ranges in the stretch.
-    double extinction_at(double range_m) const;
-    /// Optical depth between where it begins and a range: the integral of extinction_at(); 0 before it, all of it behind.
-    double depth_to(double range_m) const;
-};
-
 /// What a sensor with one or two returns says of a ray; and what look() is told of it beside, of which it returns nothing.
 struct RayEchoes {
     Echo strongest, second;
     Echo mirrored = {};   ///< by wet ground
     Echo stray = {};      ///< of a retro-reflector
     double from_sun_rad = std::numeric_limits<double>::infinity();   ///< angle between ray and sun; infinite where no sun is seen
-    std::span<const SprayStretch> spray = {};
 };
 
 /// Share of the light that a metre takes away, 1/m: alpha of exp(-alpha R).
@@ -151,7 +137,6 @@ Particles falling_in(const Weather& weather);
 ///               from 1 m on; beta of each stretch of c tau / 2 is drawn, log-normal with mean 1 times 0.046 / visibility
 ///   drop, flake: power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R) the width of the beam; those of N(D) = N0 exp(-Lambda D) per
 ///               cubic metre and millimetre that are bright enough, a Poisson process along the beam
-///   spray:      as fog, of extinction alpha(r) by place, power(R) = pi alpha(R) / S c tau / 2 exp(-2 depth(R)) / R^2, S = 18.8 sr
 ///   noise:      what rises above the weakest power, a Poisson process along the ray, whatever is there
 class Air {
 public:
@@ -181,7 +166,6 @@ private:
     void add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces, Random& random) const;
     void add_fog(std::vector<Candidate>& candidates, double free_m, Random& random) const;
     void add_particles(std::vector<Candidate>& candidates, double free_m, Random& random) const;
-    void add_spray(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const;
     void add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const;
 };
 

@@ -17,9 +17,9 @@ uint begin_of(uint part, uint of_image) { return params.n_pixels / of_image * pa
 
 /// dL/d(beta) and dL/d(gamma) by way of one pixel. @param plane  where the channel of the image begins
 vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
-    float x = float(params.from.values.at[plane + pixel]);
+    float x = params.from.values.at[plane + pixel];
     float passes = gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);
-    float g = float(params.d_to.values.at[d_plane + pixel]) * passes;
+    float g = params.d_to.values.at[d_plane + pixel] * passes;
     return vec2(g, g * (x - moments.x) * moments.y);
 }
 
@@ -36,13 +36,13 @@ void main() {
         vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
         for (uint i = begin + lane; i < end; i += LANES) sum += gradients_at(i, plane, d_plane, place, affine, moments);
     } else {
-        for (uint i = begin + lane; i < end; i += LANES) sum.x += float(params.from.values.at[plane + i]);
+        for (uint i = begin + lane; i < end; i += LANES) sum.x += params.from.values.at[plane + i];
     }
     sum = subgroupAdd(sum);
     if (params.kind == kSums_moments) {
         float mean = sum.x / float(max(end - begin, 1u)), squares = 0.0;
         for (uint i = begin + lane; i < end; i += LANES) {
-            float off = float(params.from.values.at[plane + i]) - mean;
+            float off = params.from.values.at[plane + i] - mean;
             squares += off * off;
         }
         sum = vec2(mean, subgroupAdd(squares));

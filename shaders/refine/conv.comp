@@ -62,7 +62,7 @@ void main() {
         [[unroll]] for (uint ky = 0u; ky < kLines; ++ky) {
             float v[kLoads];
             [[unroll]] for (uint k = 0u; k < kLoads; ++k) {
-                float x = float(params.from.values.at[row_at[ky] + i * n_pixels + column[k]]);
+                float x = params.from.values.at[row_at[ky] + i * n_pixels + column[k]];
                 v[k] = inside[ky] ? x : 0.0;
             }
             [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {

@@ -11,7 +11,7 @@ uint weight_index(uint o, uint i, uint tap) {
 /// Writes a value of an output channel, or adds it to what is there.
 void put(uint at, uint channel, float value) {
     if (!is_null(params.bias)) value += params.bias.at[channel];
-    if (params.accumulate != 0u) value += float(params.to.values.at[at]);
-    params.to.values.at[at] = AS_KEPT(value);
+    if (params.accumulate != 0u) value += params.to.values.at[at];
+    params.to.values.at[at] = value;
 }
 #endif

@@ -47,21 +47,21 @@ void main() {
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);   // row -1 is beyond all
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels + (inside[k] ? row : 0u) * params.columns;
-            float v = float(params.from.values.at[row_at[k] + column]);
+            float v = params.from.values.at[row_at[k] + column];
             next[k] = inside[k] ? v : 0.0;
         }
         for (uint x = 0u; x < params.columns; x += LANES) {
             column = (x + LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
             [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
                 before[k] = next[k];
-                float v = float(params.from.values.at[row_at[k] + column]);
+                float v = params.from.values.at[row_at[k] + column];
                 next[k] = inside[k] ? v : 0.0;
             }
             bool there = x + lane < params.columns;
             [[unroll]] for (uint o = 0u; o < kOut; ++o) {
                 uint channel = params.d_to.first + min(first_out + o, params.n_out - 1u);
                 uint plane = (image * params.d_to.channels + channel) * n_pixels;
-                float d = float(params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)]);
+                float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
                 asked[o] = there ? d : 0.0;
             }
             add_columns();

@@ -17,7 +17,7 @@ void main() {
         uint from = c + params.n_fixed < params.n_channels ? seen : at;
         float v = params.samples.at[(sampled * params.n_channels + c) * n_pixels + from];
         vec2 affine = params.scale_shift.at[c];
-        params.images.at[(image * params.n_channels + c) * n_pixels + at] = AS_KEPT(affine.x * v + affine.y);
+        params.images.at[(image * params.n_channels + c) * n_pixels + at] = affine.x * v + affine.y;
         if (c == params.logit_channel) params.start.at[i] = v;
     }
     if (!is_null(params.target)) params.target.at[i] = params.targets.at[sampled * n_pixels + seen];

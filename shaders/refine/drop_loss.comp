@@ -15,7 +15,7 @@ RELIDAR_PARAMS(DropLossParams);
 vec2 compare(uint i, float x, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[i];
     bool known = target >= 0.0;
-    if (!is_null(params.d_logit)) params.d_logit.at[i] = AS_KEPT(known ? params.weight * (probability - target) : 0.0);
+    if (!is_null(params.d_logit)) params.d_logit.at[i] = known ? params.weight * (probability - target) : 0.0;
     float entropy = max(x, 0.0) - x * target + log(1.0 + exp(-abs(x)));   // without overflow
     return known ? vec2(entropy, (x > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
 }
@@ -27,7 +27,7 @@ void main() {
     uint end = begin + params.n / params.n_parts + (part < params.n % params.n_parts ? 1u : 0u);
     vec2 sum = vec2(0.0);
     for (uint i = begin + gl_SubgroupInvocationID; i < end; i += LANES) {
-        float x = float(params.logit.at[i]);
+        float x = params.logit.at[i];
         if (!is_null(params.start)) x += params.start.at[i];
         float probability = 1.0 / (1.0 + exp(-x));
         if (!is_null(params.probability)) params.probability.at[i] = probability;

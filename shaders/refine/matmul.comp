@@ -28,13 +28,13 @@ void main() {
         float held[kHeld];
         [[unroll]] for (uint h = 0u; h < kHeld; ++h) {
             uint row = min(first_row + h * LANES + lane, params.rows - 1u);
-            held[h] = float(params.a.values.at[a + row * params.a.row + k * params.a.column]);
+            held[h] = params.a.values.at[a + row * params.a.row + k * params.a.column];
         }
-        float v = float(params.b.values.at[b + k * params.b.row]);
+        float v = params.b.values.at[b + k * params.b.row];
         [[unroll]] for (uint r = 0u; r < kRows; ++r) sum[r] += subgroupBroadcast(held[r / LANES], r % LANES) * v;
     }
     uint c = params.c.first + batch * params.c.batch + head * params.c.head + column * params.c.column;
     [[unroll]] for (uint r = 0u; r < kRows; ++r)
         if (there && column < params.columns && first_row + r < params.rows)
-            params.c.values.at[c + (first_row + r) * params.c.row] = AS_KEPT(params.scale * sum[r]);
+            params.c.values.at[c + (first_row + r) * params.c.row] = params.scale * sum[r];
 }

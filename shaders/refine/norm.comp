@@ -17,8 +17,8 @@ void main() {
     for (uint k = 0u; k < RELIDAR_NORM_PIXELS; ++k) {
         uint pixel = first + k * gl_WorkGroupSize.x;
         if (pixel >= params.n_pixels) return;
-        float normalised = affine.x * float(params.from.values.at[from + pixel]) + affine.y;
+        float normalised = affine.x * params.from.values.at[from + pixel] + affine.y;
         float passes = gate(normalised, plane * params.n_pixels + pixel, params.dropout_key, params.dropout);
-        params.to.values.at[to + pixel] = AS_KEPT(normalised * passes);
+        params.to.values.at[to + pixel] = normalised * passes;
     }
 }

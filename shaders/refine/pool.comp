@@ -14,7 +14,7 @@ void main() {
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
     uint at = large_at(params.from.channels, params.from.first, image, channel, 2u * y, 2u * x);
-    float upper = max(float(params.from.values.at[at]), float(params.from.values.at[at + 1u]));
-    float lower = max(float(params.from.values.at[at + params.columns]), float(params.from.values.at[at + params.columns + 1u]));
-    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, y, x)] = AS_KEPT(max(upper, lower));
+    float upper = max(params.from.values.at[at], params.from.values.at[at + 1u]);
+    float lower = max(params.from.values.at[at + params.columns], params.from.values.at[at + params.columns + 1u]);
+    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, y, x)] = max(upper, lower);
 }

@@ -14,14 +14,14 @@ void main() {
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
     uint first = large_at(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x), largest = 0u;
-    float value = float(params.pooled.values.at[first]);
+    float value = params.pooled.values.at[first];
     for (uint k = 1u; k < 4u; ++k) {
         uint off = k % 2u + k / 2u * params.columns;
-        float v = float(params.pooled.values.at[first + off]);
+        float v = params.pooled.values.at[first + off];
         largest = v > value ? off : largest;
         value = max(value, v);
     }
     uint to = large_at(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) + largest;
-    float d = float(params.from.values.at[small_at(params.from.channels, params.from.first, image, channel, y, x)]);
-    params.to.values.at[to] = AS_KEPT(float(params.to.values.at[to]) + d);
+    float d = params.from.values.at[small_at(params.from.channels, params.from.first, image, channel, y, x)];
+    params.to.values.at[to] = params.to.values.at[to] + d;
 }

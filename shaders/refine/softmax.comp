@@ -12,21 +12,21 @@ RELIDAR_PARAMS(SoftmaxParams);
 
 void softmax_row(uint first) {
     float largest = -1e30, sum = 0.0;
-    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) largest = max(largest, float(params.values.at[first + k]));
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) largest = max(largest, params.values.at[first + k]);
     largest = subgroupMax(largest);
-    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) sum += exp(float(params.values.at[first + k]) - largest);
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) sum += exp(params.values.at[first + k] - largest);
     float scale = 1.0 / subgroupAdd(sum);
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
-        params.values.at[first + k] = AS_KEPT(exp(float(params.values.at[first + k]) - largest) * scale);
+        params.values.at[first + k] = exp(params.values.at[first + k] - largest) * scale;
 }
 
 void derive_row(uint first) {
     float sum = 0.0;
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
-        sum += float(params.values.at[first + k]) * float(params.d_values.at[first + k]);
+        sum += params.values.at[first + k] * params.d_values.at[first + k];
     sum = subgroupAdd(sum);
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
-        params.d_values.at[first + k] = AS_KEPT(float(params.values.at[first + k]) * (float(params.d_values.at[first + k]) - sum));
+        params.d_values.at[first + k] = params.values.at[first + k] * (params.d_values.at[first + k] - sum);
 }
 
 void main() {

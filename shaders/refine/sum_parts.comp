@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums partial sums in the order of the parts, times a factor; one thread an entry.
+// Sums partial sums in the order of the parts; one thread an entry.
 // Input: partial. Output: sum.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -12,5 +12,5 @@ void main() {
     if (i >= params.n) return;
     float sum = 0.0;
     for (uint part = 0u; part < params.n_parts; ++part) sum += params.partial.at[part * params.n + i];
-    params.sum.at[i] = params.scale * sum;
+    params.sum.at[i] = sum;
 }

@@ -10,7 +10,7 @@ RELIDAR_PARAMS(ResampleParams);
 
 float line_at(uint base, int y, int x, float share) {
     uint row = base + row_of(y) * params.small_columns;
-    return mix(float(params.from.values.at[row + column_of(x)]), float(params.from.values.at[row + column_of(x + 1)]), share);
+    return mix(params.from.values.at[row + column_of(x)], params.from.values.at[row + column_of(x + 1)], share);
 }
 
 void main() {
@@ -24,5 +24,5 @@ void main() {
     neighbours(int(y), params.rows, params.small_rows, above, share_y);
     uint base = small_at(params.from.channels, params.from.first, image, channel, 0u, 0u);
     params.to.values.at[large_at(params.to.channels, params.to.first, image, channel, y, x)] =
-        AS_KEPT(mix(line_at(base, above, left, share_x), line_at(base, above + 1, left, share_x), share_y));
+        mix(line_at(base, above, left, share_x), line_at(base, above + 1, left, share_x), share_y);
 }

@@ -48,8 +48,8 @@ void main() {
             float weight = weight_y * column_weight(x, column);
             if (weight == 0.0) continue;
             uint at = large_at(params.from.channels, params.from.first, image, channel, uint(y), uint(x));
-            sum += weight * float(params.from.values.at[at]);
+            sum += weight * params.from.values.at[at];
         }
     }
-    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, row, column)] = AS_KEPT(sum);
+    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, row, column)] = sum;
 }

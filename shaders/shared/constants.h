@@ -24,9 +24,6 @@
     X(PIXELS, 16u)             /* pixels of a thread */                                                                      \
     X(LANES, 17u)              /* of a subgroup */                                                                           \
     X(LIKELIHOOD, 18u)         /* 1: likelihood of measured ranges too */                                                     \
-    X(MODE, 19u)               /* 1: the heaviest surface of each ray too */                                                 \
-    X(TILE_M, 20u)             /* matrix units multiply TILE_M x TILE_K halves */                                            \
-    X(TILE_N, 21u)             /* by TILE_K x TILE_N halves */                                                               \
-    X(TILE_K, 22u)             /* and add TILE_M x TILE_N floats */
+    X(MODE, 19u)               /* 1: the heaviest surface of each ray too */
 
 #endif

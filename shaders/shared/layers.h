@@ -7,9 +7,6 @@
 
 #define RELIDAR_CONV_OUT 8     // channels that a subgroup of refine/conv or refine/conv_weights makes
 #define RELIDAR_CONV_IN 8      // channels whose weights a workgroup of refine/conv holds at a time, or of refine/conv_weights makes (1x1)
-#define RELIDAR_MATRIX_GROUPS 4   // subgroups of a workgroup of refine/conv_matrix or refine/conv_weights_matrix, side by side
-#define RELIDAR_MATRIX_TILES 2    // tiles of columns of one of them (refine/conv_matrix), or of output and of input channels of all
-#define RELIDAR_MATRIX_OUT 4      // tiles of output channels that a subgroup of refine/conv_matrix makes
 #define RELIDAR_NORM_PIXELS 8  // of a channel that a thread of refine/norm or refine/norm_vjp makes
 
 RELIDAR_SHARED_BEGIN
@@ -42,10 +39,9 @@ struct ConvWeightsParams {
 
 struct SumPartsParams {
     RELIDAR_OF(Floats, PartSums) partial;   // input [n_parts, n]
-    RELIDAR_OF(Floats, SumOfParts) sum;     // output [n] scale times the sum of the parts
+    RELIDAR_OF(Floats, SumOfParts) sum;     // output [n]
     uint n_parts;
     uint n;
-    float scale;
 };
 
 // Sums over the pixels of channels, in parts of the pixels.
@@ -110,7 +106,6 @@ struct NormVjpParams {
     uint dropout_key;
     float dropout;
     uint accumulate;                             // 1: adds to what is there
-    float scale;                                 // of d_to over that of d_beta_gamma
 };
 
 struct ResampleParams {

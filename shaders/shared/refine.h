@@ -10,7 +10,7 @@ RELIDAR_SHARED_BEGIN
 
 // C[b,h][i,j] = scale sum_k A[b,h][i,k] B[b,h][k,j], every matrix by its strides
 struct MatrixView {
-    Values values;
+    Floats values;
     uint first;
     uint batch;            // stride from one b to the next
     uint head;             // stride from one h to the next
@@ -31,18 +31,18 @@ struct MatmulParams {
 };
 
 struct SoftmaxParams {
-    RELIDAR_OF(Values, SoftmaxValues) values;   // in place [n_rows, n]: softmax of each row; vjp: input, the softmax
+    RELIDAR_OF(Floats, SoftmaxValues) values;   // in place [n_rows, n]: softmax of each row; vjp: input, the softmax
     // in place [n_rows, n]: d_softmax becomes the derivative by what it was taken of; else address 0
-    RELIDAR_OF(Values, SoftmaxGradients) d_values;
+    RELIDAR_OF(Floats, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;
 };
 
 struct DropLossParams {
-    RELIDAR_OF(Values, DropLogits) logit;                // input [n]
+    RELIDAR_OF(Floats, DropLogits) logit;                // input [n]
     RELIDAR_OF(Floats, StartLogits) start;               // input [n], or address 0: added to logit
     RELIDAR_OF(Floats, DropTargets) target;              // input [n] 1 dropped, 0 returned, negative: not known; address 0: none is
-    RELIDAR_OF(Values, DropLogitGradients) d_logit;      // output [n] derivative of `weight` times the sum over known pixels
+    RELIDAR_OF(Floats, DropLogitGradients) d_logit;      // output [n] derivative of `weight` times the sum over known pixels
     RELIDAR_OF(Floats, DropProbabilities) probability;   // output [n], or address 0
     RELIDAR_OF(Floats, PartSums) partial;   // output [n_parts, 2] sum of the cross-entropies of a part, and pixels that are right
     uint n;
@@ -57,7 +57,7 @@ struct DropInputsParams {
     RELIDAR_OF(Uints, ChosenSamples) chosen;     // input [n_images] sample
     RELIDAR_OF(Uints, SampleTurns) turn;         // input [n_images] columns by which what is seen moves
     Vec2s scale_shift;                           // input [channels] of the normalisation
-    Values images;                               // output [n_images, channels, n_pixels]
+    Floats images;                               // output [n_images, channels, n_pixels]
     RELIDAR_OF(Floats, StartLogits) start;       // output [n_images, n_pixels] the rendered logit, as it is
     RELIDAR_OF(Floats, DropTargets) target;      // output [n_images, n_pixels]
     uint n_images;

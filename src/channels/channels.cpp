@@ -61,7 +61,7 @@ const std::vector<ChannelInfo>& optional_channels() {
          .none = 1.0},
         {.name = "source",
          .meaning = "why there is a point: 0 a surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 noise of sunlight, "
-                    "6 stray light of a reflector, 7 spray; -1 where there is none",
+                    "6 stray light of a reflector; -1 where there is none",
          .none = -1.0},
     };
     return channels;

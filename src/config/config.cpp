@@ -15,20 +15,16 @@
 #include <toml++/toml.h>
 
 #include "config/field_text.hpp"
-#include "config/former_keys.hpp"
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include "core/toml_depth.hpp"
 #include <relidar/error.hpp>
-#include <relidar/stages/toml_depth.hpp>
 
 namespace relidar {
 namespace {
 
 using config_detail::Accepts;
-using config_detail::added_keys;
 using config_detail::describe;
-using config_detail::find_moved;
-using config_detail::find_removed;
 using config_detail::from_text;
 using config_detail::Help;
 using config_detail::is_text;
@@ -47,11 +43,14 @@ std::vector<std::string> all_keys() {
     return keys;
 }
 
+std::string unknown_key(const std::string& key) {
+    return fmt::format("setting {}: unknown key{}", excerpt(key),
+                       did_you_mean(key, all_keys(), "", ", expected one that `relidar config --all` lists"));
+}
+
 template <class T>
 void assign(T& field, const std::string& key, const Accepts& accepts, const Found& found) {
-    const bool is_boolean = found.quotes == Found::Quotes::no && (found.text == "true" || found.text == "false");
-    const bool was_boolean = std::is_enum_v<T> && is_boolean;   // a setting that earlier versions wrote without quotes
-    const bool wrong_kind = !was_boolean && found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
+    const bool wrong_kind = found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
     if (wrong_kind || !from_text(found.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
         throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text), describe<T>(accepts), hint));
@@ -65,12 +64,7 @@ void set_found(Config& config, const std::string& key, const Found& found) {
         known = true;
         assign(field, key, accepts, found);
     });
-    if (const auto* removed = find_removed(key))
-        throw UsageError(fmt::format("setting {}: it was removed: {}", key, removed->why));
-    if (const auto* moved = find_moved(key)) throw UsageError(fmt::format("setting {}: it was removed: {} says it now", key, moved->to));
-    if (!known)
-        throw UsageError(fmt::format("setting {}: unknown key{}", excerpt(key),
-                                     did_you_mean(key, all_keys(), "", ", expected one that `relidar config` lists")));
+    if (!known) throw UsageError(unknown_key(key));
     if (key == "preset") config = make_preset(config.preset);
 }
 
@@ -94,33 +88,16 @@ void flatten(const toml::table& table, const std::string& prefix, std::map<std::
     }
 }
 
-/// Takes a setting of an earlier version over. @return whether it is one
-bool take_former(Config& config, const std::string& key, const std::string& value) {
-    if (find_removed(key)) return true;
-    const auto* moved = find_moved(key);
-    if (!moved) return false;
-    try {
-        moved->take(config, value);
-    } catch (const UsageError& error) {
-        throw UsageError(fmt::format("setting {}: {}", key, error.what()));
-    }
-    return true;
+/// @throws UsageError unless the file names every setting and nothing else, as to_toml() writes it
+void check_complete(const std::map<std::string, Found>& settings) {
+    constexpr const char* kAdvice = "a run of another version of relidar must be trained again";
+    const std::vector<std::string> keys = all_keys();
+    for (const auto& [key, found] : settings)
+        if (std::ranges::find(keys, key) == keys.end()) throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
+    for (const std::string& key : keys)
+        if (key != "preset" && !settings.contains(key))
+            throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
 }
-
-/// Sets all of them. @return those of an earlier version, each of which says what the program does now @throws UsageError
-std::vector<std::string> take_all(Config& config, const std::map<std::string, Found>& settings) {
-    std::vector<std::string> former;
-    for (const auto& [key, found] : settings) {
-        if (take_former(config, key, found.text)) former.push_back(key);
-        else set_found(config, key, found);
-    }
-    for (const std::string& key : former)
-        if (const auto* removed = find_removed(key)) check_removed(config, *removed, settings.at(key).text);
-    return former;
-}
-
-/// Whether a file is that of a run, which names every value there was when it was written; other files name those that somebody chose.
-bool names_all(const std::map<std::string, Found>& settings) { return settings.size() > all_keys().size() / 2; }
 
 /// Text in TOML's basic quotes.
 std::string quoted(const std::string& text) {
@@ -153,46 +130,43 @@ std::vector<ConfigKey> config_keys(const Config& config) {
 
 void set_key(Config& config, const std::string& key, const std::string& value) { set_found(config, key, {value, Found::Quotes::unknown}); }
 
-void load_config(Config& config, const std::filesystem::path& path, const std::function<void(const std::string&)>& note) {
+namespace {
+
+/// @param check  called with the settings of the file before they are read
+template <class Check>
+void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
     const std::string text = read_text(path);
     check_toml_depth(text, path.string());
     Config result = config;   // all or nothing
-    std::vector<std::string> former;
     try {
         const toml::table table = toml::parse(text, path.string());
-        if (const toml::node* preset = table.get("preset")) set_found(result, "preset", found_in(*preset, "preset"));
         std::map<std::string, Found> settings;
         flatten(table, "", settings);
-        if (names_all(settings))
-            for (const auto& [key, before] : added_keys()) settings.try_emplace(key, Found{before, Found::Quotes::no});
-        former = take_all(result, settings);
+        check(settings);
+        if (const toml::node* preset = table.get("preset")) set_found(result, "preset", found_in(*preset, "preset"));
+        for (const auto& [key, found] : settings) set_found(result, key, found);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));
     } catch (const UsageError& error) {
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }
     config = std::move(result);
-    if (!note || former.empty()) return;
-    constexpr std::size_t kNamed = 3;
-    const std::size_t n = former.size();
-    former.resize(std::min(n, kNamed));
-    note(fmt::format("{}: {} settings of an earlier version, whose values are what the program does now: {}{}", path.string(), n,
-                     fmt::join(former, ", "), n > kNamed ? fmt::format(" and {} more", n - kNamed) : ""));
 }
 
-void update_settings(std::map<std::string, std::string>& settings) {
+}  // namespace
+
+void load_config(Config& config, const std::filesystem::path& path) {
+    read_config(config, path, [](const std::map<std::string, Found>&) {});
+}
+
+Config load_saved_config(const std::filesystem::path& path) {
     Config config;
-    std::map<std::string, Found> found;
-    for (const auto& [key, value] : settings)
-        if (key != "preset") found.emplace(key, Found{value, Found::Quotes::unknown});
-    std::map<std::string, std::string> successors;
-    for (const std::string& key : take_all(config, found)) {
-        if (const auto* moved = find_moved(key)) successors.emplace(moved->to, "");
-        settings.erase(key);
+    try {
+        read_config(config, path, check_complete);
+    } catch (const UsageError& error) {
+        throw DataError(error.what());
     }
-    for (const ConfigKey& key : config_keys(config))
-        if (successors.contains(key.key)) settings[key.key] = key.value;
-    for (const auto& [key, before] : added_keys()) settings.try_emplace(key, before);
+    return config;
 }
 
 namespace {

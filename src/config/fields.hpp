@@ -260,12 +260,6 @@ void visit_refine(C& c, Visitor&& f) {
     f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each of them");
     f("refine.batch", c.refine.batch, between(1, 1024), expert("frames a step of the network's training"));
     f("refine.rate", c.refine.rate, above(0), expert("the network's learning rate at the start; it falls to a hundredth"));
-    f("refine.precision", c.refine.precision, one_of({"fp32", "fp16"}),
-      expert("what the network's convolutions multiply in training; fp16: by matrix units, where `relidar devices` shows them; sums are "
-             "fp32"));
-    f("refine.storage", c.refine.storage, one_of({"fp32", "fp16"}),
-      expert("what images between the network's layers are kept as in training; fp16: half of the memory, where the device has arrays "
-             "of halves"));
 }
 
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.

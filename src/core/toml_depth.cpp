@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Dots are counted from one separator of keys to the next; quoted texts and comments hold none that count. What this reads differently
 // from TOML (texts over several lines) errs on the side of counting.
-#include <relidar/stages/toml_depth.hpp>
+#include "core/toml_depth.hpp"
 
 #include <algorithm>
 

@@ -11,7 +11,6 @@
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/stages/config.hpp>
-#include "evaluation/frame_sensor.hpp"
 #include "evaluation/people.hpp"
 #include "evaluation/tails.hpp"
 
@@ -20,6 +19,14 @@ namespace {
 
 constexpr double kSameTime_s = 1e-3;
 constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames have their images in memory
+
+/// The sensor that config.sensor names, with the native grid on the rays of the scan. @param frame  with its scan
+SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
+    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
+    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan it is compared with
+    return sensor;
+}
 
 /// The pixels of some returns. They are binned as points are, with the flag in the place of the intensity.
 std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
@@ -163,13 +170,6 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
 }
 
 }  // namespace
-
-SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
-    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan it is compared with
-    return sensor;
-}
 
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
     for (const int position : positions) {

@@ -10,7 +10,6 @@
 
 #include <relidar/error.hpp>
 
-#include "gpu/cooperative_matrix.hpp"
 #include "gpu/memory.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/swiftshader.hpp"
@@ -231,7 +230,6 @@ struct ExtensionFeatures {
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
 #endif
-    gpu::cooperative_matrix::Features matrices;
 
     ExtensionFeatures() {
         accel.accelerationStructure = VK_TRUE;
@@ -242,7 +240,6 @@ struct ExtensionFeatures {
 #ifdef VK_KHR_shader_maximal_reconvergence
         maximal.shaderMaximalReconvergence = VK_TRUE;
 #endif
-        matrices.cooperativeMatrix = VK_TRUE;
     }
 };
 
@@ -271,14 +268,9 @@ void Device::Impl::make_device() {
     v12.scalarBlockLayout = VK_TRUE;
     v12.timelineSemaphore = VK_TRUE;
     v12.hostQueryReset = VK_TRUE;
-    const bool matrices = info.why_not_matrices.empty();
-    v12.shaderFloat16 = matrices;
-    v12.vulkanMemoryModel = matrices;
-    VkPhysicalDeviceVulkan11Features v11{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_FEATURES, &v12};
-    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v11};
+    VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
 
     optional = gpu::optional_features(physical);
-    v11.storageBuffer16BitAccess = optional.halves;
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
     void** tail = &v13.pNext;
@@ -299,7 +291,6 @@ void Device::Impl::make_device() {
 #ifdef VK_KHR_shader_maximal_reconvergence
     if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, wanted.maximal);
 #endif
-    if (matrices) enable(gpu::cooperative_matrix::kExtension, wanted.matrices);
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
     device_info.pQueueCreateInfos = &queue_info;

@@ -56,18 +56,12 @@ struct Missing {
     }
 };
 
-/// Fills in matrix_size and why_not_matrices. @param is_13  the device knows Vulkan 1.3
-void describe_matrix_units(VkPhysicalDevice physical, bool is_13, DeviceInfo& info);
-/// The size that relidar's kernels take: 16 x 16 x 16, else the first that they can be made for; zeros where there is none.
-std::array<int, 3> choose_matrix_size(const std::vector<std::array<int, 3>>& sizes);
-
 /// What makes kernels right or safer on devices where it is not so anyway.
 struct OptionalFeatures {
     bool subgroup_size = false;    ///< sizes vary, and a kernel can ask for DeviceInfo::subgroup_size lanes
     bool full_subgroups = false;   ///< and that no lane is missing
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
-    bool halves = false;           ///< arrays of them
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 

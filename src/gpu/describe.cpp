@@ -62,8 +62,7 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
-    VkPhysicalDevice16BitStorageFeatures halves{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_16BIT_STORAGE_FEATURES, &uniform};
-    VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &halves};
+    VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
@@ -76,7 +75,6 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     optional.subgroup_size = sizes.minSubgroupSize != sizes.maxSubgroupSize && control.subgroupSizeControl &&
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
-    optional.halves = halves.storageBuffer16BitAccess;
     optional.subgroup_uniform_control_flow =
         has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) && uniform.shaderSubgroupUniformControlFlow;
 #ifdef VK_KHR_shader_maximal_reconvergence
@@ -177,8 +175,6 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_ray_query = rays.text;
     info.ray_query = rays.text.empty() && base.text.empty();
 
-    if (!optional.halves) info.why_not_halves = "storageBuffer16BitAccess";
-    describe_matrix_units(physical, is_13, info);
     info.known_subgroups = known_subgroups(sizes, optional);
     info.why_not_software = is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();

@@ -24,23 +24,22 @@ shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transp
 
 shared::MatrixView of_shares(const Tensor& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(grid.pixels());
-    return {.values = shares.address(), .first = 0, .batch = heads * pixels * pixels, .head = pixels * pixels,
+    return {.values = shares.values.address(), .first = 0, .batch = heads * pixels * pixels, .head = pixels * pixels,
             .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
 }
 
 }  // namespace
 
-Attention::Attention(Device& device, std::uint32_t heads, Storage storage)
+Attention::Attention(Device& device, std::uint32_t heads)
     : heads_(heads),
       lanes_(std::uint32_t(device.info().subgroup_size)),
-      storage_(checked(device, storage)),
-      matmul_(device, "refine/matmul", image_variant(storage), attention_constants(lanes_), Subgroups::full),
-      softmax_(device, "refine/softmax", image_variant(storage), attention_constants(lanes_), Subgroups::full) {}
+      matmul_(device, "refine/matmul", attention_constants(lanes_), Subgroups::full),
+      softmax_(device, "refine/softmax", attention_constants(lanes_), Subgroups::full) {}
 
 AttentionState Attention::make_state(Device& device, const Grid& grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.pixels());
-    AttentionState state{Tensor(device, channels, grid, storage_, "attention"), {}};
-    if (with_gradients) state.d_share = Tensor(device, channels, grid, storage_, "gradient of attention");
+    AttentionState state{Tensor(device, channels, grid, "attention"), {}};
+    if (with_gradients) state.d_share = Tensor(device, channels, grid, "gradient of attention");
     return state;
 }
 
@@ -54,8 +53,8 @@ void Attention::multiply(Stream& stream, shared::MatmulParams params, const Grid
 void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& grid, bool derive) const {
     const auto pixels = std::uint32_t(grid.pixels()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_, std::size_t(tiles(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
-        {.values = state.share.address().as<shared::SoftmaxValues>(),
-         .d_values = (derive ? state.d_share.address() : Address<shared::ImageValue>()).as<shared::SoftmaxGradients>(), .n_rows = rows,
+        {.values = state.share.values.address().as<shared::SoftmaxValues>(),
+         .d_values = (derive ? state.d_share.values.address() : Address<float>()).as<shared::SoftmaxGradients>(), .n_rows = rows,
          .n = pixels});
 }
 

@@ -16,7 +16,7 @@ struct AttentionState {
 class Attention {
 public:
     /// @param heads  between which the channels are divided
-    Attention(Device& device, std::uint32_t heads, Storage storage = Storage::fp32);
+    Attention(Device& device, std::uint32_t heads);
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
     /// to[h] = V softmax(K^T Q / sqrt(channels of a head))  for each head h.
@@ -26,7 +26,6 @@ public:
 
 private:
     std::uint32_t heads_, lanes_;
-    Storage storage_;
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 

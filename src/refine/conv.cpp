@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of refine/conv and refine/conv_weights, or in their place refine/conv_matrix and refine/conv_weights_matrix, and of
-// refine/sum_parts.
+// Binding of refine/conv, refine/conv_weights and refine/sum_parts.
 #include "refine/conv.hpp"
 
 #include <algorithm>
-#include <cmath>
-#include <optional>
 #include <vector>
 
 #include <fmt/format.h>
@@ -29,34 +26,20 @@ std::uint32_t parts_of(const Grid& grid, std::size_t n_weights) {
     return std::uint32_t(std::clamp<std::size_t>(tiles(lines, kLinesOfPart), 1, most));
 }
 
-std::uint32_t checked_taps(const Device& device, std::uint32_t taps, Precision precision) {
+std::uint32_t checked_taps(const Device& device, std::uint32_t taps) {
     RELIDAR_ASSERT_EQ(taps == 1 || taps == 9, true);
     const DeviceInfo& info = device.info();
     const std::string missing = missing_for_networks(device);
     if (!missing.empty())
         throw DeviceError(fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", info.name, missing));
-    if (precision == Precision::fp16 && !info.why_not_matrices.empty())
-        throw DeviceError(fmt::format("making the ray-drop network with refine.precision=fp16 on {}: missing {}; set refine.precision=fp32",
-                                      info.name, info.why_not_matrices));
     return taps;
 }
 
 std::uint32_t lanes_of(const Device& device) { return std::uint32_t(device.info().subgroup_size); }
 std::uint32_t pixels_of_lane(const Device& device) { return coalesces(device) ? 8 : 4; }
 
-std::vector<Constant> matrix_constants(const Device& device, std::uint32_t taps) {
-    const std::array<int, 3>& tile = device.info().matrix_size;
-    return {{ConstantId::TAPS, taps},
-            {ConstantId::TILE_M, std::uint32_t(tile[0])},
-            {ConstantId::TILE_N, std::uint32_t(tile[1])},
-            {ConstantId::TILE_K, std::uint32_t(tile[2])},
-            {ConstantId::WORKGROUP_SIZE, RELIDAR_MATRIX_GROUPS * lanes_of(device)}};
-}
-
-Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precision precision, Storage storage) {
-    if (precision == Precision::fp16)
-        return {device, "refine/conv_matrix", image_variant(storage), matrix_constants(device, taps), Subgroups::full};
-    return {device, "refine/conv", image_variant(storage),
+Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps) {
+    return {device, "refine/conv",
             {{ConstantId::TAPS, taps},
              {ConstantId::PIXELS, pixels_of_lane(device)},
              {ConstantId::LANES, lanes_of(device)},
@@ -65,47 +48,28 @@ Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps, Precisi
             Subgroups::full};
 }
 
-Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps, Precision precision, Storage storage) {
-    if (precision == Precision::fp16)
-        return {device, "refine/conv_weights_matrix", image_variant(storage), matrix_constants(device, taps), Subgroups::full};
-    return {device, "refine/conv_weights", image_variant(storage),
+Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps) {
+    return {device, "refine/conv_weights",
             {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kConvThreads}}, Subgroups::full};
 }
 
 }  // namespace
 
-Precision find_precision(const std::string& name) {
-    const std::optional<std::string> known = known_name(name, {"fp32", "fp16"});
-    if (!known) throw UsageError(fmt::format("refine.precision: found \"{}\", expected fp32 or fp16", name));
-    return known == "fp16" ? Precision::fp16 : Precision::fp32;
-}
-
-float gradient_scale(std::size_t n) { return std::exp2(std::round(std::log2(float(std::max<std::size_t>(n, 1))))); }
-
-Conv::Conv(Device& device, std::uint32_t taps, Precision precision, Storage storage)
-    : taps_(checked_taps(device, taps, precision)),
+Conv::Conv(Device& device, std::uint32_t taps)
+    : taps_(checked_taps(device, taps)),
       pixels_(pixels_of_lane(device)),
       lanes_(lanes_of(device)),
-      precision_(precision),
-      tile_{std::uint32_t(device.info().matrix_size[0]), std::uint32_t(device.info().matrix_size[1]),
-            std::uint32_t(device.info().matrix_size[2])},
-      conv_(make_conv(device, taps, precision, checked(device, storage))),
-      conv_weights_(make_conv_weights(device, taps, precision, storage)),
+      conv_(make_conv(device, taps)),
+      conv_weights_(make_conv_weights(device, taps)),
       sum_parts_(device, "refine/sum_parts") {}
 
 std::size_t Conv::conv_threads(const shared::ConvParams& params) const {
     const std::size_t lines = std::size_t(params.n_images) * params.rows;
-    if (precision_ == Precision::fp16)
-        return lines * tiles(params.columns, RELIDAR_MATRIX_GROUPS * RELIDAR_MATRIX_TILES * tile_[1]) *
-               tiles(params.n_out, RELIDAR_MATRIX_OUT * tile_[0]) * RELIDAR_MATRIX_GROUPS * lanes_;
     const std::uint32_t segments = std::uint32_t(lines) * tiles(params.columns, lanes_ * pixels_);
     return std::size_t(tiles(segments, kConvThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kConvThreads;
 }
 
 std::size_t Conv::weights_threads(const shared::ConvWeightsParams& params) const {
-    if (precision_ == Precision::fp16)
-        return std::size_t(params.n_parts) * tiles(params.n_in, RELIDAR_MATRIX_TILES * tile_[1]) *
-               tiles(params.n_out, RELIDAR_MATRIX_TILES * tile_[0]) * RELIDAR_MATRIX_GROUPS * lanes_;
     const std::uint32_t subgroups =
         params.n_parts * tiles(params.n_in, inputs_of_subgroup(taps_)) * tiles(params.n_out, RELIDAR_CONV_OUT);
     return std::size_t(tiles(subgroups, kConvThreads / lanes_)) * kConvThreads;
@@ -141,7 +105,8 @@ void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Wei
         .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts};
     run(stream, conv_weights_, weights_threads(params), params);
     run(stream, sum_parts_, n,
-        {.partial = partial_.address(), .sum = d_weights.as<shared::SumOfParts>(), .n_parts = n_parts, .n = n, .scale = 1.0f / scale_});
+        {.partial = partial_.address(), .sum = d_weights.as<shared::SumOfParts>(), .n_parts = n_parts,
+         .n = n});
 }
 
 }  // namespace relidar::refine

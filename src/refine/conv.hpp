@@ -2,23 +2,12 @@
 // Convolutions 1x1 and 3x3: columns are a ring, rows end in zeros.
 #pragma once
 
-#include <array>
 #include <cstdint>
-#include <string>
 
 #include "gpu/stream.hpp"
 #include "refine/tensor.hpp"
 
 namespace relidar::refine {
-
-/// What is multiplied: floats, or by matrix units halves that they are rounded to. Sums are floats in both.
-enum class Precision { fp32, fp16 };
-
-/// By name: "fp32" or "fp16". @throws UsageError for another one
-Precision find_precision(const std::string& name);
-
-/// A power of two that brings gradients of a mean over n values to where halves hold them: near 1 where a value's own derivative is.
-float gradient_scale(std::size_t n);
 
 /// Kernels of all convolutions of one size, and room for their partial sums.
 class Conv {
@@ -26,11 +15,8 @@ public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
 
-    /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what device or build lack
-    Conv(Device& device, std::uint32_t taps, Precision precision = Precision::fp32, Storage storage = Storage::fp32);
-
-    /// From now on gradients of images are so many times as large as what they are gradients of says; those of weights are not.
-    void scale_gradients(float scale) { scale_ = scale; }
+    /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what the device lacks
+    Conv(Device& device, std::uint32_t taps);
 
     /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere
     /// @param accumulate adds to what `to` holds
@@ -47,9 +33,6 @@ public:
 
 private:
     std::uint32_t taps_, pixels_, lanes_;
-    Precision precision_;
-    std::array<std::uint32_t, 3> tile_;   ///< [m, n, k] of matrix units
-    float scale_ = 1.0f;
     Kernel<shared::ConvParams> conv_;
     Kernel<shared::ConvWeightsParams> conv_weights_;
     Kernel<shared::SumPartsParams> sum_parts_;

@@ -51,11 +51,11 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
     return scale_shift;
 }
 
-DropInputs::DropInputs(Device& device, const DropNetwork& network, Storage storage)
+DropInputs::DropInputs(Device& device, const DropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(fixed_channels(network)),
       logit_channel_(logit_channel(network)),
-      kernel_(device, "refine/drop_inputs", image_variant(checked(device, storage))),
+      kernel_(device, "refine/drop_inputs"),
       scale_shift_(pairs(device, network.normalisation)) {}
 
 void DropInputs::keep(Device& device, std::span<const DropImage> images) {
@@ -95,7 +95,7 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::Dr
     params.chosen = impl_of(stream).values(samples).as<shared::ChosenSamples>();
     params.turn = impl_of(stream).values(turns).as<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
-    params.images = images.address();
+    params.images = images.values.address();
     params.start = start_.address();
     params.n_images = images.grid.n;
     params.n_channels = n_channels_, params.n_fixed = n_fixed_, params.logit_channel = logit_channel_;

@@ -17,8 +17,7 @@ std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::s
 
 class DropInputs {
 public:
-    /// @param storage  of the images that are made
-    DropInputs(Device& device, const DropNetwork& network, Storage storage = Storage::fp32);
+    DropInputs(Device& device, const DropNetwork& network);
 
     /// Puts images on the device in place of those that were there. @param images  of one shape, checked
     void keep(Device& device, std::span<const DropImage> images);

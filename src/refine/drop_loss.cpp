@@ -12,19 +12,19 @@ constexpr std::size_t kPixelsOfPart = 2048;
 
 }  // namespace
 
-DropLoss::DropLoss(Device& device, std::size_t n_pixels, Storage storage)
+DropLoss::DropLoss(Device& device, std::size_t n_pixels)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
-      kernel_(device, "refine/drop_loss", image_variant(checked(device, storage)),
+      kernel_(device, "refine/drop_loss",
               {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kLossThreads}}, Subgroups::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known, float scale) {
+void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known) {
     const std::uint32_t of_workgroup = kLossThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
                  {.logit = arrays.logit, .start = arrays.start, .target = arrays.target, .d_logit = arrays.d_logit,
                   .probability = arrays.probability, .partial = partial_.address(), .n = std::uint32_t(n), .n_parts = n_parts_,
-                  .weight = scale / float(std::max<std::size_t>(known, 1))});
+                  .weight = 1.0f / float(std::max<std::size_t>(known, 1))});
 }
 
 DropScore DropLoss::score(std::size_t known) const {

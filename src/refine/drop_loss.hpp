@@ -15,20 +15,19 @@ struct DropScore {
 
 /// What DropLoss reads and writes, [n]; all but the logits may be nowhere.
 struct DropLossArrays {
-    Address<shared::ImageValue, shared::DropLogits> logit;
+    Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};                         ///< added to the logits
     Address<float, shared::DropTargets> target = {};                        ///< 1 dropped, 0 returned, negative: not known
-    Address<shared::ImageValue, shared::DropLogitGradients> d_logit = {};   ///< output
+    Address<float, shared::DropLogitGradients> d_logit = {};                ///< output
     Address<float, shared::DropProbabilities> probability = {};             ///< output
 };
 
 class DropLoss {
 public:
-    /// @param storage  of logits and their gradients
-    DropLoss(Device& device, std::size_t n_pixels, Storage storage = Storage::fp32);
+    DropLoss(Device& device, std::size_t n_pixels);
 
-    /// Records it for n pixels. @param known  pixels, over which the derivative's mean is taken @param scale  of the derivative
-    void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known, float scale = 1.0f);
+    /// Records it for n pixels. @param known  pixels, over which the derivative's mean is taken
+    void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
     /// Of the last run that is done. @param known  pixels
     DropScore score(std::size_t known) const;
 

@@ -40,10 +40,9 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
     const refine::UnetPlan plan(network);
     refine::initialise(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
-    const refine::Storage storage = refine::find_storage(options.storage);
-    const refine::DropInputs inputs(device, network, storage);
-    const refine::Unet unet(device, network, refine::find_precision(options.precision), storage);
-    const refine::DropLoss loss(device, 1, storage);
+    const refine::DropInputs inputs(device, network);
+    const refine::Unet unet(device, network);
+    const refine::DropLoss loss(device, 1);
 }
 
 namespace {
@@ -56,8 +55,7 @@ struct ShapedNetwork {
     std::optional<refine::DropLoss> loss = {};
     Array<float, shared::DropProbabilities> probability = {};
 
-    ShapedNetwork(Device& device, const DropNetwork& network, refine::Precision precision)
-        : inputs(device, network), unet(device, network, precision) {}
+    ShapedNetwork(Device& device, const DropNetwork& network) : inputs(device, network), unet(device, network) {}
 
     void reserve(Device& device, const refine::Grid& of_image) {
         grid = of_image;
@@ -74,18 +72,15 @@ struct DropPass::Impl {
 
     Device& device;
     DropNetwork network;
-    refine::Precision precision;
     std::list<ShapedNetwork> shaped;   ///< the one used last first
 
-    Impl(Device& d, const DropNetwork& n, refine::Precision p) : device(d), network(checked(n)), precision(p) {
-        shaped.emplace_front(device, network, precision);
-    }
+    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)) { shaped.emplace_front(device, network); }
 
     ShapedNetwork& network_for(Stream& stream, const refine::Grid& image) {
         auto place = std::ranges::find(shaped, image, &ShapedNetwork::grid);
         const bool is_new = place == shaped.end();
         if (is_new) place = std::ranges::find(shaped, refine::Grid{}, &ShapedNetwork::grid);
-        if (place == shaped.end() && shaped.size() < kShapes) place = shaped.emplace(shaped.end(), device, network, precision);
+        if (place == shaped.end() && shaped.size() < kShapes) place = shaped.emplace(shaped.end(), device, network);
         if (place == shaped.end()) {
             stream.finish();   // what is there may be in use
             --place;
@@ -96,8 +91,7 @@ struct DropPass::Impl {
     }
 };
 
-DropPass::DropPass(Device& device, const DropNetwork& network, const std::string& precision)
-    : impl_(new Impl(device, network, refine::find_precision(precision))) {}
+DropPass::DropPass(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
 DropPass::~DropPass() = default;
 
 const DropNetwork& DropPass::network() const { return impl_->network; }
@@ -114,7 +108,7 @@ const Array<float, shared::DropProbabilities>& DropPass::run(Stream& stream, int
     shaped.inputs.make(stream, {&whole, 1}, channels.address(), shaped.unet.inputs());
     shaped.unet.evaluate(stream);
     shaped.loss->run(stream, grid.pixels(),
-                     {.logit = shaped.unet.logit().address().as<shared::DropLogits>(),
+                     {.logit = shaped.unet.logit().values.address().as<shared::DropLogits>(),
                       .start = r.network.residual ? shaped.inputs.start().address() : Address<float, shared::StartLogits>(),
                       .probability = shaped.probability.address()},
                      0);
@@ -127,12 +121,10 @@ struct DropRefiner::Impl {
     Stream stream;
     Array<float, shared::DropSamples> channels;
 
-    Impl(Device& d, const DropNetwork& n, const std::string& precision)
-        : device(d), pass(d, n, precision), stream(d, d.info().timestamps) {}
+    Impl(Device& d, const DropNetwork& n) : device(d), pass(d, n), stream(d, d.info().timestamps) {}
 };
 
-DropRefiner::DropRefiner(Device& device, const DropNetwork& network, const std::string& precision)
-    : impl_(new Impl(device, network, precision)) {}
+DropRefiner::DropRefiner(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
 DropRefiner::~DropRefiner() = default;
 DropRefiner::DropRefiner(DropRefiner&&) noexcept = default;
 DropRefiner& DropRefiner::operator=(DropRefiner&&) noexcept = default;

@@ -63,9 +63,9 @@ struct DropTraining::Impl {
           n_images(images.size()),
           batch(std::min<std::size_t>(std::size_t(o.batch), images.size())),
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
-          inputs(device, network, find_storage(o.storage)),
-          unet(device, network, find_precision(o.precision), find_storage(o.storage)),
-          loss(device, grid.all_pixels(), find_storage(o.storage)),
+          inputs(device, network),
+          unet(device, network),
+          loss(device, grid.all_pixels()),
           adam(device, network.parameters.size(), {.epsilon = 1e-8}),
           stream(device, timing) {
         inputs.keep(device, images);
@@ -88,16 +88,15 @@ DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int ste
     Impl& t = *impl_;
     std::size_t known = 0;
     for (const DropInputs::Chosen& c : chosen) known += t.inputs.known(c.sample);
-    const float scale = gradient_scale(known);
     t.inputs.make(t.stream, chosen, t.unet.inputs());
     t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
     t.loss.run(t.stream, t.grid.all_pixels(),
-              {.logit = t.unet.logit().address().as<shared::DropLogits>(),
+              {.logit = t.unet.logit().values.address().as<shared::DropLogits>(),
                .start = t.network.residual ? t.inputs.start().address() : Address<float, shared::StartLogits>(),
                .target = t.inputs.target().address(),
-               .d_logit = t.unet.d_logit().address().as<shared::DropLogitGradients>()},
-              known, scale);
-    t.unet.backward(t.stream, scale);
+               .d_logit = t.unet.d_logit().values.address().as<shared::DropLogitGradients>()},
+              known);
+    t.unet.backward(t.stream);
     t.adam.step(t.stream, t.unet.parameters(), t.unet.gradients(),
                exponential_schedule(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
     t.stream.finish();

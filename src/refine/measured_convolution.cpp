@@ -21,7 +21,7 @@ Array<float, shared::ConvWeights> filled(Device& device, std::size_t n, const ch
 }
 
 refine::Tensor images(Device& device, const ConvolutionSize& size, std::uint32_t channels) {
-    refine::Tensor result(device, channels, {1, size.rows, size.columns}, refine::Storage::fp32, "images");
+    refine::Tensor result(device, channels, {1, size.rows, size.columns}, "images");
     result.values.upload(numbers(result.values.size()));
     return result;
 }
@@ -34,8 +34,8 @@ struct MeasuredConvolution::Impl {
     Array<float, shared::ConvWeights> weights, d_weights;
     Stream stream;
 
-    Impl(Device& device, const ConvolutionSize& size, const std::string& precision)
-        : conv(device, kTaps, refine::find_precision(precision)),
+    Impl(Device& device, const ConvolutionSize& size)
+        : conv(device, kTaps),
           from(images(device, size, size.n_in)),
           to(images(device, size, size.n_out)),
           weights(filled(device, std::size_t(size.n_in) * size.n_out * kTaps, "weights")),
@@ -45,8 +45,8 @@ struct MeasuredConvolution::Impl {
     }
 };
 
-MeasuredConvolution::MeasuredConvolution(Device& device, const ConvolutionSize& size, const std::string& precision)
-    : impl_(std::make_unique<Impl>(device, size, precision)) {}
+MeasuredConvolution::MeasuredConvolution(Device& device, const ConvolutionSize& size)
+    : impl_(std::make_unique<Impl>(device, size)) {}
 MeasuredConvolution::~MeasuredConvolution() = default;
 
 void MeasuredConvolution::forward() {

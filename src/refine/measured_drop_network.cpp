@@ -53,7 +53,7 @@ struct MeasuredDropNetwork::Impl {
     Impl(Device& device, const RefineOptions& options, int rows, int columns)
         : images(noise(options, rows, columns)),
           training(device, images, options, 1, device.info().timestamps),
-          refiner(device, training.download(), options.precision) {
+          refiner(device, training.download()) {
         for (std::uint32_t i = 0; i < images.size(); ++i) chosen.push_back({i, 7 * i});
     }
 };

@@ -24,12 +24,12 @@ std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::L
 
 }  // namespace
 
-Norm::Norm(Device& device, Storage storage)
+Norm::Norm(Device& device)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
-      sums_(device, "refine/channel_sums", image_variant(checked(device, storage)), in_subgroups(lanes_), Subgroups::full),
+      sums_(device, "refine/channel_sums", in_subgroups(lanes_), Subgroups::full),
       finish_(device, "refine/norm_finish"),
-      norm_(device, "refine/norm", image_variant(storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
-      norm_vjp_(device, "refine/norm_vjp", image_variant(storage), {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_(device, "refine/norm", {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_vjp_(device, "refine/norm_vjp", {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "refine/sum_parts") {}
 
 void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
@@ -87,13 +87,13 @@ void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const 
                       .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
     run(stream, sum_parts_, 2 * from.channels,
         {.partial = partial_.address(), .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first), .n_parts = n_parts,
-         .n = 2 * from.channels, .scale = 1.0f / scale_});
+         .n = 2 * from.channels});
     run(stream, norm_vjp_, threads_of(from),
         {.from = from.view, .d_to = d_to.view, .d_from = d_from.view,
          .d_beta_gamma = gradient.all.address_as<glm::vec2, shared::BetaGamma>(gradient.first),
          .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
          .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout,
-         .accumulate = accumulate ? 1u : 0u, .scale = scale_});
+         .accumulate = accumulate ? 1u : 0u});
 }
 
 void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias) {
@@ -102,8 +102,7 @@ void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::Co
                       .kind = shared::kSums_plain, .n_images = d_to.grid.n, .n_pixels = std::uint32_t(d_to.grid.pixels()),
                       .n_channels = d_to.channels, .n_parts = n_parts, .dropout_key = 0, .dropout = 0.0f});
     run(stream, sum_parts_, d_to.channels,
-        {.partial = partial_.address(), .sum = d_bias.as<shared::SumOfParts>(), .n_parts = n_parts, .n = d_to.channels,
-         .scale = 1.0f / scale_});
+        {.partial = partial_.address(), .sum = d_bias.as<shared::SumOfParts>(), .n_parts = n_parts, .n = d_to.channels});
 }
 
 }  // namespace relidar::refine

@@ -34,10 +34,7 @@ struct NormState {
 /// Kernels of all normalisations.
 class Norm {
 public:
-    explicit Norm(Device& device, Storage storage = Storage::fp32);
-
-    /// As Conv has it.
-    void scale_gradients(float scale) { scale_ = scale; }
+    explicit Norm(Device& device);
 
     /// to = dropout(relu(gamma x^ + beta)), x^ normalised by the moments of the batch, which join the running ones.
     void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
@@ -54,7 +51,6 @@ public:
 
 private:
     std::uint32_t lanes_;
-    float scale_ = 1.0f;
     Kernel<shared::ChannelSumsParams> sums_;
     Kernel<shared::NormFinishParams> finish_;
     Kernel<shared::NormParams> norm_;

@@ -20,11 +20,11 @@ std::size_t values_of(const Slice& slice) { return slice.channels * slice.grid.a
 
 Grid pooled(const Grid& grid) { return {grid.n, grid.rows / 2, grid.columns / 2}; }
 
-Resample::Resample(Device& device, Storage storage)
-    : pool_(device, "refine/pool", image_variant(checked(device, storage))),
-      pool_vjp_(device, "refine/pool_vjp", image_variant(storage)),
-      upsample_(device, "refine/upsample", image_variant(storage)),
-      upsample_vjp_(device, "refine/upsample_vjp", image_variant(storage)) {}
+Resample::Resample(Device& device)
+    : pool_(device, "refine/pool"),
+      pool_vjp_(device, "refine/pool_vjp"),
+      upsample_(device, "refine/upsample"),
+      upsample_vjp_(device, "refine/upsample_vjp") {}
 
 void Resample::pool(Stream& stream, const Slice& from, const Slice& to) {
     RELIDAR_ASSERT_EQ(pooled(from.grid) == to.grid, true);

@@ -12,7 +12,7 @@ Grid pooled(const Grid& grid);
 
 class Resample {
 public:
-    explicit Resample(Device& device, Storage storage = Storage::fp32);
+    explicit Resample(Device& device);
 
     /// Largest of 2 x 2. @param to  of the grid pooled(from.grid)
     void pool(Stream& stream, const Slice& from, const Slice& to);

@@ -7,17 +7,16 @@
 
 namespace relidar::refine {
 
-Unet::Unet(Device& device, const DropNetwork& network, Precision precision, Storage storage)
+Unet::Unet(Device& device, const DropNetwork& network)
     : plan_(network),
       widths_(network.widths),
-      storage_(storage),
-      conv1_(device, 1, precision, storage),
-      conv3_(device, 9, precision, storage),
-      norm_(device, storage),
-      resample_(device, storage),
+      conv1_(device, 1),
+      conv3_(device, 9),
+      norm_(device),
+      resample_(device),
       parameters_(device, std::span<const float>(network.parameters), "network parameters"),
       running_(device, std::span<const float>(network.running), "running moments") {
-    if (network.heads > 0) attention_.emplace(device, network.heads, storage);
+    if (network.heads > 0) attention_.emplace(device, network.heads);
 }
 
 Slice Unet::skip(std::size_t level) const {
@@ -28,7 +27,7 @@ Slice Unet::d_skip(std::size_t level) const {
 }
 
 void Unet::reserve_block(Device& device, const Block& block, const Grid& grid, BlockState& state) {
-    state.active = Tensor(device, block.conv.n_in, grid, storage_, "activations");
+    state.active = Tensor(device, block.conv.n_in, grid, "activations");
     state.norm = NormState(device, block.conv.n_in);
     norm_.reserve(device, block.conv.n_in, grid);
     if (!with_gradients_) return;
@@ -40,8 +39,8 @@ void Unet::reserve_block(Device& device, const Block& block, const Grid& grid, B
 void Unet::reserve_level(Device& device, std::size_t level, const Grid& grid) {
     Level& l = levels_[level];
     const auto tensors = [&](Tensor& values, Tensor& gradients, std::uint32_t channels, const Grid& of) {
-        values = Tensor(device, channels, of, storage_, "activations");
-        if (with_gradients_) gradients = Tensor(device, channels, of, storage_, "gradients of activations");
+        values = Tensor(device, channels, of, "activations");
+        if (with_gradients_) gradients = Tensor(device, channels, of, "gradients of activations");
     };
     if (level > 0) {
         tensors(l.pooled, l.d_pooled, widths_[level - 1], grid);
@@ -66,9 +65,9 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     levels_.resize(widths_.size());
     down_states_.resize(plan_.down.size());
     up_states_.resize(plan_.up.size());
-    inputs_ = Tensor(device, plan_.head.n_in, grid, storage_, "network inputs");
-    logit_ = Tensor(device, 1, grid, storage_, "drop logits");
-    if (with_gradients) d_logit_ = Tensor(device, 1, grid, storage_, "gradient of drop logits");
+    inputs_ = Tensor(device, plan_.head.n_in, grid, "network inputs");
+    logit_ = Tensor(device, 1, grid, "drop logits");
+    if (with_gradients) d_logit_ = Tensor(device, 1, grid, "gradient of drop logits");
     if (with_gradients) gradients_.reserve(device, parameters_.size(), "gradients of the network");
     Grid at = grid;
     for (std::size_t level = 0; level < levels_.size(); ++level, at = pooled(at)) reserve_level(device, level, at);
@@ -77,22 +76,22 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     norm_.reserve(device, 1, grid);
     norm_.reserve(device, widths_[0], grid);
     if (attention_) reserve_attention(device);
-    if (with_gradients) scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, storage_, "gradient of activations");
+    if (with_gradients) scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, "gradient of activations");
 }
 
 void Unet::reserve_attention(Device& device) {
     const Grid& smallest = levels_.back().up.grid;
     const std::uint32_t channels = widths_.back();
     reserve_block(device, *plan_.query, smallest, query_state_);
-    qkv_ = Tensor(device, 3 * channels, smallest, storage_, "queries, keys and values");
-    attended_ = Tensor(device, channels, smallest, storage_, "attention");
-    mixed_ = Tensor(device, channels, smallest, storage_, "attention added");
+    qkv_ = Tensor(device, 3 * channels, smallest, "queries, keys and values");
+    attended_ = Tensor(device, channels, smallest, "attention");
+    mixed_ = Tensor(device, channels, smallest, "attention added");
     attention_state_ = attention_->make_state(device, smallest, with_gradients_);
     conv1_.reserve(device, conv1_.partial_floats(smallest, channels, channels));
     if (!with_gradients_) return;
-    d_qkv_ = Tensor(device, 3 * channels, smallest, storage_, "gradient of queries");
-    d_attended_ = Tensor(device, channels, smallest, storage_, "gradient of attention");
-    d_mixed_ = Tensor(device, channels, smallest, storage_, "gradient of attention added");
+    d_qkv_ = Tensor(device, 3 * channels, smallest, "gradient of queries");
+    d_attended_ = Tensor(device, channels, smallest, "gradient of attention");
+    d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
 void Unet::run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to, Mode mode) {
@@ -107,7 +106,7 @@ void Unet::attend(Stream& stream, Mode mode) {
     const Tensor& bottom = levels_.back().up;
     run_block(stream, *plan_.query, query_state_, bottom.all(), qkv_.all(), mode);
     attention_->forward(stream, qkv_.all(), attention_state_, attended_.all());
-    stream.copy(bottom.buffer(), mixed_.buffer(), bottom.size_bytes());
+    stream.copy(bottom.values.buffer(), mixed_.values.buffer(), bottom.values.size() * sizeof(float));
     conv1_.forward(stream, attended_.all(), weights(plan_.project.weights), bias(*plan_.project.bias),
                    mixed_.all(), true);
 }
@@ -154,7 +153,7 @@ void Unet::conv_vjp(Stream& stream, const ConvLayer& layer, const Slice& from, c
 
 void Unet::block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& d_to, const Slice& d_from,
                      bool accumulate) {
-    const Slice d_active{{scratch_.address(), block.conv.n_in, 0}, block.conv.n_in, from.grid};
+    const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, from.grid};
     conv_vjp(stream, block.conv, state.active.all(), d_to);
     conv_of(block.conv).input_vjp(stream, d_to, weights(block.conv.weights), d_active);
     norm_.vjp(stream, from, state.norm, d_active, d_from, {gradients_, block.beta_gamma}, accumulate);
@@ -165,14 +164,12 @@ void Unet::attend_vjp(Stream& stream) {
     conv_vjp(stream, plan_.project, attended_.all(), d_mixed_.all());
     conv1_.input_vjp(stream, d_mixed_.all(), weights(plan_.project.weights), d_attended_.all());
     attention_->vjp(stream, qkv_.all(), attention_state_, d_attended_.all(), d_qkv_.all());
-    stream.copy(d_mixed_.buffer(), smallest.d_up.buffer(), d_mixed_.size_bytes());
+    stream.copy(d_mixed_.values.buffer(), smallest.d_up.values.buffer(),
+                d_mixed_.values.size() * sizeof(float));
     block_vjp(stream, *plan_.query, query_state_, smallest.up.all(), d_qkv_.all(), smallest.d_up.all(), true);
 }
 
-void Unet::backward(Stream& stream, float scale) {
-    conv1_.scale_gradients(scale);
-    conv3_.scale_gradients(scale);
-    norm_.scale_gradients(scale);
+void Unet::backward(Stream& stream) {
     const std::size_t n_levels = widths_.size() - 1;
     conv_vjp(stream, plan_.tail, levels_[0].up.all(), d_logit_.all());
     conv1_.input_vjp(stream, d_logit_.all(), weights(plan_.tail.weights), levels_[0].d_up.all());

@@ -50,7 +50,7 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed);
 /// A network on a device.
 class Unet {
 public:
-    Unet(Device& device, const DropNetwork& network, Precision precision, Storage storage = Storage::fp32);
+    Unet(Device& device, const DropNetwork& network);
 
     /// Makes room for passes over images of a grid. @param with_gradients  for backward()
     void reserve(Device& device, const Grid& grid, bool with_gradients);
@@ -58,9 +58,8 @@ public:
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout);
     /// The same in evaluation mode: by running moments, nothing dropped.
     void evaluate(Stream& stream);
-    /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit(). @param scale  by which d_logit() was multiplied, a power of
-    /// two, so that halves can hold what comes of it
-    void backward(Stream& stream, float scale = 1.0f);
+    /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit().
+    void backward(Stream& stream);
 
     /// Takes other values, as many as there are. Nothing on the device may still use those it has.
     void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
@@ -90,7 +89,6 @@ private:
     UnetPlan plan_;
     std::vector<std::uint32_t> widths_;
     bool with_gradients_ = false;
-    Storage storage_;
     Conv conv1_, conv3_;
     Norm norm_;
     Resample resample_;

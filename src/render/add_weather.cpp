@@ -56,7 +56,6 @@ public:
             surfaces.strongest.through_water = special.wet[ray].through_water, surfaces.mirrored = special.wet[ray].mirrored;
         if (!special.stray.empty() && !is_blind) surfaces.stray = special.stray[ray];
         if (!special.from_sun.empty()) surfaces.from_sun_rad = double(special.from_sun[ray]);
-        if (!special.spray.empty() && !is_blind) surfaces.spray = special.spray[ray];
         if (!air_.clear()) {
             seen = air_.look(surfaces, is_blind ? 0.0 : free_m(ray, surfaces), seed);
             put(ray, surfaces.strongest, seen.strongest);

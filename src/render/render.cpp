@@ -400,16 +400,6 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     return wet;
 }
 
-/// Parts of each ray that lie in spray; empty on a dry road.
-std::vector<std::vector<SprayStretch>> ScanRenderer::Impl::spray_of(const RenderedScan& scan) const {
-    if (weather.spray_mm == 0.0) return {};
-    const PoseTrack& track = sweep.world_from_vehicle;
-    const glm::dvec3 moved_m = track.at(scan.time_s).translation - track.at(scan.time_s - kMoment_s).translation;
-    std::vector<Plume> all = plumes;
-    if (const auto own = own_plume(scan, moved_m / kMoment_s, weather.spray_mm)) all.push_back(*own);
-    return spray_along(scan, all);
-}
-
 /// What a sensor makes of a scan in the end: a sample of what is likely, through the weather, and intensities in the steps that it has.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                                  std::optional<std::uint64_t> sample) {
@@ -422,8 +412,7 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         const std::vector<WetRay> wet = wet_rays(scan);
         const std::vector<Echo> stray = stray_light(scan, weather.bloom, sample.value_or(0));
         const std::vector<float> from_sun = angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
-        const std::vector<std::vector<SprayStretch>> spray = spray_of(scan);
-        const RaysInWeather special = {blind, wet, stray, from_sun, spray};
+        const RaysInWeather special = {blind, wet, stray, from_sun};
         add_weather(scan, air_before(sensor, rays), sweep.intensity_response, special, sample.value_or(0));
     }
     if (!sample || !weather.clear())

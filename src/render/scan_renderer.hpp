@@ -19,11 +19,9 @@
 #include "render/resident_scene.hpp"
 #include "render/seen.hpp"
 #include "render/sensor_rays.hpp"
-#include "render/spray_plumes.hpp"
 
 namespace relidar {
 
-inline constexpr double kMoment_s = 0.1;          // in which a speed is measured
 inline constexpr int kSideBySide = 4;             // scans on a GPU
 inline constexpr const char* kNative = "native";  ///< image of a network: the rays of a sensor
 
@@ -69,7 +67,6 @@ struct ScanRenderer::Impl {
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
     Weather weather = {};
-    std::vector<Plume> plumes = {};   ///< of actors, in the scan that is taken
 
     /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or as the LiDAR in whose place it stands.
     SweepMoment moment(const SensorChoice& sensor, double time_s) {
@@ -131,19 +128,10 @@ struct ScanRenderer::Impl {
     RangeLimits limits_of(const SensorChoice& sensor) const;
     Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
     std::vector<WetRay> wet_rays(const RenderedScan& scan);
-    std::vector<std::vector<SprayStretch>> spray_of(const RenderedScan& scan) const;
     void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays, std::optional<std::uint64_t> sample);
-    /// Where instances are in a sweep, and the spray behind them. @param actors  where they are; null: where the run's tracks have them
+    /// Where instances are in a sweep. @param actors  where they are; null: where the run's tracks have them
     std::vector<InstancePose> place(const SweepMoment& now, const ActorPoses* actors = nullptr) {
-        const auto at = [&](double time_s) {
-            const SweepMoment moment{time_s, now.lidar, now.start};
-            return actors ? place_instances(layout, sweep, moment, *actors) : place_instances(layout, sweep, moment);
-        };
-        std::vector<InstancePose> placed = at(now.time_s);
-        plumes.clear();
-        if (weather.spray_mm > 0.0)
-            plumes = plumes_of(layout, placed, at(now.time_s - kMoment_s), shown, sweep.world_offset_m, weather.spray_mm);
-        return placed;
+        return actors ? place_instances(layout, sweep, now, *actors) : place_instances(layout, sweep, now);
     }
     /// The vehicle is where it has to be for the sensor to be here.
     void drive(PoseTrack world_from_sensor, const SensorChoice& sensor) {

@@ -21,8 +21,9 @@ inline void check_format(const std::map<std::string, std::string>& metadata, con
     if (value("format") != format)
         throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), format));
     if (value("version") != version)
-        throw DataError(fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}", file, value("version"),
-                                    RELIDAR_VERSION, version));
+        throw DataError(
+            fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}: train the run again", file,
+                        value("version"), RELIDAR_VERSION, version));
 }
 
 }  // namespace relidar::run_detail

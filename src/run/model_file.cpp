@@ -53,9 +53,8 @@ void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& s
     check_finite(group, surfels, file);
 }
 
-/// Of a model's box; absent in the files of earlier versions: unbounded.
+/// Of a model's box; zeros: unbounded.
 glm::vec3 read_half_size(const JsonField& model) {
-    if (!model.has("half_size_m")) return glm::vec3(0.0f);
     const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
     for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};

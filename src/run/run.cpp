@@ -44,17 +44,6 @@ void make_folder(const fs::path& folder) {
             fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
 }
 
-/// In a run, a wrong setting is damage to a file, not a wrong command line.
-Config read_config(const fs::path& path, const std::function<void(const std::string&)>& note) {
-    Config config;
-    try {
-        load_config(config, path, note);
-    } catch (const UsageError& error) {
-        throw DataError(error.what());
-    }
-    return config;
-}
-
 /// A second name of a file, or a copy of it.
 void link_or_copy(const fs::path& from, const fs::path& to) {
     make_folder(to.parent_path());
@@ -84,7 +73,7 @@ std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool 
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
-    if (read_config(path, {}) != run.config)
+    if (load_saved_config(path) != run.config)
         throw DataError(fmt::format("saving {}: found an option of image, init, loss, densify or refine that is no setting and not as it "
                                     "is by default, expected those of `relidar config --all` alone",
                                     (run.folder / kConfigFile).string()));
@@ -186,7 +175,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
     move_files(staged.path, run.folder, remove_earlier);
 }
 
-Run load_run(const fs::path& folder, const std::function<void(const std::string&)>& note) {
+Run load_run(const fs::path& folder) {
     check_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!path_exists(folder / name))
@@ -194,9 +183,7 @@ Run load_run(const fs::path& folder, const std::function<void(const std::string&
     }
     Run run;
     run.folder = folder;
-    run.config = read_config(folder / kConfigFile, note);
-    // Earlier versions wrote true for what is automatic now, and training does the same with both.
-    if (run.config.sensor.rolling_shutter == RollingShutter::yes) run.config.sensor.rolling_shutter = RollingShutter::automatic;
+    run.config = load_saved_config(folder / kConfigFile);
     const fs::path scene_path = folder / kSceneFile;
     run_detail::SceneFile scene = run_detail::parse_scene_json(read_text(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);

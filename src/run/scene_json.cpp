@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 2 (version 1 had one LiDAR, in whose frame the poses were, and is read as well). Numbers are written in the
-// shortest form that reads back to the same double. A pose is seven numbers, translation x y z then unit quaternion w x y z: p_world = R(q)
-// p + t, in the recentred world.
+// scene.json, format version 2. Numbers are written in the shortest form that reads back to
+// the same double. A pose is seven numbers: the translation x y z, then the unit quaternion
+// w x y z; p_world = R(q) p + t in the recentred world.
 #include "run/scene_json.hpp"
 
 #include <algorithm>
@@ -21,7 +21,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
-constexpr int kSceneVersion = 2, kOldest = 1;
+constexpr int kSceneVersion = 2;
 constexpr double kHuge = 1e12;   // of any length or time in a log: beyond it a value is damage
 constexpr double kFarthest_m = 1e6;      // of any place from the world's origin, the sensor in the middle frame
 constexpr double kFarthestWorld_m = 1e9; // of that origin in the dataset's world
@@ -138,13 +138,8 @@ SpinningSensor read_sensor(const JsonField& field) {
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) {
         const JsonField beam = beams.at(i);
-        for (std::size_t k = 0; k < std::min<std::size_t>(beam.size(), 5); ++k) check_within(beam, {beam.at(k).number()}, kLargestBeam);
-        if (beam.size() == 5) {   // as written before beams had a response
-            const auto v = beam.numbers<5>();
-            sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4]});
-            continue;
-        }
         const auto v = beam.numbers<8>();
+        check_within(beam, {v[0], v[1], v[2], v[3], v[4]}, kLargestBeam);
         check_within(beam, {v[5], v[6], v[7]}, kLargestResponse);
         sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
     }
@@ -168,7 +163,6 @@ RangeNoise read_range_noise(const JsonField& field) {
 }
 
 std::vector<Lidar> read_lidars(const JsonField& root) {
-    if (root.has("sensor")) return {{"", read_sensor(root.at("sensor")), {}}};   // version 1
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
     for (std::size_t i = 0; i < field.size(); ++i) {
@@ -194,8 +188,7 @@ IntensityResponse read_intensity_response(const JsonField& field) {
 
 /// Frames at one time share its pose.
 void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
-    // version 1, version 2
-    const Pose pose = read_pose(entry.at(entry.has("world_from_sensor") ? "world_from_sensor" : "world_from_vehicle"));
+    const Pose pose = read_pose(entry.at("world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
     track.time_s.push_back(time_s);
     track.pose.push_back(pose);
@@ -208,7 +201,7 @@ void read_frames(const JsonField& field, SceneFile& scene) {
         Frame frame;
         frame.index = static_cast<int>(entry.at("index").integer(0, kMaxFrame));
         frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
-        if (!entry.has("world_from_sensor")) frame.lidar = static_cast<int>(entry.at("lidar").integer(0, last_lidar));
+        frame.lidar = static_cast<int>(entry.at("lidar").integer(0, last_lidar));
         if (i > 0 &&
             std::pair(frame.time_s, frame.lidar) <= std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
             entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise, or the next LiDAR at the same time");
@@ -299,16 +292,15 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const JsonField root(json, file, "");
     if (const std::string format = root.at("format").text(); format != kSceneFormat)
         root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
-    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version < kOldest || version > kSceneVersion)
+    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version != kSceneVersion)
         root.at("version").fail(fmt::format("found {}", version),
-                                fmt::format("this relidar ({}) reads versions {} to {}", RELIDAR_VERSION, kOldest, kSceneVersion));
+                                fmt::format("this relidar ({}) reads version {}: train the run again", RELIDAR_VERSION, kSceneVersion));
     SceneFile scene;
     Sequence& s = scene.sequence;
     s.name = root.at("name").text();
     s.source = root.at("source").text();
     s.conventions = root.at("source_conventions").text();
-    if (root.has("notes"))
-        for (std::size_t i = 0; i < root.at("notes").size(); ++i) s.notes.push_back(root.at("notes").at(i).text());
+    for (std::size_t i = 0; i < root.at("notes").size(); ++i) s.notes.push_back(root.at("notes").at(i).text());
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
     s.rolling_shutter = root.at("rolling_shutter").boolean();
     s.lidars = read_lidars(root);
@@ -316,8 +308,6 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
     if (root.has("intensity_response")) s.intensity_response = read_intensity_response(root.at("intensity_response"));
-    if (root.has("range_noise"))   // of all LiDARs, as earlier versions have it
-        for (Lidar& lidar : s.lidars) lidar.range_noise = read_range_noise(root.at("range_noise"));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
     scene.held_out_placed = root.has("held_out_placed") && root.at("held_out_placed").boolean();
     if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();

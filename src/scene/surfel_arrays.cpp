@@ -27,10 +27,9 @@ ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, 
     std::vector<std::string> names;
     for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = texts.find(key);
-    const bool third_scale = has_array(kParameterGroups.back().name);
+    if (text == texts.end()) throw DataError(fmt::format("{}: missing, expected one of {}", key, fmt::join(names, ", ")));
     for (const PrimitiveKind& kind : kPrimitives)
-        if (text == texts.end() ? kind.third_scale == third_scale : kind.name == text->second)
-            return {kind.primitive, has_array(kParameterGroups.front().name)};
+        if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
     throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40), fmt::join(names, ", ")));
 }
 

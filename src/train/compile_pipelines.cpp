@@ -92,14 +92,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         tell(std::string("refine.network=") + network);
         RefineOptions options;
         options.network = network;
-        for (const char* precision : {"fp32", "fp16"})
-            for (const char* storage : {"fp32", "fp16"}) {
-                options.precision = precision;
-                options.storage = storage;
-                const bool matrices = options.precision == "fp32" || device.info().why_not_matrices.empty();
-                const bool halves = options.storage == "fp32" || device.info().why_not_halves.empty();
-                if (matrices && halves) compile_drop_network(device, options);
-            }
+        compile_drop_network(device, options);
     }
     tell("sums of hits in a fixed order");
     const RadixSort by_row(device, 1, 1);   // made by BackwardPass at its first batch

@@ -2,10 +2,7 @@
 // Reports of iterations on their way from the device, and what becomes of their losses.
 #include "train/iteration_reports.hpp"
 
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <string_view>
 
 #include <fmt/format.h>
 
@@ -69,17 +66,6 @@ void IterationReports::add_up(const Closed& report, const float* terms) {
         }
     }
     n_summed_ += report.iterations.size();
-}
-
-void IterationReports::update_sums() {
-    // two of weight 0 are gone, or the settings would have been refused before
-    constexpr std::array<std::string_view, 12> kFormer{"depth",   "intensity", "drop",       "opacity", "ssim",      "box",
-                                                       "entropy", "chamfer",   "distortion", "normal",  "log_range", "likelihood"};
-    static_assert(kFormer.size() != kLossTerms);
-    if (sums_.size() != kFormer.size()) return;
-    std::vector<double> sums;
-    for (const char* name : kLossTermNames) sums.push_back(sums_[std::size_t(std::ranges::find(kFormer, name) - kFormer.begin())]);
-    sums_ = std::move(sums);
 }
 
 void IterationReports::end_line(LogLine line) {

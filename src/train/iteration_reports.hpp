@@ -62,8 +62,6 @@ public:
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
-    /// Brings sums that were read back from a checkpoint of an earlier version, which had more terms, to the terms of this one.
-    void update_sums();
     /// Whether what was read back can be gone on with.
     bool is_sound() const { return sums_.size() == kLossTerms; }
 

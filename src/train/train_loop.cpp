@@ -292,7 +292,6 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 void TrainLoop::restore(const Checkpoint& checkpoint) {
     settle();   // of the steps this state replaces
     visit_state(StateReader(checkpoint));
-    reports_.update_sums();
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
         throw DataError(

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Returns of fog, drops and flakes along a ray, and which of them a sensor reports. Fog is a soft target by Rasshofer, Spies and Spies
 // (2011), as Hahner et al. (ICCV 2021) use it; particles are drawn for each beam as in LISA (Kilic et al. 2021) and by Hahner et al.
-// (CVPR 2022). That fog and spray are uneven from stretch to stretch, and how much, is an assumption.
+// (CVPR 2022). That fog is uneven from stretch to stretch, and how much, is an assumption.
 #include <relidar/weather.hpp>
 
 #include <algorithm>
@@ -22,7 +22,6 @@ constexpr double kLight_m_s = 299792458.0;
 constexpr double kBackscatter = 0.046;     // per steradian: beta of fog over its visibility (Rasshofer et al. 2011)
 constexpr double kFogSpread = 1.0;         // standard deviation of ln(beta); an assumption
 constexpr double kRareFog = 5.0;           // standard deviations: thicker fog is too rare to wait for
-constexpr double kLidarRatio_sr = 18.8;    // extinction over back-scatter of drops of water, 905 nm (O'Connor et al. 2004)
 
 double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 
@@ -142,33 +141,6 @@ void Air::add_particles(std::vector<Candidate>& candidates, double free_m, Rando
     }
 }
 
-/// What is in spray or behind it is darker, and spray returns.
-void Air::add_spray(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const {
-    const auto left_at = [&](double range_m) {
-        double depth = 0.0;
-        for (const SprayStretch& stretch : surfaces.spray) depth += stretch.depth_to(range_m);
-        return std::exp(-2.0 * depth);
-    };
-    const auto is_lost = [&](Candidate& candidate) {
-        const double left = left_at(candidate.echo.range_m);
-        candidate.echo.reflectivity *= left, candidate.power *= left;
-        return candidate.power < sensor_.weakest();
-    };
-    std::erase_if(candidates, is_lost);
-    const double step_m = 0.5 * pulse_m(sensor_);
-    for (const SprayStretch& stretch : surfaces.spray) {
-        for (double begin_m = stretch.from_m; begin_m < stretch.to_m; begin_m += step_m) {
-            const double range_m = begin_m + step_m * random.uniform();
-            const double uneven = std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
-            if (range_m < nearest_m() || range_m >= std::min({free_m, stretch.to_m, sensor_.max_range_m})) continue;
-            const double reflectivity = uneven * kPi * stretch.extinction_at(range_m) / kLidarRatio_sr * step_m *
-                                        std::exp(-2.0 * alpha_ * range_m) * left_at(range_m);
-            const double power = reflectivity / (range_m * range_m);
-            if (power >= sensor_.threshold(range_m)) candidates.push_back({{range_m, reflectivity, PointSource::spray}, power});
-        }
-    }
-}
-
 /// Levels above the weakest power are those of a Gaussian's crests: power^2 = weakest^2 + 2 sigma^2 E, E exponential.
 void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const {
     const bool meets_surface = surfaces.strongest.source == PointSource::surface;
@@ -190,7 +162,6 @@ RayEchoes Air::look(const RayEchoes& surfaces, double free_m, std::uint64_t seed
     add_surfaces(candidates, surfaces, random);
     if (!fog_power_.empty()) add_fog(candidates, free_m, random);
     if (!particles_.empty()) add_particles(candidates, free_m, random);
-    if (!surfaces.spray.empty()) add_spray(candidates, surfaces, free_m, random);
     if (weather_.sun.klux > 0.0 && std::isfinite(surfaces.from_sun_rad) && free_m > 0.0) add_noise(candidates, surfaces, free_m, random);
     if (candidates.empty()) return {};
     const Echo strongest = std::ranges::max_element(candidates, {}, &Candidate::power)->echo;

@@ -22,7 +22,7 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kExpected = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, spray=MILLIMETRES, "
+constexpr const char* kExpected = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
                                   "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
 constexpr const char* kSun = "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
 constexpr double kUsual_klux = 100.0;   // on a clear day
@@ -39,7 +39,6 @@ constexpr Kind kKinds[] = {
     {"rain", &Weather::rain_mm_h, 0.0, 500.0, "0 to 500 mm/h"},
     {"snow", &Weather::snow_mm_h, 0.0, 100.0, "0 to 100 mm/h of melted snow"},
     {"wet", &Weather::wet_mm, 0.0, 10.0, "0 to 10 mm of water on the ground"},
-    {"spray", &Weather::spray_mm, 0.0, 10.0, "0 to 10 mm of water on the road", 0.5},
     {"bloom", &Weather::bloom, 0.0, 1.0, "a reflectivity of 0 to 1", 1.2e-4},
 };
 

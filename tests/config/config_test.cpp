@@ -54,7 +54,7 @@ bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
     for (const char* value : {"0.12345678", "seen", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "ray",
                               "surfel", "median", "expected", "gaussian", "adaptive", "pixel", "direction", "grid", "sensor", "none",
-                              "removed", "range", "fp16", "clamp", "a \"b\" \\c"}) {
+                              "removed", "range", "clamp", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);
@@ -87,18 +87,6 @@ TEST_F(ConfigFile, EveryKeyRoundTrips) {
     expect_equal(all, through_toml(all, folder));
 }
 
-/// Earlier versions wrote booleans.
-TEST_F(ConfigFile, RollingShutterIsReadWithAndWithoutQuotes) {
-    for (const auto& [text, expected] : {std::pair("true", RollingShutter::yes), std::pair("false", RollingShutter::no),
-                                         std::pair("\"true\"", RollingShutter::yes), std::pair("\"auto\"", RollingShutter::automatic)}) {
-        put(folder / "old.toml", std::string("[sensor]\nrolling_shutter = ") + text + "\n");
-        Config config;
-        load_config(config, folder / "old.toml");
-        EXPECT_EQ(config.sensor.rolling_shutter, expected) << text;
-    }
-    EXPECT_EQ(set_error("sensor.rolling_shutter", "1"), "setting sensor.rolling_shutter: found \"1\", expected one of auto, true, false");
-}
-
 TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     Config config;
     config.loss.depth = 0.1f / 3.0f;
@@ -110,117 +98,28 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     EXPECT_EQ(read.train.seed, config.train.seed);
 }
 
-/// As run folders of earlier versions have them.
-TEST_F(ConfigFile, FormerKeysOfChannelsAreRead) {
-    write_text(folder / "old.toml", "[render]\nnormals = true\nspread = false\nseen = true\n");
-    Config config;
-    load_config(config, folder / "old.toml");
-    EXPECT_EQ(config.render.channels, "normal,seen");
-    EXPECT_EQ(set_error("render.normals", "true"), "setting render.normals: it was removed: render.channels says it now");
-    write_text(folder / "old.toml", "[render]\nnormals = \"yes\"\n");
-    EXPECT_THROW(load_config(config, folder / "old.toml"), UsageError);
-}
-
-/// tests/config/4f17562: what `relidar config` printed at commit 4f17562 (comments left out), and config.toml of its runs held.
-TEST_F(ConfigFile, FilesOfEarlierVersionsSayWhatPresetsSay) {
-    for (const char* name : {"paper", "released", "default", "quick"}) {
-        std::vector<std::string> notes;
-        Config config;
-        load_config(config, std::filesystem::path(RELIDAR_SOURCE_DIR) / "tests/config/4f17562" / (std::string(name) + ".toml"),
-                    [&](const std::string& note) { notes.push_back(note); });
-        EXPECT_EQ(config.sensor.rolling_shutter, RollingShutter::yes);
-        config.sensor.rolling_shutter = RollingShutter::automatic;   // what true has come to mean
-        Config preset = make_preset(name);
-        if (preset.preset == "quick") {
-            preset.refine.epochs = 6;   // 4 at ten times the rate since its network sees a part of each frame
-            preset.refine.rate = 2e-3;
-            preset.image.sh_degree = 1, preset.train.intensity_factor = 0.25;   // 2 and 0.5 since intensities are means
-            preset.image.alpha_min = 1.0f / 255.0f;   // 0.04 since fewer hits a ray give the same scores,
-            preset.train.rays_per_iteration = 16384;   // larger batches, since passes over all surfels are half of a step then,
-            preset.train.iterations = 600, preset.train.sh_degree_interval = 200;   // and a tenth fewer,
-            preset.train.opacity_rate = 0.1, preset.train.scale_rate = 4e-2;   // with rates to match
-            preset.train.rotation_rate = 3e-3, preset.train.sh_rate = 6e-2;
-        }
-        if (preset.loss.intensity_delta > 0.0f) preset.loss.intensity = 0.1f;   // 0.3 since it is Huber's loss
-        EXPECT_EQ(preset.dataset.max_range_m, preset.preset == "paper" || preset.preset == "released" ? 80.0 : 0.0);
-        preset.dataset.max_range_m = 80.0;   // 0, as far as the sensor sees, since a sensor of 240 m lost its far returns
-        expect_equal(config, preset);
-        ASSERT_EQ(notes.size(), 1u) << name;
-        EXPECT_NE(notes[0].find("59 settings of an earlier version, whose values are what the program does now: dataset.allow_"),
-                  std::string::npos);
-        EXPECT_EQ(notes[0].find('\n'), std::string::npos);
-    }
-}
-
-TEST_F(ConfigFile, WhatIsGoneAndWasChosenIsRefused) {
-    const auto load = [&](const std::string& text) {
-        put(folder / "old.toml", text);
-        Config config;
-        load_config(config, folder / "old.toml");
+/// A run of another version has other settings than this one.
+TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
+    const std::string whole = to_toml(make_preset("quick"));
+    const auto error = [&](const std::string& text) {
+        put(folder / "config.toml", text);
+        return data_error([&] { load_saved_config(folder / "config.toml"); });
     };
-    const auto error = [&](const std::string& text) { return usage_error([&] { load(text); }); };
-    const std::string file = (folder / "old.toml").string() + ": ";
-    EXPECT_EQ(error("[train]\nsub_rays = 5\n"), file + "setting train.sub_rays: found 5, expected 1: it was removed: it gained nothing "
-                                                        "beyond noise (docs/results.md)");
-    EXPECT_NO_THROW(load("[train]\ncheckpoint_keep = 5\n[trace]\nwalk = \"lane\"\n")) << "changes nothing that is trained or rendered";
-    EXPECT_NO_THROW(load("[train]\npose_rate_m = 0.01\npose_rate_rad = 0.001\nbox_rate_m = 0.1\nbox_rate_rad = 0.01\n"));
-    EXPECT_NE(error("[train]\npose_rate_m = 0.01\npose_rate_rad = 2e-05\n").find("found 2e-05, expected 0.001: "), std::string::npos);
-    EXPECT_NO_THROW(load("[train]\nseed = 7\n[init]\nseed = 7\n"));
-    EXPECT_NE(error("[train]\nseed = 7\n[init]\nseed = 1\n").find("setting init.seed: found 1, expected 7: "), std::string::npos);
-    EXPECT_NO_THROW(load("[init]\nhit_logit = 1.25\ndrop_logit = -0.25\n"));
-    EXPECT_NE(error("[init]\nhit_logit = 1.25\ndrop_logit = 0\n").find("setting init.drop_logit: found 0, expected -0.25: "),
-              std::string::npos);
-    EXPECT_EQ(set_error("loss.log_range", "0"), "setting loss.log_range: it was removed: it gained nothing beyond noise (docs/results.md)");
-}
-
-TEST_F(ConfigFile, WhatLivesOnInAnotherSettingIsTakenOver) {
-    const auto read = [&](const std::string& text) {
-        put(folder / "old.toml", text);
-        Config config;
-        load_config(config, folder / "old.toml");
-        return config;
-    };
-    const auto movers = [&](const char* discovered, const char* removed) {
-        const std::string text = fmt::format("[init]\nremove_unlabelled_movers = {}\ndiscover_actors = {}\n", removed, discovered);
-        return read(text).init.unlabelled_movers;
-    };
-    EXPECT_EQ(movers("false", "false"), UnlabelledMovers::background);
-    EXPECT_EQ(movers("false", "true"), UnlabelledMovers::removed);
-    EXPECT_EQ(movers("true", "true"), UnlabelledMovers::actors);
-    EXPECT_THROW(movers("true", "false"), UsageError);
-    const std::string quick = "preset = \"quick\"\n[sensor]\n";
-    EXPECT_EQ(read(quick + "calibrate_range = false\n").sensor.calibrate, "intensity");
-    EXPECT_EQ(read(quick + "calibrate_range = false\ncalibrate_intensity = false\n").sensor.calibrate, "none");
-    EXPECT_EQ(read("[sensor]\ncalibrate_range = true\ncalibrate_intensity = true\n").sensor.calibrate, "range,intensity");
-    EXPECT_FALSE(read("[init]\nfurther_returns = false\n").init.second_returns);
-}
-
-TEST(Config, SettingsOfCheckpointsAreBroughtUpToDate) {
-    std::map<std::string, std::string> settings{{"preset", "quick"},           {"loss.depth", "0.3"},        {"train.sub_rays", "1"},
-                                                {"init.further_returns", "true"}, {"init.discover_actors", "true"},
-                                                {"init.remove_unlabelled_movers", "true"}};
-    update_settings(settings);
-    const std::map<std::string, std::string> expected{
-        {"preset", "quick"},           {"loss.depth", "0.3"},
-        {"init.second_returns", "true"}, {"init.unlabelled_movers", "actors"},
-        {"image.alpha_min", "0.003921569"}};
-    EXPECT_EQ(settings, expected);
-    settings["train.sub_rays"] = "5";
-    EXPECT_THROW(update_settings(settings), UsageError);
-}
-
-/// Files of runs name all values. One that does not name what has become a setting since was written when that was a constant.
-TEST_F(ConfigFile, RunsOfEarlierVersionsKeepWhatWasAConstant) {
-    std::string text = to_toml(make_preset("quick"));
-    const std::size_t line = text.find("alpha_min = 0.04\n");
-    ASSERT_NE(line, std::string::npos);
-    put(folder / "run.toml", text.erase(line, std::string("alpha_min = 0.04\n").size()));
-    Config config;
-    load_config(config, folder / "run.toml");
-    EXPECT_EQ(config.image.alpha_min, 1.0f / 255.0f);
-    put(folder / "own.toml", "preset = \"quick\"\n[train]\niterations = 7\n");
-    load_config(config, folder / "own.toml");
-    EXPECT_EQ(config.image.alpha_min, make_preset("quick").image.alpha_min);
+    put(folder / "config.toml", whole);
+    expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
+    const std::string file = (folder / "config.toml").string() + ": setting ";
+    const std::string advice = "; a run of another version of relidar must be trained again";
+    EXPECT_EQ(error(whole + "[mars]\ncolour = \"red\"\n"),
+              file + "mars.colour: unknown key, expected one that `relidar config --all` lists" + advice);
+    const std::string line = "alpha_min = 0.04\n";
+    std::string less = whole;
+    ASSERT_NE(less.find(line), std::string::npos);
+    EXPECT_EQ(error(less.erase(less.find(line), line.size())), file + "image.alpha_min: missing, expected every setting" + advice);
+    std::string changed = whole;
+    const std::string quoted = "rolling_shutter = \"auto\"";
+    ASSERT_NE(changed.find(quoted), std::string::npos);
+    EXPECT_EQ(error(changed.replace(changed.find(quoted), quoted.size(), "rolling_shutter = true")),
+              file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
 /// What nobody needs to know is left out, unless it was chosen; what is shown reads back to the same settings.

@@ -9,8 +9,8 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include "core/toml_depth.hpp"
 #include "export/temporary_folder.hpp"
-#include <relidar/stages/toml_depth.hpp>
 
 namespace relidar {
 namespace {

@@ -187,19 +187,6 @@ TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
     EXPECT_NE(gpu::missing_for_networks(subgroup, sizes, {}), "") << "lanes of one size are not known";
 }
 
-TEST_F(Gpu, MatrixUnitsHaveASizeOrSayWhyNot) {
-    const DeviceInfo& info = device().info();
-    for (const int n : info.matrix_size) EXPECT_EQ(n > 0, info.why_not_matrices.empty()) << info.why_not_matrices;
-}
-
-TEST_F(Gpu, KernelsTakeTheBestSizeOfMatrixUnits) {
-    using Size = std::array<int, 3>;
-    EXPECT_EQ(gpu::choose_matrix_size({{8, 8, 8}, {16, 16, 16}, {16, 8, 16}}), (Size{16, 16, 16}));
-    EXPECT_EQ(gpu::choose_matrix_size({{4, 8, 8}, {64, 16, 16}, {8, 16, 16}, {8, 8, 8}}), (Size{8, 16, 16}));
-    EXPECT_EQ(gpu::choose_matrix_size({{16, 16, 4}}), Size{});
-    EXPECT_EQ(gpu::choose_matrix_size({}), Size{});
-}
-
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";

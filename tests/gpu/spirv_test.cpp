@@ -141,8 +141,7 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
     };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::string found = complaint(change(kernel.words));
-        const bool is_newer = kernel.name.find("_matrix") != std::string_view::npos && !complaint(kernel.words).empty();
-        EXPECT_TRUE(found.empty() || is_newer) << kernel.name << ": " << found;   // Debian 12's spirv-val knows no cooperative matrices
+        EXPECT_TRUE(found.empty()) << kernel.name << ": " << found;
     }
     fs::remove(file);
 }
@@ -217,7 +216,6 @@ TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        if (kernel.name.find("_matrix") != std::string_view::npos) continue;   // Debian 12's spirv-opt knows no cooperative matrices
         const std::map<std::uint32_t, std::uint32_t> constants = other_constants(kernel.words);
         if (constants.empty()) continue;
         const Words taken = gpu::with_branches_taken(kernel.words, constants);

@@ -53,7 +53,6 @@ protected:
         pipelines_.insert(pipelines_.end(), device.pipelines().begin(), device.pipelines().end());
         suffixes_.insert(traversal == Traversal::software ? "@software_bvh" : "@ray_query");
         suffixes_.insert(device.info().float_atomics ? "_atomics" : "_swap");
-        if (device.info().why_not_matrices.empty()) suffixes_.insert("_matrix");
     }
 
     static void SetUpTestSuite() {
@@ -94,7 +93,6 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
         if (text == "accel/model_radii" && !suffixes_.count("@ray_query")) continue;   // of ray query alone
         const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
                            (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
-                           (text.find("_matrix") != std::string::npos && !suffixes_.count("_matrix")) ||
                            (text.ends_with("_atomics") && !suffixes_.count("_atomics")) ||
                            (text.ends_with("_swap") && !suffixes_.count("_swap"));
         if (other) continue;

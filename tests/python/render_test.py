@@ -193,8 +193,8 @@ class Render(TestCase):
         in_air = fog["source"] == 1
         self.assertTrue((fog["instance"][in_air] == -1).all())
         self.assert_same(run().render(time=time, sample=1, weather="clear")["range"], clear["range"])
-        spray = run().render(time=time, sample=1, weather="spray=10,sun=0:5,bloom")
-        self.assertIn(7, np.unique(spray["source"]))
+        sunny = run().render(time=time, sample=1, weather="sun=0:5,bloom")
+        self.assertIn(5, np.unique(sunny["source"]))
         self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected 0 to 100", run().render, time=time, weather="snow=-1")
 
     def test_world_frame(self):

@@ -5,7 +5,6 @@
 
 #include "../support/device.hpp"
 #include "gpu/stream.hpp"
-#include "conv_case.hpp"
 #include "images.hpp"
 
 namespace relidar {
@@ -14,7 +13,15 @@ namespace {
 using refine::Conv, refine::Grid;
 using test::OnDevice, test::worst_error;
 
-using Case = test::ConvCase;
+struct Case {
+    std::uint32_t taps;
+    refine::Grid grid;
+    int n_in, n_out;
+};
+
+void PrintTo(const Case& c, std::ostream* out) {
+    *out << c.taps << " taps, " << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.n_in << " -> " << c.n_out;
+}
 
 class ConvTest : public test::DeviceTest {};
 class ConvSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};

@@ -61,7 +61,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             const auto launch = [&](Address<float, shared::DropTargets> to_target) {
                 run(stream, kernel, n,
                     {.samples = samples.address(), .targets = targets.address(), .chosen = chosen.address(), .turn = turns.address(),
-                     .scale_shift = affine.address(), .images = test::as_image(images), .start = start.address(), .target = to_target,
+                     .scale_shift = affine.address(), .images = images.address(), .start = start.address(), .target = to_target,
                      .n_images = kImages, .n_channels = kChannels, .n_fixed = std::uint32_t(n_fixed), .logit_channel = kLogit,
                      .rows = grid.rows, .columns = grid.columns});
                 stream.finish();

@@ -50,8 +50,9 @@ TEST_F(DropLossTest, AgreesWithReference) {
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
             loss.run(stream, n,
-                     {test::as_image<shared::DropLogits>(logit), with_start ? start.address() : Address<float, shared::StartLogits>(),
-                      target.address(), test::as_image<shared::DropLogitGradients>(d_logit), probability.address()},
+                     {logit.address_as<float, shared::DropLogits>(),
+                      with_start ? start.address() : Address<float, shared::StartLogits>(), target.address(),
+                      d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
                      d.known);
             stream.finish();
             const DropScore score = loss.score(d.known);
@@ -78,7 +79,8 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const auto entropy = [&](const std::vector<double>& logits) {
         const Array<float> logit = test::to_device(device(), logits);
         loss.run(stream, n,
-                 {test::as_image<shared::DropLogits>(logit), {}, target.address(), test::as_image<shared::DropLogitGradients>(d_logit), {}},
+                 {logit.address_as<float, shared::DropLogits>(), {}, target.address(),
+                  d_logit.address_as<float, shared::DropLogitGradients>(), {}},
                  d.known);
         stream.finish();
         return loss.score(d.known).entropy;
@@ -104,8 +106,9 @@ TEST_F(DropLossTest, NothingKnown) {
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
         loss.run(stream, n,
-                 {test::as_image<shared::DropLogits>(logit), {}, no_target ? Address<float, shared::DropTargets>() : none.address(),
-                  test::as_image<shared::DropLogitGradients>(d_logit), probability.address()},
+                 {logit.address_as<float, shared::DropLogits>(), {},
+                  no_target ? Address<float, shared::DropTargets>() : none.address(),
+                  d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
                  0);
         stream.finish();
         for (const double x : test::doubles(d_logit)) EXPECT_EQ(x, 0.0);
@@ -113,7 +116,8 @@ TEST_F(DropLossTest, NothingKnown) {
         EXPECT_EQ(loss.score(0).accuracy, 0.0);
     }
     // no derivative is asked for: probabilities alone
-    loss.run(stream, n, {.logit = test::as_image<shared::DropLogits>(logit), .probability = probability.address()}, 0);
+    loss.run(stream, n,
+             {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()}, 0);
     stream.finish();
     const std::vector<double> p = test::doubles(probability);
     const reference::DropEntropy expected = reference::drop_entropy(d.logit, std::vector<double>(n, -1.0));

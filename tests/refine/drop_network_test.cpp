@@ -80,64 +80,6 @@ TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
     EXPECT_LT(accuracy_of(DropRefiner(device(), network).refine(image), image), 0.8);
 }
 
-/// Mean cross-entropy of each epoch, and the network.
-std::pair<DropNetwork, std::vector<double>> trained(Device& device, const std::vector<DropImage>& images, const RefineOptions& options) {
-    std::vector<double> entropies(std::size_t(options.epochs), 0.0);
-    const auto keep = [&](const RefineProgress& p, const auto&) { return entropies[std::size_t(p.epoch - 1)] = p.entropy, true; };
-    DropNetwork network = train_drop_network(device, images, options, 1, keep);
-    return {std::move(network), std::move(entropies)};
-}
-
-/// A training with halves in it goes as one with floats does, and what it has learnt is asked with floats.
-void expect_learns_what_floats_do(Device& device, const RefineOptions& halves) {
-    RefineOptions options = halves;
-    options.precision = options.storage = "fp32";
-    const std::vector<DropImage> images = some_images(options, 16);
-    const auto [by_floats, of_floats] = trained(device, images, options);
-    const auto [by_halves, of_halves] = trained(device, images, halves);
-    EXPECT_EQ(by_halves.parameters, trained(device, images, halves).first.parameters) << "the same bits again";
-    EXPECT_NE(by_halves.parameters, by_floats.parameters) << "not of halves";
-    EXPECT_LT(of_floats.back(), 0.2 * of_floats.front());
-    for (std::size_t epoch = 0; epoch < of_floats.size(); ++epoch)
-        EXPECT_NEAR(of_halves[epoch], of_floats[epoch], 0.1 * of_floats[epoch] + 0.02) << "epoch " << epoch;
-    const DropImage image = dark_neighbours(25, 61, options, 98);
-    DropRefiner in_floats(device, by_halves), as_trained(device, by_halves, halves.precision);
-    const std::vector<float> exact = in_floats.refine(image), rounded = as_trained.refine(image);
-    EXPECT_GT(accuracy_of(exact, image), 0.97);
-    EXPECT_GT(accuracy_of(rounded, image), 0.97);
-    double sum = 0.0;
-    for (std::size_t i = 0; i < exact.size(); ++i) sum += double(std::abs(exact[i] - rounded[i]));
-    EXPECT_LT(sum / double(exact.size()), 2e-3);
-}
-
-/// With matrix units; where there are none, the line that says so.
-TEST_F(DropNetworkTest, ProductsOfHalvesLearnWhatFloatsDo) {
-    RefineOptions options = short_training();
-    options.epochs = 20;
-    options.precision = "fp16";
-    if (!device().info().why_not_matrices.empty()) {
-        EXPECT_THAT([&] { train_drop_network(device(), some_images(options, 16), options, 1, {}); },
-                    testing::ThrowsMessage<DeviceError>(testing::HasSubstr("set refine.precision=fp32")));
-        GTEST_SKIP() << "no matrix units: missing " << device().info().why_not_matrices;
-    }
-    expect_learns_what_floats_do(device(), options);
-    if (!device().info().why_not_halves.empty()) return;
-    options.storage = "fp16";
-    expect_learns_what_floats_do(device(), options);
-}
-
-TEST_F(DropNetworkTest, ImagesOfHalvesLearnWhatFloatsDo) {
-    RefineOptions options = short_training();
-    options.epochs = 20;
-    options.storage = "fp16";
-    if (!device().info().why_not_halves.empty()) {
-        EXPECT_THAT([&] { train_drop_network(device(), some_images(options, 16), options, 1, {}); },
-                    testing::ThrowsMessage<DeviceError>(testing::HasSubstr("set refine.storage=fp32")));
-        GTEST_SKIP() << "no arrays of halves: missing " << device().info().why_not_halves;
-    }
-    expect_learns_what_floats_do(device(), options);
-}
-
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
     RefineOptions options = short_training();
     options.epochs = 2;

@@ -9,7 +9,6 @@
 #include <span>
 #include <vector>
 
-#include <glm/gtc/packing.hpp>
 #include <gtest/gtest.h>
 
 #include "../reference/layers.hpp"
@@ -51,60 +50,42 @@ Array<glm::vec2, Meaning> pairs_to_device(Device& device, const std::vector<doub
     return {device, std::span<const glm::vec2>(pairs), "pairs"};
 }
 
-/// Floats as values of images.
-template <class Meaning = void>
-Address<shared::ImageValue, Meaning> as_image(const Array<float>& values) { return values.address_as<shared::ImageValue, Meaning>(); }
-
 inline std::vector<double> doubles(const Array<float>& values) {
     const std::vector<float> floats = values.download();
     return {floats.begin(), floats.end()};
 }
 
-/// Puts floats into a tensor, rounded where it keeps halves.
 inline void upload(const refine::Tensor& tensor, const std::vector<float>& values) {
-    auto& to = const_cast<refine::Tensor&>(tensor);
-    std::vector<std::uint16_t> halves;
-    for (const float x : values) halves.push_back(glm::packHalf1x16(x));
-    if (tensor.storage() == refine::Storage::fp16) to.halves.upload(halves);
-    else to.values.upload(values);
+    const_cast<refine::Tensor&>(tensor).values.upload(values);
 }
 inline void upload(const refine::Tensor& tensor, const std::vector<double>& values) {
     upload(tensor, std::vector<float>(values.begin(), values.end()));
-}
-
-inline std::vector<float> download(const refine::Tensor& tensor) {
-    if (tensor.storage() == refine::Storage::fp32) return tensor.values.download();
-    std::vector<float> values;
-    for (const std::uint16_t x : tensor.halves.download()) values.push_back(glm::unpackHalf1x16(x));
-    return values;
 }
 
 /// Images as channels [before, before + n) of a tensor.
 class OnDevice {
 public:
     /// @param before,after  channels on both sides
-    OnDevice(Device& device, const ImageBatch& images, std::uint32_t before = 2, std::uint32_t after = 1,
-             refine::Storage storage = refine::Storage::fp32)
-        : tensor_(device, before + std::uint32_t(images.channels) + after, grid_of(images), storage, "images"),
+    OnDevice(Device& device, const ImageBatch& images, std::uint32_t before = 2, std::uint32_t after = 1)
+        : tensor_(device, before + std::uint32_t(images.channels) + after, grid_of(images), "images"),
           before_(before),
           shape_(images) {
         std::vector<float> values(tensor_.channels * tensor_.grid.all_pixels(), kGuard);
         for_slice([&](std::size_t in_tensor, std::size_t in_slice) { values[in_tensor] = float(images.values[in_slice]); });
         upload(tensor_, values);
     }
-    OnDevice(Device& device, const ImageBatch& images, refine::Storage storage) : OnDevice(device, images, 2, 1, storage) {}
     /// What is to be written: not a number until then.
-    static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels, std::uint32_t before = 1, std::uint32_t after = 2,
-                              refine::Storage storage = refine::Storage::fp32) {
+    static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels, std::uint32_t before = 1,
+                              std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
         for (double& x : images.values) x = std::nan("");
-        return OnDevice(device, images, before, after, storage);
+        return OnDevice(device, images, before, after);
     }
 
     refine::Slice slice() const { return tensor_.all().part(before_, std::uint32_t(shape_.channels)); }
     /// The images; a failure where a neighbouring channel has changed.
     ImageBatch read() const {
-        std::vector<float> values = download(tensor_);
+        std::vector<float> values = tensor_.values.download();
         ImageBatch images = shape_;
         for_slice([&](std::size_t in_tensor, std::size_t in_slice) {
             images.values[in_slice] = double(values[in_tensor]);
@@ -117,7 +98,7 @@ public:
     }
 
 private:
-    static constexpr float kGuard = 12344.0f;   // a half
+    static constexpr float kGuard = 12344.0f;
     refine::Tensor tensor_;
     std::uint32_t before_;
     ImageBatch shape_;

@@ -118,13 +118,6 @@ INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
                                          Shape{"pixel", {5}, 0, 1, {2, 3, 11}}, Shape{"three_levels", {2, 4, 4, 6}, 3, 9, {1, 17, 26}}),
                          [](const auto& tested) { return std::string(tested.param.name); });
 
-/// A network and what it is asked.
-struct UnetCase {
-    const DropNetwork& network;
-    refine::Grid grid;
-    const ImageBatch& inputs;
-};
-
 void expect_near(const std::vector<double>& found, const std::vector<double>& expected, double tolerance, const char* what) {
     ASSERT_EQ(found.size(), expected.size());
     double error = 0.0, size = 0.0;
@@ -138,7 +131,7 @@ void expect_near(const std::vector<double>& found, const std::vector<double>& ex
 
 TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     prepare();
-    refine::Unet unet(device(), network_, refine::Precision::fp32);
+    refine::Unet unet(device(), network_);
     unet.reserve(device(), GetParam().grid, true);
     fill_inputs(unet);
     Stream stream(device());
@@ -152,7 +145,7 @@ TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     prepare();
-    refine::Unet unet(device(), network_, refine::Precision::fp32);
+    refine::Unet unet(device(), network_);
     unet.reserve(device(), GetParam().grid, true);
     fill_inputs(unet);
     const std::vector<double> asked = test::random_floats(GetParam().grid.all_pixels(), 9);
@@ -198,41 +191,6 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         for (std::size_t k = 0; k < found.size(); ++k)
             EXPECT_NEAR(found[k], expected[k], 2e-3 * largest + 1e-3) << "parameter " << k << " of the group at " << first;
     }
-}
-
-using refine::Precision, refine::Storage;
-
-/// Gradients of the network of a loss that is a mean over a million values, which halves hold only by a scale.
-std::vector<double> gradients_of_a_mean(Device& device, const UnetCase& c, Precision precision, Storage storage) {
-    const float scale = std::exp2(20.0f);
-    refine::Unet unet(device, c.network, precision, storage);
-    unet.reserve(device, c.grid, true);
-    test::upload(unet.inputs(), c.inputs.values);
-    test::upload(unet.d_logit(), test::random_floats(c.grid.all_pixels(), 9));   // times 2^-20, times the scale
-    Stream stream(device);
-    stream.fill(unet.gradients());
-    unet.forward(stream, 1, 0.0f);
-    unet.backward(stream, scale);
-    stream.finish();
-    return test::doubles(unet.gradients());
-}
-
-TEST_P(UnetTest, GradientByMatrixUnitsIsNearlyThatOfFloats) {
-    if (!device().info().why_not_matrices.empty()) GTEST_SKIP() << "no matrix units: missing " << device().info().why_not_matrices;
-    prepare();
-    const UnetCase c{network_, GetParam().grid, inputs_};
-    const std::vector<double> expected = gradients_of_a_mean(device(), c, Precision::fp32, Storage::fp32);
-    expect_near(gradients_of_a_mean(device(), c, Precision::fp16, Storage::fp32), expected, 0.02, "gradient");
-    if (!device().info().why_not_halves.empty()) return;
-    expect_near(gradients_of_a_mean(device(), c, Precision::fp16, Storage::fp16), expected, 0.02, "gradient, images of halves");
-}
-
-TEST_P(UnetTest, GradientByImagesOfHalvesIsNearlyThatOfFloats) {
-    if (!device().info().why_not_halves.empty()) GTEST_SKIP() << "no arrays of halves: missing " << device().info().why_not_halves;
-    prepare();
-    const UnetCase c{network_, GetParam().grid, inputs_};
-    const std::vector<double> expected = gradients_of_a_mean(device(), c, Precision::fp32, Storage::fp32);
-    expect_near(gradients_of_a_mean(device(), c, Precision::fp32, Storage::fp16), expected, 0.02, "gradient");
 }
 
 }  // namespace

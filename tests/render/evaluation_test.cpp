@@ -102,54 +102,6 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
-/// Runs with two frames held out, whose scans are rendered from surfels that were never trained.
-TEST_F(EvaluationOf, RealismTellsARoughSceneFromTheStreet) {
-    run.split = {{4, 8, 12, 16, 21}, {5, 20}};
-    ScanRenderer renderer(device(), run);
-    RealismTest realism(run, run.sequence);
-    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {},
-                    [&](const ScoredFrame& frame) { realism.add(renderer, frame); });
-    const Realism told = realism.result();
-    EXPECT_EQ(told.n_moments, 2u);
-    EXPECT_LE(told.n_patches, 2u * 512u);
-    ASSERT_EQ(told.pairs.size(), 3u);
-    EXPECT_EQ(told.pairs[0].name, "likeliest");
-    EXPECT_EQ(told.pairs[1].name, "sampled");
-    EXPECT_EQ(told.pairs[2].name, "control");
-    for (const std::size_t simulated : {0u, 1u}) EXPECT_GT(told.pairs[simulated].scores.back().auc.value, 0.9);
-    EXPECT_LT(told.pairs[2].scores.back().auc.value, 0.7);   // a metre further on, 512 rays look a little otherwise
-
-    run.split.train.clear();
-    RealismTest alone(run, run.sequence);
-    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {},
-                    [&](const ScoredFrame& frame) { alone.add(renderer, frame); });
-    EXPECT_EQ(alone.result().pairs.size(), 2u) << "a control without a training frame";
-}
-
-TEST_F(EvaluationOf, RealismRefusesWhatItCannotTell) {
-    run.split = {{4, 21}, {5, 20}};
-    const auto refusal = [](const relidar::Run& of) -> std::string {
-        try {
-            RealismTest test(of, of.sequence);
-        } catch (const DataError& error) {
-            return error.what();
-        }
-        return "";
-    };
-    EXPECT_EQ(refusal(run), "");
-    relidar::Run unordered = run, edited = run, single = run, twice = run;
-    RayTable& rays = unordered.sequence.frames[20].scan.rays;
-    rays.columns *= rays.rows;
-    rays.rows = 1;
-    EXPECT_NE(refusal(unordered).find("512 rays in no order"), std::string::npos);
-    edited.edits.emplace_back();
-    EXPECT_NE(refusal(edited).find("edited run"), std::string::npos);
-    single.split.test = {5};
-    EXPECT_NE(refusal(single).find("found 1 held-out frame, expected at least 2"), std::string::npos);
-    twice.sequence.frames[20].index = twice.sequence.frames[5].index;   // two LiDARs of one moment
-    EXPECT_NE(refusal(twice).find("found 1 held-out frame, expected at least 2"), std::string::npos);
-}
-
 /// Errors by range against the images, ray by ray.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);

@@ -1,19 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// What blinds a sensor, and spray, on whole scans: stray light against its integral, plumes against points tried one by one, the sun before
-// and behind a wall.
+// What blinds a sensor, on whole scans: stray light against its integral, the sun before and behind a wall.
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
 #include <relidar/math.hpp>
 #include <relidar/render.hpp>
 
 #include "../support/device.hpp"
-#include "core/random.hpp"
-#include "render/spray_plumes.hpp"
 #include "render/stray_light.hpp"
 
 namespace relidar {
@@ -123,32 +119,6 @@ TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
     EXPECT_GT(bloomed, 100);
 }
 
-TEST(SprayPlume, HoldsWhatLiesInItsBox) {
-    Plume plume = plume_behind({3.0, -2.0, -1.5}, {6.0, 8.0, 0.0}, 1.8, 1.4, 0.5);
-    EXPECT_NEAR(plume.reach_m, 8.0, 1e-12);
-    EXPECT_NEAR(plume.alpha, 0.1 / 9.0 * 0.2 * 0.0005 / (1.4 * 1e-4), 1e-12);
-    Random random(1);
-    int hit = 0;
-    for (int k = 0; k < 2000; ++k) {
-        const glm::dvec3 origin(random.uniform(-15, 15), random.uniform(-30, 10), random.uniform(-1, 1));
-        const glm::dvec3 target(random.uniform(-15, 15), random.uniform(-30, 10), random.uniform(-1.5, 0));
-        const glm::dvec3 direction = glm::normalize(target - origin);
-        const auto stretch = plume.along(origin, direction);
-        for (double t = 0.01; t < 60.0; t += 0.17) {
-            const glm::dvec3 p = origin + t * direction - plume.rear_m;
-            const double behind = -0.6 * p.x - 0.8 * p.y, left = -0.8 * p.x + 0.6 * p.y;
-            const bool inside = behind >= 0.0 && behind <= 24.0 && std::abs(left) <= 0.9 && p.z >= 0.0 && p.z <= 1.4;
-            const bool said = stretch && t >= stretch->from_m && t <= stretch->to_m;
-            ASSERT_EQ(inside, said) << t;
-            if (inside) {
-                ASSERT_NEAR(stretch->extinction_at(t), plume.alpha * std::exp(-behind / 8.0), 1e-12);
-            }
-            hit += inside;
-        }
-    }
-    EXPECT_GT(hit, 500);
-}
-
 class GlareInScenes : public test::DeviceTest {};
 
 /// A disc of 2 m, 12 m ahead, and beams from -1 to 2.5 degrees.
@@ -202,31 +172,6 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
         }
     }
     EXPECT_GT(n, 5);
-}
-
-TEST_F(GlareInScenes, VehiclesThatDriveLeaveSprayBehind) {
-    SyntheticOptions options;
-    options.n_frames = 3;
-    const Sequence log = make_synthetic_street(options);
-    ScanRenderer renderer(device(), initialise_scene(log, {0, 1, 2}, {}), {}, log);
-    const SensorChoice sensor = choose_sensor("native", {}, log);
-    const RenderedScan dry = renderer.render(sensor, log.frames[1].time_s);
-    const auto drops_in = [&](double film_mm) {
-        renderer.set_weather({.spray_mm = film_mm});
-        const RenderedScan scan = renderer.render(sensor, log.frames[1].time_s, {}, 1);
-        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"), std::int32_t(PointSource::spray));
-    };
-    const auto thin = drops_in(0.5), thick = drops_in(5.0);
-    EXPECT_GT(thick, 200);
-    EXPECT_GT(thick, thin);
-    const double speed = options.speed_mps;
-    const auto own = own_plume(dry, {speed, 0.0, 0.0}, 5.0);
-    ASSERT_TRUE(own);
-    EXPECT_NEAR(own->rear_m.x, dry.world_from_sensor.translation.x - 2.5, 1e-9);
-    EXPECT_LT(own->rear_m.z, dry.world_from_sensor.translation.z - 1.0);
-    EXPECT_FALSE(own_plume(dry, {0.5, 0.0, 0.0}, 5.0)) << "it stands";
-    renderer.set_weather({});
-    EXPECT_EQ(renderer.render(sensor, log.frames[1].time_s).median_range_m, dry.median_range_m);
 }
 
 }  // namespace

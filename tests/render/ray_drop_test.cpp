@@ -147,7 +147,7 @@ TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
 
 TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
     DropNetwork network = test::network_of_rays();
-    network.inputs.back() = "direction_x";   // of networks trained by earlier versions
+    network.inputs.back() = "direction_x";
     ScanRenderer renderer(device(), scene, config, log);
     EXPECT_THAT([&] { renderer.refine_drops(network); },
                 testing::ThrowsMessage<DataError>(

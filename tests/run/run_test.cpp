@@ -105,7 +105,7 @@ TEST_F(RunFolder, KnowsWhetherHeldOutScansWerePlaced) {
 }
 
 TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
-    EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty()) << "as of runs made before it was kept";
+    EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty());
     run.intensity_scatter = example_scatter();
     save_run(run);
     const std::vector<IntensityScatter> read = load_run(run.folder).intensity_scatter;
@@ -261,23 +261,6 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
     }
 }
 
-TEST_F(RunFolder, SceneOfVersion1StillLoads) {
-    Json old = Json::parse(scene);
-    old["version"] = 1;
-    old["sensor"] = old["lidars"][0]["sensor"];
-    old.erase("lidars");
-    for (Json& frame : old["frames"]) {
-        frame["world_from_sensor"] = frame["world_from_vehicle"];
-        frame.erase("world_from_vehicle");
-        frame.erase("lidar");
-    }
-    put(run.folder / "scene.json", old.dump());
-    const Sequence read = load_run(run.folder).sequence;
-    ASSERT_EQ(read.lidars.size(), 1u);
-    EXPECT_EQ(read.lidars[0].sensor.beams[1].intensity_gain, 0.9);
-    for (std::size_t i = 0; i < 4; ++i) expect_equal(read.world_from_vehicle.pose[i], run.sequence.world_from_vehicle.pose[i]);
-}
-
 TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
     Sequence& s = run.sequence;
     s.lidars.push_back({"rear", s.lidars[0].sensor, example_pose(0.3)});
@@ -338,7 +321,7 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
     // for people only; edits: a run as trained has none
-    const std::vector<std::string> told = {"/notes", "/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
@@ -384,7 +367,8 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
     EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"), std::string::npos)
         << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
-    EXPECT_NE(replaced("/version", 3).find("version: found 3, this relidar"), std::string::npos);
+    EXPECT_NE(replaced("/version", 1).find("version: found 1, this relidar"), std::string::npos);
+    EXPECT_NE(replaced("/version", 1).find("reads version 2: train the run again"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
     EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);

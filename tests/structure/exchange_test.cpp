@@ -26,8 +26,7 @@ struct OwnElements {
 };
 const OwnElements kOwnElements[] = {
     {"accel/bvh_wide_scan", {"tiles"}}, {"forward/sort_hits", {"lists.hits"}}, {"loss/geometry_loss", {"upstream"}},
-    {"loss/surfel_loss", {"d_surfels.mean"}}, {"refine/conv", {"to.values"}},
-    {"refine/conv_matrix", {"to.values"}}};
+    {"loss/surfel_loss", {"d_surfels.mean"}}, {"refine/conv", {"to.values"}}};
 
 TEST(Exchange, NoKernelDoesSo) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {

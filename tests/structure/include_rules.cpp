@@ -62,7 +62,7 @@ const std::map<std::string, Stages>& layer_table() {
 }
 
 const std::string kFaces = "include/relidar/", kUmbrella = kFaces + "relidar.hpp";
-const Stages kCoreFaces = {"error", "math", "progress", "process_group", "toml_depth", "version"};
+const Stages kCoreFaces = {"error", "math", "progress", "process_group", "version"};
 const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
 
 /// Layer of a file: a stage; "shared"; "shaders/<folder>"; "tools/<name>"; "tests/<folder>"; or empty for others.

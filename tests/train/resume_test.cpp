@@ -283,6 +283,14 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
         set_key(free, key, value);
     EXPECT_NO_THROW(check_resumable(start, street, split, free));
 
+    Checkpoint other_version = start;
+    const auto error = [&] { return data_error([&] { check_resumable(other_version, street, split, resumed_config()); }); };
+    other_version.texts["setting/train.colour"] = "red";
+    EXPECT_NE(error().find("setting train.colour: unknown key; a checkpoint of another version"), std::string::npos);
+    other_version = start;
+    other_version.texts.erase("setting/loss.depth");
+    EXPECT_NE(error().find("setting loss.depth: missing in the checkpoint; a checkpoint of another version"), std::string::npos);
+
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
         const std::string message = data_error([&] { check_resumable(start, other, frames, resumed_config()); });
         EXPECT_NE(message.find(std::string("the log's ") + part), std::string::npos) << message;

@@ -49,17 +49,16 @@ TEST(Weather, IsReadAsItIsWritten) {
     const Weather both = parse_weather("fog=120, snow=1.5");
     EXPECT_EQ(both.fog_visibility_m, 120.0);
     EXPECT_EQ(both.snow_mm_h, 1.5);
-    EXPECT_EQ(parse_weather("spray").spray_mm, 0.5);
     EXPECT_EQ(parse_weather("bloom").bloom, 1.2e-4);
     EXPECT_EQ(parse_weather("sun=-30:20").sun, (Sun{-30.0, 20.0, 100.0}));
     EXPECT_EQ(parse_weather("sun=200.5:0:40").sun, (Sun{200.5, 0.0, 40.0}));
-    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5", "spray=0.3,bloom=0.001,sun=-30:20",
+    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5", "bloom=0.001,sun=-30:20",
                              "sun=200.5:0:40"})
         EXPECT_EQ(to_text(parse_weather(text)), text);
 }
 
 TEST(Weather, WhatIsNoneIsRefusedInALine) {
-    const std::string kinds = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, spray=MILLIMETRES, "
+    const std::string kinds = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
                               "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
     const std::string suns = "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
     const std::map<std::string, std::string> refused = {
@@ -75,7 +74,7 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"fog=50,fog=60", "weather: found fog twice, expected it once"},
         {"fog", "weather: found \"fog\", expected " + kinds},
         {"sun", "weather: found \"sun\", expected " + kinds},
-        {"spray=11", "weather: found spray=11, expected 0 to 10 mm of water on the road"},
+        {"spray=1", "weather: found \"spray=1\", expected " + kinds},
         {"bloom=-1", "weather: found bloom=-1, expected a reflectivity of 0 to 1"},
         {"sun=10", "weather: found sun=10, expected " + suns},
         {"sun=10:-5", "weather: found sun=10:-5, expected " + suns},

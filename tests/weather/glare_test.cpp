@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sun, stray light and spray along single rays against closed forms and the statistics of their models.
+// The sun and stray light along single rays against closed forms and the statistics of their models.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -136,47 +136,6 @@ TEST(StrayLight, WinsOverWhatIsWeaker) {
     EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::blooming);
     ray.stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
     EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::nothing) << "too weak to be a return; a dark surface counts as darkest";
-}
-
-TEST(Spray, DepthIsTheIntegralOfItsExtinction) {
-    for (const double decay : {0.0, 0.15, -0.3}) {
-        const SprayStretch stretch{5.0, 12.0, 0.04, decay};
-        for (const double to_m : {3.0, 5.0, 8.0, 12.0, 40.0}) {
-            double sum = 0.0;
-            for (double r = 5.0005; r < std::min(to_m, 12.0); r += 0.001) sum += 0.001 * stretch.extinction_at(r);
-            EXPECT_NEAR(stretch.depth_to(to_m), sum, 1e-6);
-        }
-    }
-}
-
-/// Each stretch of half a pulse returns, on average, pi alpha / 18.8 c tau / 2 exp(-2 depth); a wall behind is darker by exp(-2 depth).
-TEST(Spray, ReturnsAndTakesByItsDensity) {
-    WeatherSensor sensor = sensor_to_60_m();
-    sensor.separation_m = 0.01;
-    const Air air({.spray_mm = 1.0}, sensor);
-    const std::vector<SprayStretch> spray = {{10.0, 13.0, 0.05, 0.2}};   // one step long
-    double sum = 0.0, expected = 0.0;
-    for (double r = 10.0005; r < 13.0; r += 0.001)
-        expected += kPi * 0.05 * std::exp(-0.2 * (r - 10.0)) / 18.8 * 3.0 *
-                    std::exp(-2.0 * 0.05 / 0.2 * (1.0 - std::exp(-0.2 * (r - 10.0)))) / 3000.0;
-    for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
-        RayEchoes ray{surface_at(20.0, 0.9), {}};
-        ray.spray = spray;
-        const RayEchoes seen = air.look(ray, 20.0, seed);
-        const Echo& surface = seen.strongest.source == PointSource::surface ? seen.strongest : seen.second;
-        const Echo& drops = seen.strongest.source == PointSource::spray ? seen.strongest : seen.second;
-        ASSERT_EQ(surface.source, PointSource::surface);
-        ASSERT_NEAR(surface.reflectivity, 0.9 * std::exp(-2.0 * 0.05 / 0.2 * (1.0 - std::exp(-0.6))), 1e-12);
-        if (drops.source != PointSource::spray) continue;
-        ASSERT_TRUE(drops.range_m >= 10.0 && drops.range_m <= 13.0);
-        sum += drops.reflectivity;
-    }
-    EXPECT_NEAR(sum / kPulses / expected, 1.0, 0.02) << "1.3 sqrt(1/n) is one deviation, and what is too weak to see is little";
-    RayEchoes before{surface_at(9.0, 0.9), {}};
-    before.spray = spray;
-    const RayEchoes seen = air.look(before, 9.0, 1);
-    EXPECT_EQ(seen.strongest.reflectivity, 0.9);
-    EXPECT_EQ(seen.second.source, PointSource::nothing);
 }
 
 }  // namespace

@@ -42,8 +42,8 @@ void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows
     MeasuredDropNetwork network(device, options, rows, columns);
     const double step = median_ms(repeat, [&] { network.step(); }), peak_mib = double(device.peak_bytes()) / 0x1p20;   // of training
     const double infer = median_ms(repeat, [&] { network.infer(); }), giga = 1e-6 * network.operations();
-    fmt::print("{:>8} x {:<6} {:>9} {:>7} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, options.precision,
-               options.storage, step, 3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
+    fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, step,
+               3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
     print_kernels(network.times(), repeat + 1);
 }
 
@@ -53,12 +53,9 @@ int main(int argc, char** argv) {
     CLI::App app("the ray-drop network: milliseconds of a training step and of an inference, medians of wall times, and peak memory");
     int repeat = 5, index = -1, rows = 0, columns = 0;
     RefineOptions options;
-    std::vector<std::string> precisions{options.precision}, storages{options.storage};
     app.add_option("--network", options.network, "small, paper or pixel");
     app.add_option("--width", options.width, "channels at full size; 0: the network's own");
     app.add_option("--batch", options.batch, "images a step")->check(CLI::Range(1, 1024));
-    app.add_option("--precision", precisions, "fp32, fp16 or both: fp32,fp16")->delimiter(',');
-    app.add_option("--storage", storages, "of images between layers: fp32, fp16 or both")->delimiter(',');
     app.add_option("--rows", rows, "of the image; not given: 66 x 1030 and 64 x 2650");
     app.add_option("--columns", columns)->needs("--rows");
     app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
@@ -69,17 +66,11 @@ int main(int argc, char** argv) {
         chosen.index = index;
         fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n", Device(from_environment(chosen)).info().name,
                    options.network, count_parameters(options), options.batch, repeat);
-        fmt::print("{:<17} {:>9} {:>7} {:>10} {:>14} {:>10} {:>14} {:>10}\n", "image", "precision", "storage", "step ms", "GFLOP/s",
+        fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14} {:>10}\n", "image", "step ms", "GFLOP/s",
                    "infer ms", "GFLOP/s", "peak MiB");
         std::vector<std::pair<int, int>> sizes{{66, 1030}, {64, 2650}};
         if (rows > 0) sizes = {{rows, columns}};
-        for (const auto& [of_rows, of_columns] : sizes)
-            for (const std::string& precision : precisions)
-                for (const std::string& storage : storages) {
-                    options.precision = precision;
-                    options.storage = storage;
-                    measure(chosen, options, of_rows, of_columns, repeat);
-                }
+        for (const auto& [of_rows, of_columns] : sizes) measure(chosen, options, of_rows, of_columns, repeat);
     } catch (const std::exception& error) {
         fmt::print(stderr, "relidar_bench_drop_network: {}\n", error.what());
         return 1;

@@ -97,8 +97,8 @@ void print(const ConvolutionSize& size, const char* pass, const Times& device, c
                wall_device / wall_host, of_device / of_host);
 }
 
-void measure(Device& device, const ConvolutionSize& size, const std::string& precision, int repeat) {
-    MeasuredConvolution on_device(device, size, precision);
+void measure(Device& device, const ConvolutionSize& size, int repeat) {
+    MeasuredConvolution on_device(device, size);
     HostConvolution on_host(size);
     const std::vector<std::pair<const char*, std::function<void()>>> passes{{"forward", [&] { on_device.forward(); }},
                                                                             {"by input", [&] { on_device.by_input(); }},
@@ -117,9 +117,7 @@ void measure(Device& device, const ConvolutionSize& size, const std::string& pre
 int main(int argc, char** argv) {
     CLI::App app("convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn: medians and their ratio");
     int repeat = 15, index = -1;
-    std::string precision = "fp32";
     app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
-    app.add_option("--precision", precision, "of the device: fp32 or fp16");
     app.add_option("--device", index, "as `relidar devices` lists them");
     CLI11_PARSE(app, argc, argv);
     try {
@@ -133,7 +131,7 @@ int main(int argc, char** argv) {
                    "GFLOP/s (wall)", "GFLOP/s a core", "ratio");
         for (const ConvolutionSize& size :
              {ConvolutionSize{64, 2000, 16, 16}, ConvolutionSize{64, 2650, 32, 32}, ConvolutionSize{33, 515, 64, 64}})
-            measure(device, size, precision, repeat);
+            measure(device, size, repeat);
     } catch (const std::exception& error) {
         fmt::print(stderr, "relidar_bench_layers: {}\n", error.what());
         return 1;

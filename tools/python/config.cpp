@@ -44,7 +44,7 @@ Config make(const std::string& preset, const py::dict& values) {
 
 Config load(const std::filesystem::path& path) {
     Config config;
-    load_config(config, path, warn);
+    load_config(config, path);
     return config;
 }
 

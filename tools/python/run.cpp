@@ -115,7 +115,7 @@ std::vector<std::string> track_names(const Run& run) {
 }
 
 std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
-    Run run = load_run(folder, warn);
+    Run run = load_run(folder);
     set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
@@ -151,10 +151,10 @@ constexpr const char* kRenderHelp =
     "deskew: sensor frame at `time` for all rays. Without a rolling shutter it is the same (the log's sensor if its scans are\n"
     "    motion-compensated): then `time` is 0 for all rays and `deskewed` 1\n"
     "weather: \"fog=50\" (visibility in metres), \"rain=25\" or \"snow=2\" (mm of water an hour), \"wet=0.5\" (mm of water on level\n"
-    "    ground), \"spray=0.5\" (mm that vehicles throw up), \"sun=120:5\" (azimuth:elevation, degrees of the dataset's world),\n"
+    "    ground), \"sun=120:5\" (azimuth:elevation, degrees of the dataset's world),\n"
     "    \"bloom\" (stray light of reflectors), or several with commas between; drawn by `sample`, 0 without;\n"
     "    adds `source` [rows,columns] int32: -1 nothing,\n"
-    "    0 surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 noise of sunlight, 6 stray light, 7 spray\n\n"
+    "    0 surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 noise of sunlight, 6 stray light\n\n"
     "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; directions, origin\n"
     "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in time), instance_names, frame,\n"
@@ -168,7 +168,7 @@ void add_calls(py::class_<LoadedRun>& type) {
                     "Reads a run folder.\n\n"
                     "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
                     "device: to render on; None: the default one\n\n"
-                    "Raises DataError naming the file that is missing, damaged or of a newer format.")
+                    "Raises DataError naming the file that is missing, damaged or of another format.")
         .def(
             "save", [](LoadedRun& run, const fs::path& folder, bool overwrite) { save_to(run.run, folder, overwrite); }, py::arg("folder"),
             py::kw_only(), py::arg("overwrite") = false,

@@ -111,9 +111,9 @@ Surfels surfels_of(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text, did_you_mean(text, names, "\""),
                                          fmt::join(names, ", ")));
     }
-    // a dict says what it is made of by the arrays it has, as files did that had no word for it
-    const ParameterSet of = stored_parameters({}, "", [&](const char* name) { return arrays.contains(name); });
-    surfels.primitive = of.primitive, surfels.bends = of.bends;
+    // a dict has the first primitive with the arrays that it holds
+    const auto kind = std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
+    surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);
     surfels.check_shapes();
     return surfels;
 }

@@ -126,7 +126,6 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     const LockedFolder folder(out);
     const RunFolder run_folder(out / "run", Existing::replace);
     Device device(device_options(options.device));
-    check_network(device, config);
     SyntheticOptions street;
     street.seed = config.train.seed;
     save_synthetic(street, out / "street");

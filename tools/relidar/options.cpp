@@ -70,10 +70,9 @@ void add_weather_option(CLI::App& command, std::string& weather, const std::stri
     command
         .add_option("--weather", weather,
                     fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), wet=MILLIMETRES (of water on level "
-                                "ground), spray=MILLIMETRES (of water that vehicles throw up), sun=AZIMUTH:ELEVATION[:KLUX] (degrees "
-                                "of the dataset's world) or bloom=REFLECTIVITY (stray light of reflectors), or several with commas "
-                                "between, in {} (default: clear); channel source says why there is a "
-                                "point",
+                                "ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees of the dataset's world) or bloom=REFLECTIVITY (stray "
+                                "light of reflectors), or several with commas between, in {} (default: clear); channel source says "
+                                "why there is a point",
                                 which))
         ->type_name("WEATHER");
 }
@@ -96,7 +95,7 @@ void add_settings_options(CLI::App& command, Settings& settings) {
 
 Config resolve(const Settings& settings) {
     Config config = make_preset(settings.preset);
-    if (!settings.file.empty()) load_config(config, settings.file, note);
+    if (!settings.file.empty()) load_config(config, settings.file);
     apply_sets(config, settings.sets);
     return config;
 }

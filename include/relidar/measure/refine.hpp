@@ -25,8 +25,7 @@ struct ConvolutionSize {
 /// One on a device, of values that are not zero, run pass by pass. Each call blocks until its pass is done.
 class MeasuredConvolution {
 public:
-    /// @param precision  as RefineOptions has it
-    MeasuredConvolution(Device& device, const ConvolutionSize& size, const std::string& precision = "fp32");
+    MeasuredConvolution(Device& device, const ConvolutionSize& size);
     ~MeasuredConvolution();
 
     void forward();

@@ -19,7 +19,7 @@ struct DropProbabilities;
 class DropPass {
 public:
     /// @throws as DropRefiner
-    DropPass(Device& device, const DropNetwork& network, const std::string& precision = "fp32");
+    DropPass(Device& device, const DropNetwork& network);
     ~DropPass();
 
     const DropNetwork& network() const;

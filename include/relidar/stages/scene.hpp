@@ -130,10 +130,9 @@ constexpr std::span<const ParameterGroup> groups_of(ParameterSet of) {
 
 /// Where models and checkpoints say what they are made of.
 inline constexpr const char* kPrimitiveKey = "primitive";
-/// What a file says that it is made of, and whether it has a gait. The first files did not say it: theirs is the first primitive that has
-/// the arrays there are.
+/// What a file says that it is made of, and whether it has a gait.
 /// @param texts  of the file @param key  of the one that says it @param has_array  whether the file has an array of a group of this name
-/// @throws DataError for a name that is none
+/// @throws DataError if the text is missing or names no primitive
 ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
                            const std::function<bool(const char*)>& has_array);
 /// Parameters of a surfel.

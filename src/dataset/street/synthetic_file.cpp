@@ -11,9 +11,9 @@
 #include <toml++/toml.h>
 
 #include <relidar/error.hpp>
-#include <relidar/stages/toml_depth.hpp>
 #include "core/files.hpp"
 #include "core/number_text.hpp"
+#include "core/toml_depth.hpp"
 #include "dataset/kitti/kitti_files.hpp"
 
 namespace relidar {

@@ -2,7 +2,7 @@
 #include "train/checkpoints/fingerprint.hpp"
 
 #include <cstring>
-#include <optional>
+#include <set>
 #include <span>
 
 #include <fmt/format.h>
@@ -17,6 +17,7 @@ namespace relidar {
 namespace {
 
 constexpr const char* kSetting = "setting/";
+constexpr const char* kTrainAgain = "a checkpoint of another version of relidar cannot be continued: train again";
 
 /// Hash of everything added, in order.
 class Hash {
@@ -107,20 +108,6 @@ std::string differs(const std::string& doing, const std::string& what, const std
 
 }  // namespace
 
-namespace {
-
-/// Training does the same with true, which earlier versions wrote, and with auto.
-std::string trained_value(const std::string& key, const std::string& value) {
-    return key == "sensor.rolling_shutter" && value == "true" ? "auto" : value;
-}
-
-}  // namespace
-
-bool same_value(const std::string& a, const std::string& b) {
-    const std::optional<double> x = parse_number(a), y = parse_number(b);
-    return x && y ? *x == *y : a == b;
-}
-
 std::vector<Mark> marks_of(const Sequence& sequence, const Split& split) {
     return {{"log/training frames", "the log's training frames", describe_frames(sequence, split.train)},
             {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
@@ -137,9 +124,9 @@ void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkp
     const std::map<std::string, std::string> saved = settings_in(checkpoint);
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
-        const std::string was = it == saved.end() ? "nothing" : it->second;
-        if (!same_value(trained_value(setting.key, was), trained_value(setting.key, setting.value)))
-            throw UsageError(differs(doing, "setting " + setting.key, setting.value, was));
+        if (it == saved.end())
+            throw DataError(fmt::format("{}: setting {}: missing in the checkpoint; {}", doing, setting.key, kTrainAgain));
+        if (it->second != setting.value) throw UsageError(differs(doing, "setting " + setting.key, setting.value, it->second));
     }
 }
 
@@ -150,10 +137,17 @@ void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::strin
 
 std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint) {
     const std::string prefix = kSetting;
+    std::set<std::string> known;
+    for (const ConfigKey& key : config_keys(Config{})) known.insert(key.key);
     std::map<std::string, std::string> settings;
-    for (const auto& [key, value] : checkpoint.texts)
-        if (key.starts_with(prefix)) settings.emplace(key.substr(prefix.size()), value);
-    update_settings(settings);
+    for (const auto& [text, value] : checkpoint.texts) {
+        if (!text.starts_with(prefix)) continue;
+        const std::string key = text.substr(prefix.size());
+        if (!known.contains(key))
+            throw DataError(fmt::format("checkpoint of iteration {}: setting {}: unknown key; {}", checkpoint.iteration,
+                                        excerpt(key), kTrainAgain));
+        settings.emplace(key, value);
+    }
     return settings;
 }
 

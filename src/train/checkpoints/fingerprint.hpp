@@ -28,13 +28,11 @@ Mark mark_of(const Scene& scene);
 /// Puts them among the texts of a checkpoint.
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void put(const Mark& mark, std::map<std::string, std::string>& texts);
-/// @param doing  how the message begins @throws UsageError for a setting, DataError for a mark that the checkpoint has otherwise
+/// @param doing  how the message begins
+/// @throws UsageError for a setting with another value, DataError for a missing setting or another mark
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint, const std::string& doing);
 void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing);
-/// The settings that were put into it, by key; those of an earlier version by the keys of this one. @throws UsageError as update_settings()
+/// The settings that were put into it, by key. @throws DataError for an unknown key
 std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint);
-
-/// Whether two values of a setting are the same: earlier versions wrote 8 where this one writes 8.0.
-bool same_value(const std::string& a, const std::string& b);
 
 }  // namespace relidar

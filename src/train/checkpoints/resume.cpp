@@ -82,7 +82,7 @@ std::map<std::string, std::string> training_texts(const Sequence& sequence, cons
 std::string differing_setting(const Config& config, const Config& other) {
     const std::vector<ConfigKey> a = config_keys(config), b = config_keys(other);
     for (std::size_t i = 0; i < a.size(); ++i)
-        if (!is_free(a[i].key) && !same_value(a[i].value, b[i].value)) return a[i].key;
+        if (!is_free(a[i].key) && a[i].value != b[i].value) return a[i].key;
     return "";
 }
 

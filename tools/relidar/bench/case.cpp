@@ -97,7 +97,7 @@ BenchCase street_case(const BenchChoice& choice) {
 }
 
 BenchCase run_case(const BenchChoice& choice) {
-    Run run = load_run(choice.run, note);
+    Run run = load_run(choice.run);
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
         throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];

@@ -81,7 +81,7 @@ void run_assets(const AssetOptions& options) {
         throw UsageError(fmt::format("--least: found {}, expected 0 to 1", options.least));
     check_new(options.out);
     const StagedFolder folder(options.out);
-    const Run run = load_run(options.run, note);
+    const Run run = load_run(options.run);
     const std::vector<std::string> tracks = actors_of(run);
     Device device(device_options(options.device));
     Progress progress(options.quiet);

@@ -66,7 +66,7 @@ void run_edit(const EditOptions& options) {
             "--help`)");
     check_other_folder(options);
     const NewRun edited(options.out, options.force);
-    Run run = load_run(options.run, note);
+    Run run = load_run(options.run);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
     const Sequence before = without_frames(driving.sequence);

@@ -41,7 +41,6 @@ struct EvalOptions {
     std::vector<std::string> sets;
     DeviceChoice device;
     bool no_refine = false;
-    bool realism = false;
     bool open = false;
     bool quiet = false;
 };
@@ -79,7 +78,6 @@ void write_results(const Output& output, const Evaluation& evaluation, const Con
     if (!output.file.empty()) write_text(output.file, metrics_json(evaluation, config, origin));
     if (quiet) return;
     print(metric_table(evaluation, origin.baseline));
-    if (evaluation.realism) print("\n" + realism_table(*evaluation.realism));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
         print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory", evaluation.trace_ms,
@@ -125,7 +123,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset.", "eval."});
     check_sets(options.sets, used, "eval");
-    Run run = load_run(options.target, note);
+    Run run = load_run(options.target);
     apply_options(run.config, options);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
@@ -138,8 +136,6 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     if (is_recastable(run)) before = attach_recast(run);
     else attach_scans(run, run.split.test, log);
     if (!options.baseline.empty()) attach_scans(run, run.split.train, log);
-    std::optional<RealismTest> realism;
-    if (options.realism) realism.emplace(run, log);
 
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
@@ -153,12 +149,10 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     const auto see = [&](ScoredFrame& frame) {
         if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
         output.draw(frame, run.config);
-        if (realism) realism->add(renderer, frame);
     };
     Evaluation evaluation =
         joined(evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress), see), ranks);
     if (!ranks.is_first()) return;
-    if (realism) evaluation.realism = realism->result(shown_until_interrupted(progress));
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
                   {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
@@ -216,12 +210,9 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
         throw UsageError(fmt::format("--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
-    if (options.realism && ranks.size() > 1)
-        throw UsageError(fmt::format("--realism: found {} processes, expected one, which learns from all frames", ranks.size()));
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open) throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
-        if (options.realism) throw UsageError("--realism: found a log, expected a run, whose scans are told from real ones");
         return score_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
@@ -260,9 +251,6 @@ void add_eval(CLI::App& app, Call& call) {
                      "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")
         ->type_name("FILE");
     command->add_flag("--open", options->open, "make a page of it, evaluation.html beside the JSON file, and open a browser");
-    command->add_flag("--realism", options->realism,
-                      "can a classifier tell simulated scans from real ones? It learns on half of the held-out frames, at least two, and "
-                      "is tried on the others; adds half a minute on two cores, and each frame is rendered twice");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
@@ -283,7 +271,6 @@ void add_eval(CLI::App& app, Call& call) {
         "one of a real log against the log's scans, which show what was there before.\n"
         "Examples:\n"
         "  relidar eval run --open\n"
-        "  relidar eval run --realism\n"
         "  relidar eval run --out median.json --set render.range=median\n"
         "  mpirun -n 8 relidar eval run\n"
         "  relidar eval run --baseline nearest --pictures pictures\n"

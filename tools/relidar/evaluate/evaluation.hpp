@@ -24,14 +24,6 @@ relidar::Progress shown_until_interrupted(Progress& progress);
 /// region, and what the names mean.
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
 
-/// How well a classifier tells simulated scans from real ones: a table, and what it says in a sentence.
-std::string realism_table(const Realism& realism);
-/// "a classifier tells likeliest scans from real ones in 98.1 % of cases; 50 % is perfect"
-std::string realism_sentence(const Realism& realism);
-/// The same for metrics.json, and for a column of a report: realism/<pair>_<what is seen>_{auc,told}, the latter the accuracy.
-nlohmann::ordered_json realism_json(const Realism& realism);
-MetricRow realism_row(const Realism& realism);
-
 /// The evaluation of all frames, where each process has scored its share of them: on the first one; elsewhere what was given. Frames of
 /// other processes come without their images.
 Evaluation joined(const Evaluation& mine, const Ranks& ranks);

@@ -163,7 +163,6 @@ std::string metrics_json(const Evaluation& evaluation, const Config& config, con
                    {"seconds", origin.seconds}}},
                  {"device", origin.device},
                  {"peak_device_bytes", origin.peak_device_bytes}};
-    if (evaluation.realism) json["realism"] = realism_json(*evaluation.realism);
     if (origin.baseline)
         json["baseline"] = {{"scored", origin.baseline->title}, {"mean", origin.baseline->mean}, {"frames", frames_json(*origin.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";

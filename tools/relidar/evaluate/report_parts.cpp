@@ -62,10 +62,6 @@ std::vector<ReportKeyMetric> key_metrics() {
         {"strict/drop_recall", "Dropped rays that were found", "share of the rays that really did not return; 1 is best"},
         {"points/cd_mean_m", "Distance of the two point clouds, m", "to the nearest point of the other, both ways added; less is better"},
         {"points/f_22cm", "Points with a real one within 22 cm", "and real ones with a simulated one, as F-score; 1 is best"},
-        {"realism/likeliest_all_told", "Likeliest scans told from real ones",
-         "share of small patches that a classifier puts to the right side; 0.5, a guess, is best"},
-        {"realism/sampled_all_told", "Sampled scans told from real ones", "the same with drops and noise drawn; 0.5 is best"},
-        {"realism/control_all_told", "Real scans told from other real ones", "the same classifier where there is nothing to tell"},
         {"peer/depth_psnr_db", "Range image as publications score it, dB", "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 

@@ -89,7 +89,6 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
     }
     report.key_metrics = key_metrics();
     report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())), evaluation.mean);
-    if (evaluation.realism) report.metrics.back().second.merge(realism_row(*evaluation.realism));
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column), fmt::format("{:.1f} ms a frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
         report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column), evaluation.kernel_ms);

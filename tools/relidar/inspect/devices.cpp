@@ -28,8 +28,7 @@ void print_json(const std::vector<DeviceInfo>& devices) {
         json.push_back({{"index", d.index}, {"name", d.name}, {"type", d.type}, {"driver", d.driver}, {"api_version", d.api_version},
                         {"memory_bytes", d.memory_bytes}, {"ray_query", d.ray_query}, {"why_not_ray_query", d.why_not_ray_query},
                         {"software", d.software}, {"why_not_software", d.why_not_software},
-                        {"float_atomics", d.float_atomics}, {"matrix_size", d.matrix_size},
-                        {"why_not_matrices", d.why_not_matrices}, {"why_not_halves", d.why_not_halves},
+                        {"float_atomics", d.float_atomics},
                         {"timestamps", d.timestamps}, {"usable", d.why_not_usable.empty()},
                         {"why_not_usable", d.why_not_usable}, {"traversal", traversal_of(d)}});
     }
@@ -38,20 +37,15 @@ void print_json(const std::vector<DeviceInfo>& devices) {
 
 void print_table(const std::vector<DeviceInfo>& devices) {
     std::vector<std::vector<std::string>> rows{
-        {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "matrix units", "traversal"}};
+        {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
         rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version, byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
-                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
-                        d.why_not_matrices.empty() ? fmt::format("{}", fmt::join(d.matrix_size, "x")) : "no", traversal_of(d)});
+                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no", traversal_of(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
         if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: it lacks {}", d.why_not_usable);
         if (!d.why_not_ray_query.empty()) notes += fmt::format("\n   no ray query: it lacks {}", d.why_not_ray_query);
         if (!d.why_not_software.empty()) notes += fmt::format("\n   no software traversal: it lacks {}", d.why_not_software);
-        if (!d.why_not_matrices.empty())
-            notes += fmt::format("\n   no matrix units for refine.precision=fp16: it lacks {}", d.why_not_matrices);
-        if (!d.why_not_halves.empty())
-            notes += fmt::format("\n   no arrays of halves for refine.storage=fp16: it lacks {}", d.why_not_halves);
         if (d.why_not_usable.empty() && !d.float_atomics) notes += "\n   no float atomics: gradients are added by compare-and-swap, slower";
     }
     print(table(rows) + notes + "\n");

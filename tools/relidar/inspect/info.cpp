@@ -26,14 +26,13 @@ struct InfoOptions {
 };
 
 void show_run(const InfoOptions& options) {
-    const RunSummary summary = summarise(load_run(options.path, note));
+    const RunSummary summary = summarise(load_run(options.path));
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
 /// Of a run that has no scene yet: how far its training has come.
 void show_unfinished(const std::filesystem::path& folder) {
-    Config config;
-    load_config(config, folder / "config.toml", note);
+    const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
                       FolderLock::is_held(folder) ? "a run in training" : "a run that was interrupted", last_logged_iteration(folder),
                       config.train.iterations, config.dataset.path));

@@ -45,7 +45,7 @@ PoseTrack sensor_path(const Sequence& sequence) {
 
 /// The scene as it is when the head faces forward in each frame, in relidar's world: FOLDER/000010.ply.
 void export_frames(const ExportOptions& options) {
-    const Run run = load_run(options.run, note);
+    const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
     const Scene scene = whole_scene(run.scene);
@@ -80,7 +80,7 @@ void run_export(const ExportOptions& options) {
         throw UsageError(
             fmt::format("--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)", options.out, found));
     }
-    const Run run = load_run(options.run, note);
+    const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     if (*format == ".ply") write_surfel_ply(out, whole_scene(run.scene));
     else write_trajectory(out, sensor_path(run.sequence));
@@ -90,7 +90,7 @@ void run_export(const ExportOptions& options) {
 
 void run_import(const ImportOptions& options) {
     const NewRun imported(options.out, options.force);
-    Run run = load_run(options.run, note);
+    Run run = load_run(options.run);
     run.scene = read_surfel_ply(options.file, whole_scene(run.scene), run.config.image.primitive);
     imported.save(run);
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));

@@ -315,7 +315,7 @@ void run_render(const RenderOptions& given) {
     std::optional<LockedFolder> folder;
     if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
     check_sets(options.sets, rendering_settings(), "render");
-    Run run = load_run(options.run, note);
+    Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);

@@ -25,8 +25,7 @@ void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorCh
 void note_unscattered(const Run& run, int lidar) {
     const auto at = std::size_t(lidar);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    note(fmt::format("{} does not know how intensities scatter: sampled ones are the likeliest; relidar refine {} learns it",
-                     run.folder.string(), run.folder.string()));
+    note(fmt::format("{} does not know how intensities scatter: sampled ones are the likeliest", run.folder.string()));
 }
 
 void note_weather(const Weather& weather) {

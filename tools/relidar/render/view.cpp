@@ -52,7 +52,7 @@ std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
 /// By the names that were typed.
 view::OtherRuns other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
-    for (const std::string& folder : folders) runs.emplace(folder, load_run(folder, note));
+    for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
     return runs;
 }
 
@@ -73,7 +73,7 @@ void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
     const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
     check_sets(options.sets, rendering_settings(), "view");
-    Run run = load_run(options.run, note);
+    Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);

@@ -55,7 +55,6 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
     catch_interrupts();
-    if (run.intensity_scatter.empty()) learn_scatter_shown(device, run, options.quiet);   // as of runs made before it was kept
     if (!refine_shown(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted, fmt::format("interrupted: {} has the network it had{}", run.folder.string(),
@@ -84,7 +83,7 @@ void score_both(Device& device, const Run& run, const RefineOptions& options) {
 void run_refine(const RefineOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run(options.run)) lock.emplace(options.run);
-    Run run = load_run(options.run, note);
+    Run run = load_run(options.run);
     const std::optional<Checkpoint> start = find_start(options);
     if (start) take_refine_settings(*start, run.config);
     std::vector<std::string> used = rendering_settings();
@@ -118,8 +117,7 @@ void add_refine(CLI::App& app, Call& call) {
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*. It gets\n"
-        "intensity_scatter.safetensors too, for render --sample, where it is a run of an earlier version.\n"
+        "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*.\n"
         "Ctrl-C stops training and leaves a checkpoint (RUN/checkpoints/drop_network), as every epoch does; --resume goes on as if\n"
         "nothing had happened: training frames are rendered again, the network ends the same to the last bit.\n"
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"

@@ -68,19 +68,15 @@ TrainOptions sorted_out(TrainOptions options) {
 Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
-    Config config;
-    load_config(config, saved, note);
+    Config config = load_saved_config(saved);
     apply_sets(config, options.settings.sets);
     return config;
 }
 
 Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
-    if (const fs::path saved = fs::path(options.out) / kConfigFile; options.resume && config.dataset.max_range_m == 0.0 && is_file(saved)) {
-        Config trained;   // has the length that 0 stands for
-        load_config(trained, saved);
-        config.dataset.max_range_m = trained.dataset.max_range_m;
-    }
+    if (const fs::path saved = fs::path(options.out) / kConfigFile; options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
+        config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;   // the length that 0 stands for
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
@@ -108,8 +104,7 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
 
 /// Of a finished run. @throws UsageError if a setting differs from those that it was trained with
 void check_unchanged(const fs::path& folder, const Config& config) {
-    Config trained;
-    load_config(trained, folder / kConfigFile);
+    const Config trained = load_saved_config(folder / kConfigFile);
     std::string key = differing_setting(trained, config);
     if (key.empty() && trained.dataset.path != config.dataset.path) key = "dataset.path";
     if (key.empty() && trained.dataset.sequence != config.dataset.sequence) key = "dataset.sequence";
@@ -126,8 +121,7 @@ void check_unchanged(const fs::path& folder, const Config& config) {
 bool has_scene(const fs::path& folder, const Config& config) {
     if (!is_file(folder / "scene.json") || is_file(folder / "report.html") || last_logged_iteration(folder) < config.train.iterations)
         return false;
-    Config trained;
-    load_config(trained, folder / kConfigFile);
+    const Config trained = load_saved_config(folder / kConfigFile);
     const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
     return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
 }
@@ -283,11 +277,10 @@ TrainResult logged_result(const fs::path& folder) {
 /// Goes on where the scene is trained: with what it lacks of what comes after that.
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
-    Run run = load_run(options.out, note);
+    Run run = load_run(options.out);
     const bool has_network = !run.drop_network.empty() && same_group(run.config, config, "refine.");
     run.config = config;
     Device device(device_options(options.device));
-    check_network(device, config);
     StageTimes stages;
     stages.begin("read");
     const Sequence log = load_dataset(config, options.quiet);
@@ -347,7 +340,6 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (resume && in_blocks) check_trained_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
-    check_network(device, config);
     StageTimes stages;
     stages.begin("read");
     Sequence sequence = load_dataset(config, options.quiet);

@@ -220,9 +220,7 @@ void check_trained_blocks(const fs::path& run, const Config& config) {
         if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
     std::sort(folders.begin(), folders.end());
     for (const fs::path& folder : folders) {
-        Config trained;
-        load_config(trained, folder / "config.toml");
-        check_settings(folder, trained, config);
+        check_settings(folder, load_saved_config(folder / "config.toml"), config);
     }
 }
 

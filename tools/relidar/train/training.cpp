@@ -109,11 +109,16 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     return result;
 }
 
+namespace {
+
+/// learn_scatter() with a progress line. Ctrl-C ends it with nothing known.
 void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
     end_progress_line();
 }
+
+}  // namespace
 
 bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages) {
     stages.begin("place");
@@ -124,16 +129,6 @@ bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stag
     stages.begin("save");
     save_run(run);
     return true;
-}
-
-void check_network(const Device& device, const Config& config) {
-    const DeviceInfo& info = device.info();
-    const auto check = [&](const char* key, const std::string& value, const std::string& missing) {
-        if (config.refine.enabled && value != "fp32" && !missing.empty())
-            throw DeviceError(fmt::format("training with {}={} on {}: missing {}; set {}=fp32", key, value, info.name, missing, key));
-    };
-    check("refine.precision", config.refine.precision, info.why_not_matrices);
-    check("refine.storage", config.refine.storage, info.why_not_halves);
 }
 
 bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {

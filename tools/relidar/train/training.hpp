@@ -20,16 +20,11 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
                          const std::filesystem::path& folder, bool quiet, TrainSession session = {});
 
-/// learn_scatter() with a progress line. Ctrl-C ends it with nothing known.
-void learn_scatter_shown(Device& device, Run& run, bool quiet);
 
 /// What a trained scene that is saved gets before its network: place_held_out() and learn_scatter(), with progress lines, telling how far
 /// scans moved. Saves the run once it has both. @return whether it was not interrupted: the folder then has the scene without either
 /// @param stages  "place", "scatter", "save"
 bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages);
-
-/// @throws DeviceError where this device or build cannot train the network that a training ends with: before that training
-void check_network(const Device& device, const Config& config);
 
 /// Trains the ray-drop network of a run whose sequence has its scans, with a progress line. @return whether it was not interrupted
 /// @param session  its progress, step, stop and note are filled in here

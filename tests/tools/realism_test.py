@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""tools/bench/realism on images of noise: it cannot tell real scans from scans drawn alike, and tells scans whose
+intensities are shifted. A missing scikit-learn, a wrong shape and a wrong time end with one line.
+
+   realism_test.py SOURCE WORK        77: numpy is missing
+"""
+import json
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+
+try:
+    import numpy as np
+except ImportError as error:
+    print(f"skipped: {error}")
+    sys.exit(77)
+
+SOURCE, WORK = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
+ROWS, COLUMNS, RENDERED, ALL = 8, 40, range(2, 6), range(8)
+random = np.random.default_rng(1)
+
+
+def expect(condition, text):
+    if not condition:
+        sys.exit(f"FAILED: {text}")
+
+
+def image(shift=0.0, columns=COLUMNS):
+    """Ranges and intensities of noise; a fifth of the rays do not return."""
+    shape = (ROWS, columns)
+    ranges = np.where(random.random(shape) < 0.2, 0.0, random.uniform(5.0, 6.0, shape)).astype(np.float32)
+    return ranges, (random.uniform(0.2, 0.3, shape) + shift).astype(np.float32)
+
+
+def write_log(folder):
+    (folder / "scans").mkdir(parents=True)
+    for number in ALL:
+        ranges, intensity = image()
+        np.savez(folder / f"scans/{number:06}.npz", range=ranges, intensity=intensity)
+    frames = [{"number": n, "time_s": 0.1 * n, "lidar": "", "scan": f"scans/{n:06}.npz"} for n in ALL]
+    (folder / "sequence.json").write_text(json.dumps({"lidars": [{"name": ""}], "frames": frames}))
+
+
+def write_scans(folder, late_s=0.0, **how):
+    folder.mkdir()
+    (folder / "scans.json").write_text(json.dumps({"points": {"range": "median"}}))
+    for number in RENDERED:
+        ranges, intensity = image(**how)
+        np.savez(folder / f"frame_{number:06}.npz", median_range=ranges, range=np.zeros_like(ranges), intensity=intensity,
+                 drop_prob=(ranges == 0.0).astype(np.float32), frame_number=number, time_s=0.1 * number + late_s)
+
+
+def realism(*folders, path=None):
+    environment = dict(os.environ, OMP_NUM_THREADS="1", **({"PYTHONPATH": str(path)} if path else {}))
+    return subprocess.run([sys.executable, "-B", SOURCE / "tools/bench/realism", WORK / "log", *(WORK / f for f in folders)],
+                          capture_output=True, text=True, env=environment)
+
+
+def fails(text, *folders, path=None):
+    told = realism(*folders, path=path)
+    expect(told.returncode == 1 and text in told.stderr and told.stderr.count("\n") == 1, f"{text}: {told.stderr}")
+
+
+def aucs(told, view):
+    line = next(line for line in told.stdout.splitlines() if line.startswith(f"by {view}"))
+    return [float(word) for word, sign in zip(line.split(), line.split()[1:]) if sign == "±"]
+
+
+shutil.rmtree(WORK, ignore_errors=True)
+write_log(WORK / "log")
+write_scans(WORK / "alike")
+write_scans(WORK / "brighter", shift=0.2)
+write_scans(WORK / "narrow", columns=COLUMNS - 1)
+write_scans(WORK / "late", late_s=0.05)
+(WORK / "without/sklearn").mkdir(parents=True)
+(WORK / "without/sklearn/__init__.py").write_text("raise ImportError(\"No module named 'sklearn'\")\n")
+fails("scikit-learn is missing", "alike", path=WORK / "without")
+try:
+    import sklearn  # noqa: F401
+except ImportError as error:
+    print(f"skipped: {error}")
+    sys.exit(77)
+fails("expected (8, 40) as in", "narrow")
+fails("expected 0.2 s as in", "late")
+fails("nowhere/scans.json: no such file", "nowhere")
+told = realism("alike", "brighter")
+expect(told.returncode == 0, told.stderr)
+alike, brighter, control = aucs(told, "intensity")
+expect(abs(alike - 0.5) < 0.12 and abs(control - 0.5) < 0.12 and brighter > 0.99, told.stdout)
+expect(all(abs(auc - 0.5) < 0.12 for view in ("range", "mask") for auc in aucs(told, view)), told.stdout)
