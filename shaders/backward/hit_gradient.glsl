@@ -38,7 +38,7 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     if (LIKELIHOOD != 0u) d_t += ray_geometry.likelihood * w * range_kernel_by_t(hit.t);
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
     if (GEOMETRY != 0u)
-        d.d_normal += w * facing_side(record.normal, direction) * entered_vector(scene.instances.at[instance], ray_geometry.normal);
+        d.d_normal += w * facing_side(record.normal, direction) * entered_vector(scene, ray_geometry.normal);
     vec3 d_channel = w * vec3(g.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : g.hit_logit, g.drop_logit);
     vec3 others = d_channel;   // of the channels, or how the SH direction turns (scene/activate_vjp, backward/pose_blocks)
     if (SH_PER_SURFEL == 0u) {

@@ -54,8 +54,8 @@ struct BlendedHit {
 /// Gradient of one hit: a record of it, or atomics, which wait for add_gradient() where rows are exchanged; and the ray's own.
 /// @param d  output, for add_gradient() @return its row, kNoRow for none
 uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
-    InstanceEntry m = scene.instances.at[b.instance];
-    uint row = b.surfel - m.first_surfel + m.first_row;
+    uint first_surfel = scene.instances.at[b.instance].first_surfel;
+    uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[b.surfel] = 1u;
     float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);   // Eq. 9
     bool recorded = GATHER != 0u && b.slot < params.capacity;
@@ -66,8 +66,8 @@ uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedH
     }
     d = hit_gradient(scene, ray, g, b.instance, b.surfel, b.w, d_alpha);
     if (!recorded && !rows_are_exchanged()) add_gradient(scene, row, b.surfel, d);
-    d_ray_origin += world_vector(m, d.d_origin);
-    d_ray_direction += world_vector(m, d.d_direction);
+    d_ray_origin += world_vector(scene, d.d_origin);
+    d_ray_direction += world_vector(scene, d.d_direction);
     return recorded ? kNoRow : row;
 }
 

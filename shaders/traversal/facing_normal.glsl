@@ -12,6 +12,6 @@ float facing_side(vec3 normal, vec3 direction) { return exact_dot(normal, direct
 vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;
-    return facing_side(normal, entered_direction) * world_vector(scene.instances.at[instance], normal);
+    return facing_side(normal, entered_direction) * world_vector(scene, normal);
 }
 #endif

@@ -83,11 +83,17 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (m.moves != 0u) follow_motion(scene, instance, ray.time_s);
 }
 
-/// A vector of the entered instance's model in the world, and back.
-vec3 world_vector(InstanceEntry m, vec3 g) {
+/// Turns a vector of the entered instance's model into the world. Loads the instance at this place, because
+/// rows that a caller loads early occupy 12 registers until they are used.
+vec3 world_vector(TraceScene scene, vec3 g) {
+    InstanceEntry m = scene.instances.at[entered_instance];
     vec3 v = g;
     if (m.moves != 0u) v = turned_by(entered_turn, g);
     return m.row0.xyz * v.x + m.row1.xyz * v.y + m.row2.xyz * v.z;
 }
-vec3 entered_vector(InstanceEntry m, vec3 d) { return turned_by(-entered_turn, model_vector(m, d)); }
+
+/// Turns a vector of the world into the entered instance's model.
+vec3 entered_vector(TraceScene scene, vec3 d) {
+    return turned_by(-entered_turn, model_vector(scene.instances.at[entered_instance], d));
+}
 #endif

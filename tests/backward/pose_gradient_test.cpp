@@ -99,7 +99,7 @@ protected:
             placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        if (!options.moving)   // whose gradient takes all rays of an instance at one time
+        if (!options.moving)   // for moving instances the sensor's gradient is not exact: Gradients::sensor
             add_twist(table, "differences, sensor",
                   twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
                   lanes(passes.gradients().sensor.download().data(), 6));
@@ -121,6 +121,21 @@ TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
     test::RandomSceneOptions options;
     options.seed = 47, options.rays = 60, options.actor_instances = 3, options.moving = true;
     expect_agreement(ShDirection::ray, options, "poses, models that drive and turn");
+}
+
+TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
+    test::RandomSceneOptions options;
+    options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true, options.turn_rate = 0.0;
+    PoseProblem p(ShDirection::ray, options);
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+    passes.run();
+    glm::dvec3 v(0.0);
+    const std::vector<double> expected =
+        test::central_differences(&v.x, 3, [&] { return p.terms_of_moved_sensor(v, glm::dvec3(0.0)); });
+    GradientTable table;
+    table.add_row("sensor translation", expected, lanes(passes.gradients().sensor.download().data(), 3));
+    table.print("sensor, models that drive");
+    EXPECT_LE(table.groups().at("sensor translation").worst_error(), test::kKernelGradient);
 }
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {

@@ -25,15 +25,11 @@ std::string family() {
 
 /// Waves that a kernel must leave room for. Exceptions: GCN (vega) has 64 registers a lane at four waves, RDNA2 128 and RDNA3 192, and what
 /// traces needs 84 to 128; the sums of hits with harmonics along the ray hold 64 of them in registers, or they would be read and written a
-/// hit. The backward pass with harmonics a hit and the likelihood holds 16 registers too many for
-/// one wave more, since actors move while a sweep is fired.
+/// hit.
 int least_waves(const PipelineStatistics& p) {
     const bool gcn = family().starts_with("vega");
     const bool sums_harmonics = p.kernel.starts_with("backward/gather@") && p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
-    const bool harmonics_and_likelihood = p.kernel.starts_with("backward/trace@") &&
-                                          p.constants.find("SH_PER_SURFEL=0") != std::string::npos &&
-                                          p.constants.find("LIKELIHOOD=1") != std::string::npos;
-    return (gcn ? 2 : 4) - (sums_harmonics || harmonics_and_likelihood ? 1 : 0);
+    return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
 }
 
 /// Waves of 64 lanes that a SIMD holds at a time. On RDNA the driver counts halves of 32 lanes.

@@ -21,6 +21,7 @@ struct RandomSceneOptions {
     double opacity_low = 0.05, opacity_high = 0.6;
     Primitive primitive = Primitive::surfel;
     bool moving = false;           ///< actors drive and turn during a sweep, and rays are fired at their own times
+    double turn_rate = 3.0;        ///< rad/s, of actors that move
 };
 
 /// What must hold between every ray and every surfel, and along every ray.

@@ -36,12 +36,21 @@ struct Gradients {
     /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes: world_from_model becomes (exp([w]x) R, T + v), so w
     /// turns the model about its own origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0 for instances that
     /// no ray with a gradient meets, and for absent ones. With ShDirection::surfel a model is viewed from its first placement: further ones
-    /// have no share in what its SH directions do. An instance that moves is changed in its own axes, alike for all rays: v and w turn with
-    /// it. Empty unless asked for.
+    /// have no share in what its SH directions do. Empty unless asked for.
+    ///
+    /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)); R is its rotation in the
+    /// pose that it was placed with. The gradient is the exact derivative of one correction that moves the
+    /// model by the same amount in its own axes at all times of the sweep: P(t) becomes
+    /// P(t) * (exp([R^T w]x), R^T v). It is not the derivative of a change of velocity or of turn rate.
     Array<float, shared::InstancePoseGradients> poses;
     /// [6] dL/d(v, w) at 0: every ray of the batch moves as one body, origin' = c + exp([w]x) (origin - c) + v and direction' = exp([w]x)
-    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Instances
-    /// that move are taken at their poses here. Empty unless asked for.
+    /// direction, c = view_origin_m, which moves along. With a rolling shutter that is one correction for the whole frame. Empty unless
+    /// asked for.
+    ///
+    /// It is the exact derivative if no instance moves during the sweep. For an instance that moves, the sum
+    /// uses the pose that the instance was placed with for all its rays. So v is exact if the instance drives
+    /// and does not turn. Otherwise the share of that instance is off by the angle that it turns, and in w also
+    /// by its travel, between that pose and each ray. `rays` is exact in every case.
     Array<float, shared::SensorPoseGradient> sensor;
 
     /// @param n_rays  of the largest batch
