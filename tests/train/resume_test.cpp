@@ -243,18 +243,6 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
         const std::vector<float> values = saved.array(name).as_float();
         EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; })) << name << " is saved as zeros";
     }
-
-    // Older checkpoints hold one time for each actor: the whole step belongs to that time.
-    NamedArray& times = *std::ranges::find(saved.arrays, "poses/coming/actor_time_s", &NamedArray::name);
-    std::vector<double> one, both_ends;
-    for (std::size_t i = 0; i < times.count() / 2; ++i) one.push_back(0.1 * double(i));
-    for (const double time_s : one) both_ends.insert(both_ends.end(), 2, time_s);
-    ASSERT_FALSE(one.empty());
-    times = make_array(times.name, {one.size()}, one.data(), one.size());
-    Checkpoint converted;
-    fresh.restore(saved);
-    fresh.save(converted);
-    EXPECT_EQ(converted.array(times.name).as_double(), both_ends);
 }
 
 /// Poses of actors that are refined alone go on as well, from a checkpoint on disk.

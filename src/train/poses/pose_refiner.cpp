@@ -155,15 +155,9 @@ void PoseRefiner::update_poses() {
 
 bool PoseRefiner::take_over() {
     const std::size_t n = coming_.step.size();
-    std::vector<double>& times = coming_.actor_time_s;
-    if (times.size() == n * actors_.size()) {   // an older checkpoint: one time for each actor
-        std::vector<double> both_ends;
-        for (const double time_s : times) both_ends.insert(both_ends.end(), 2, time_s);
-        times = std::move(both_ends);
-    }
     const bool sound = (!sensor_ || sensor_->is_sound()) &&
                        std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
-                       n <= kReadbackLag && coming_.frame.size() == n && times.size() == 2 * n * actors_.size() &&
+                       n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == 2 * n * actors_.size() &&
                        coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
                        std::all_of(coming_.frame.begin(), coming_.frame.end(),
                                    [this](std::uint64_t frame) { return frame < frames_.all().size(); });
