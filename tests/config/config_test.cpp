@@ -155,7 +155,7 @@ TEST(Config, KeysAreUniqueAndExplained) {
         EXPECT_NO_THROW(set_key(config, entry.key, entry.value)) << entry.key << ": the default is not accepted";
     }
     EXPECT_GT(seen.size(), 45u);
-    EXPECT_LE(seen.size(), 113u) << "each costs its reader a minute: one that nobody turns is a constant of the code";
+    EXPECT_LE(seen.size(), 111u) << "each costs its reader a minute: one that nobody turns is a constant of the code";
 }
 
 TEST(Config, UnknownKeyNamesTheNearest) {
