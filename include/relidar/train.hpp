@@ -74,7 +74,8 @@ struct TrainSession {
     std::function<bool()> stop;                      ///< asked after every iteration; true stops training
     /// one line about what the log does not say: a full disk under a checkpoint, boxes that become no actor
     std::function<void(const std::string&)> note;
-    Progress progress = {};                          ///< of the initialisation, before the first line of the log
+    /// of the initialisation, before the first line of the log; what it throws ends training
+    Progress progress = {};
     StageTimes* stages = nullptr;                    ///< "initialise", "train", "drops" (the sensor's own), "coverage"
 };
 

@@ -205,6 +205,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
     std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, options, progress);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
+        if (progress) progress("actors", double(i) / double(wanted.size()));
         add_actor(scene, wanted[i], in_boxes[i], {options, sequence.intensity_response.incidence, notes});
     }
     return scene;

@@ -138,6 +138,7 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
                 for (const Placed& placed : frames[i][std::size_t(part)]) parts[std::size_t(part)].add(placed, begin + i);
         });
     }
+    if (progress) progress("points of the background", 1.0);
     std::vector<Voxel> voxels;
     for (Voxels& part : parts) {
         voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());

@@ -32,10 +32,9 @@ InitialiseOptions start_options(const Config& config) {
 }
 
 /// What training starts from.
-Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session,
-                  const Progress& progress) {
+Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session) {
     std::vector<std::string> notes;
-    Scene scene = initialise_scene(sequence, split.train, start_options(config), progress, &notes);
+    Scene scene = initialise_scene(sequence, split.train, start_options(config), session.progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
     make_primitive(scene.surfels, config.image.primitive, config.init.thickness);
@@ -46,10 +45,16 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
 void tell_masked(const Scene& scene, const Sequence& sequence, const Config& config, const TrainSession& session) {
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
-    session.note(
-        fmt::format("{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and "
-                    "init.actor_min_points what they need",
-                    masked.size(), names_of(masked)));
+    session.note(fmt::format("{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and "
+                             "init.actor_min_points what they need",
+                             masked.size(), names_of(masked)));
+}
+
+/// Says how many training frames stay on the device, where not all do.
+void tell_sent(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
+    if (frames.n_staying() == frames.all().size() || !session.note) return;
+    session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their turn",
+                             frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
 }
 
 /// Settings with the poses alone that can be found. Where all training frames are of one sweep nothing tells its pose: it would drift, and
@@ -82,18 +87,16 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     TrainResult result;
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
-    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session, session.progress);
+    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session);
     result.initialise_s = seconds_since(begin);
     tell_masked(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
     const Config findable = with_findable_poses(config, sequence, split, initial, session);   // the loop refers to it
+    if (session.progress) session.progress("memory and kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
-    const TrainingFrames& frames = loop.frames();
-    if (frames.n_staying() < frames.all().size() && session.note)
-        session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their "
-                                 "turn",
-                                 frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
+    if (session.progress) session.progress("memory and kernels", 1.0);
+    tell_sent(loop.frames(), config, session);
     if (session.start) {
         loop.restore(*session.start);
         read_result(*session.start, config, result);

@@ -96,8 +96,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
         const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
         scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
         if (options.moving)
-            scene.world.instances.back().motion = {5.0 * unit_vector(random), options.turn_rate * unit_vector(random), double(float(0.01 * i)),
-                                                   double(0.05f)};
+            scene.world.instances.back().motion = {5.0 * unit_vector(random), options.turn_rate * unit_vector(random),
+                                                   double(float(0.01 * i)), double(0.05f)};
     }
     scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
     return scene;

@@ -77,7 +77,7 @@ stopped() {
     kill -INT $pid
     wait $pid
     check "an interrupted training ended with $?, expected 130" test $? = 130
-    check "the message does not say how to go on" grep -Eq "interrupted in block 1 of 3, after iteration [0-9]+ of 100000; continue with: relidar train --resume stopped" err
+    check "the message does not say how to go on" grep -Eq "block 1 of 3: interrupted after iteration [0-9]+ of 100000; .*continue with: relidar train --resume stopped" err
     absent stopped/scene.json
     rm -rf stopped
 

@@ -756,6 +756,22 @@ whole_or_none() {
     rm -rf killed
 }
 
+# Ctrl-C while the scene is initialised: nothing is left but settings and an empty log, from which --resume starts.
+early_interruption() {
+    "$relidar" train street --out early --preset quick --set train.pose_register=false --set train.iterations=2 --set refine.enabled=false >out 2>err &
+    local pid=$!
+    until [[ -e early/log.jsonl ]] || ! kill -0 $pid 2>/dev/null; do sleep 0.01; done
+    kill -TERM $pid
+    wait $pid
+    local code=$?
+    check "interrupted initialisation: exit code $code, expected 130" test "$code" = 130
+    check "interrupted initialisation does not say how to start again" grep -Eq "^relidar: interrupted while training was prepared; start again with: relidar train --resume early$" err
+    check "interrupted initialisation left other files" test "$(ls -A early | tr '\n' ' ')" = "config.toml log.jsonl "
+    good train --resume early --no-eval
+    check "the run that started again lacks an iteration" test "$(grep -c '"iteration":2,' early/log.jsonl)" = 1
+    exists early/scene.json
+}
+
 # Ctrl-C while training: the scene so far is saved, exit code 130.
 interruption() {
     "$relidar" train street --out stopped --preset quick --set train.pose_register=false --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
@@ -935,6 +951,7 @@ if "$relidar" devices >out 2>err; then
     gaussians
     damaged_runs
     viewing
+    early_interruption
     interruption
     resuming
     network_resuming

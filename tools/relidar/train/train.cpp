@@ -162,8 +162,11 @@ TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& op
         return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet,
                             {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
     } catch (const Error& error) {
-        if (list_checkpoints(checkpoints).empty()) throw;
-        throw Error(error.code(), fmt::format("{}; the last checkpoint is kept, continue with: {}", error.what(), resume_command(options)));
+        const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
+        if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
+        throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
+                                              has_checkpoint ? "the last checkpoint is kept, continue with" : "start again with",
+                                              resume_command(options)));
     }
 }
 

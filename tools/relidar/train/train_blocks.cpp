@@ -142,7 +142,6 @@ private:
             total_.add(result);
             save(k, std::move(log), folder, result);
         } catch (const Error& error) {
-            if (error.code() == ExitCode::interrupted) throw;
             throw Error(error.code(), kept(fmt::format("{}: {}", name_of(k), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
@@ -189,8 +188,8 @@ private:
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
         TrainResult result = train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
         if (!result.interrupted) return result;
-        throw Error(ExitCode::interrupted, fmt::format("interrupted in {}, after iteration {} of {}; continue with: {}", name_of(k),
-                                                       result.iterations, log.config.train.iterations, how_.resume));
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted after iteration {} of {}", result.iterations, log.config.train.iterations));
     }
 
     void tell(std::size_t k, const BlockLog& log) const {

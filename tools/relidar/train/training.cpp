@@ -94,7 +94,10 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     give_back_freed_memory();
     LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
-    session.progress = shown_by(progress);
+    session.progress = [show = shown_by(progress)](std::string_view what, double done) {
+        if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while training was prepared");
+        show(what, done);
+    };
     session.stop = interrupted;
     session.note = note;
     const TrainResult result = train(device, sequence, split, config,
