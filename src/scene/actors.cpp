@@ -130,11 +130,12 @@ struct ActorStart {
     const InitialiseOptions& options;
     double incidence;                  ///< of IntensityResponse
     std::vector<std::string>* notes;
+    const Progress& progress;
 };
 
 /// Appends an actor; none where it has too few points.
 void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples, const ActorStart& start) {
-    const auto& [options, incidence, notes] = start;
+    const auto& [options, incidence, notes, progress] = start;
     const std::optional<StrideRange> range = bends(box, options) ? stride_range(kind_in(box)) : std::nullopt;
     const FoundStride found = range ? find_stride(samples, *range) : FoundStride{};
     std::vector<Sample> rigid = actor_samples(samples, box, options);
@@ -143,9 +144,9 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
         notes->push_back(fmt::format("{} ({}) {}", box.id, box.category,
                                      found.stride_m > 0.0 ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
                                                           : "is rigid: " + found.why_none));
-    const Surfels surfels = found.stride_m > 0.0
-                                ? surfels_that_walk(samples, found.stride_m, options, incidence, std::size_t(options.actor_points))
-                                : surfels_from_points(rigid, options, incidence);
+    const auto most = std::size_t(options.actor_points);
+    const Surfels surfels = found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)
+                                                 : surfels_from_points(rigid, options, incidence);
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
     scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
                             glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m)});
@@ -206,7 +207,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
     std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, options, progress);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
         if (progress) progress("actors", double(i) / double(wanted.size()));
-        add_actor(scene, wanted[i], in_boxes[i], {options, sequence.intensity_response.incidence, notes});
+        add_actor(scene, wanted[i], in_boxes[i], {options, sequence.intensity_response.incidence, notes, progress});
     }
     return scene;
 }

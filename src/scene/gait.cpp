@@ -13,6 +13,7 @@
 #include <nanoflann.hpp>
 
 #include "core/parallel.hpp"
+#include "core/progress_blocks.hpp"
 
 namespace relidar {
 namespace {
@@ -251,12 +252,14 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
 
 /// The same of all samples, each the middle of those around it.
 /// @param wanted  of which @return [samples]
-std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted) {
+std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted, const Progress& progress) {
     constexpr double kAround_m = 0.15;
     constexpr std::size_t kMost = 9;
     const int n = int(wanted.size());
     std::vector<glm::vec3> each(wanted.size(), glm::vec3(0.0f)), middle = each;
-    run_parallel(n, [&](int i) { if (wanted[std::size_t(i)]) each[std::size_t(i)] = velocity_at(phases, std::size_t(i)); });
+    for_each_block_told(wanted.size(), progress, "steps of actors", [&](std::size_t i) {
+        if (wanted[i]) each[i] = velocity_at(phases, i);
+    });
     run_parallel(n, [&](int number) {
         const std::size_t i = std::size_t(number);
         if (!wanted[i]) return;
@@ -288,13 +291,13 @@ Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& g
 }  // namespace
 
 Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, const InitialiseOptions& options, double incidence,
-                          std::size_t most) {
+                          std::size_t most, const Progress& progress) {
     const Phases phases(samples, stride_m);
     std::vector<char> at_rest(samples.size());
     run_parallel(int(samples.size()), [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
     std::vector<char> moves(at_rest);
     for (char& one : moves) one = !one;
-    const std::vector<glm::vec3> velocity = velocities(phases, moves);
+    const std::vector<glm::vec3> velocity = velocities(phases, moves, progress);
     std::vector<Sample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (at_rest[i]) resting.push_back(samples[i]);

@@ -42,8 +42,8 @@ struct FoundStride {
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
 /// Surfels of something that walks: where points lie at every phase they rest, others are there around their own phase and swing as the
-/// points beside them do. @param samples  at least one @param most  surfels
+/// points beside them do. @param samples  at least one @param most  surfels @param progress  what it throws ends it
 Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, const InitialiseOptions& options, double incidence,
-                          std::size_t most);
+                          std::size_t most, const Progress& progress = {});
 
 }  // namespace relidar
