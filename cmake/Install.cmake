@@ -8,8 +8,7 @@ set(RELIDAR_PACKAGE_DIR ${CMAKE_INSTALL_LIBDIR}/cmake/relidar)
 install(TARGETS relidar EXPORT relidarTargets
     ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
     INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
-# measure: of tests and benchmarks
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/relidar DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} PATTERN measure EXCLUDE)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/relidar DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 install(EXPORT relidarTargets NAMESPACE relidar:: DESTINATION ${RELIDAR_PACKAGE_DIR})
 install(FILES ${PROJECT_SOURCE_DIR}/third_party/Dependencies.cmake DESTINATION ${RELIDAR_PACKAGE_DIR} RENAME relidarDependencies.cmake)
 configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/relidarConfig.cmake.in ${PROJECT_BINARY_DIR}/relidarConfig.cmake

@@ -11,7 +11,7 @@ endif()
 # Debian packages of what our targets link: their code may be in the program; who links the library needs those in to_link.
 set(compiled_in "")
 set(to_link "")
-foreach(target IN ITEMS relidar relidar_cli relidar_view_server relidar_serve relidar_python)
+foreach(target IN ITEMS relidar relidar_commands relidar_cli relidar_view_server relidar_serve relidar_python)
     set(libraries "")
     if(TARGET ${target})
         get_target_property(libraries ${target} LINK_LIBRARIES)

@@ -53,7 +53,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);
 
 /// What sensor files hold, in lines for a user.
 inline constexpr const char* kSensorFileHelp =
-    "NAME is one of `relidar sensors`. A FILE holds a sensor of your own:\n"
+    "NAME is one of `relidar list sensors`. A FILE holds a sensor of your own:\n"
     "  beams.csv   a spinning one: a header line, then a line for each beam, from the highest down, with the columns elevation_deg\n"
     "              (needed; up is positive), azimuth_offset_deg (from where the head points, to the left), origin_offset_m (where the\n"
     "              beam starts: along the head's direction), origin_up_m (at right angles to the beam, upwards), origin_left_m,\n"

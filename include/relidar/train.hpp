@@ -183,11 +183,6 @@ bool train_actors(Device& device, Run& run, const ActorSession& session = {});
 /// They are moved out of the result.
 void take_result(Run& run, TrainResult& result);
 
-/// Makes every pipeline that training and rendering use on a device: those of each preset, and of each setting that changes a kernel, one
-/// at a time. For a device opened to compile only (DeviceOptions::compile_only), whose pipelines() then are what its driver says of them.
-/// @param progress  called with each preset or setting before it is compiled
-void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});
-
 /// Whether a training may continue with this log and these settings. train.iterations may be raised: the learning rates continue where
 /// the longer schedule stands at that iteration. train.log_every, train.checkpoint_*, refine.*, render.*, eval.* and trace.chunk
 /// are free.

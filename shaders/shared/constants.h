@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The specialisation constants of all kernels: name and id, here alone. A shader declares one by RELIDAR_CONSTANT(type, name, value)
-// (common/kernel.glsl), the host sets it as ConstantId::name (src/gpu/kernel.hpp), `relidar pipelines` prints it by its name.
+// (common/kernel.glsl), the host sets it as ConstantId::name (src/gpu/kernel.hpp), `relidar-dev pipelines` prints it by its name.
 #ifndef RELIDAR_INCLUDED_SHARED_CONSTANTS_H
 #define RELIDAR_INCLUDED_SHARED_CONSTANTS_H
 

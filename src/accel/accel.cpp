@@ -2,8 +2,6 @@
 // One face over the driver's structures and the software tree, and when either is built anew instead of refitted.
 #include <relidar/stages/accel.hpp>
 
-#include <relidar/measure/accel.hpp>
-
 #include "accel/bvh.hpp"
 #include "accel/hardware.hpp"
 
@@ -112,7 +110,7 @@ AccelAddresses Accel::addresses() const {
 Proxy Accel::proxy() const { return impl_->proxy; }
 std::uint64_t Accel::updates() const { return impl_->n_updates; }
 const Accel::Impl& impl_of(const Accel& accel) { return *accel.impl_; }
-int refits_since_build(const Accel& accel) { return impl_of(accel).refits; }
+int Accel::refits_since_build() const { return impl_->refits; }
 std::uint64_t Accel::memory_bytes() const { return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes(); }
 
 }  // namespace relidar

@@ -45,7 +45,7 @@ std::vector<std::string> all_keys() {
 
 std::string unknown_key(const std::string& key) {
     return fmt::format("setting {}: unknown key{}", excerpt(key),
-                       did_you_mean(key, all_keys(), "", ", expected one that `relidar config --all` lists"));
+                       did_you_mean(key, all_keys(), "", ", expected one that `relidar list settings --all` lists"));
 }
 
 template <class T>
@@ -200,7 +200,7 @@ std::string to_short_toml(const Config& config) {
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
     return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
-           fmt::format("\n# {} expert settings, all as the preset has them, are not shown: relidar config --all\n", left_out.size());
+           fmt::format("\n# {} expert settings, all as the preset has them, are not shown: relidar list settings --all\n", left_out.size());
 }
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The forward pass once more, counting: builds of its own, so that the counters cost nothing where they are not asked for.
-#include <relidar/measure/forward.hpp>
+#include "forward/count_visits.hpp"
 
 #include "forward/hit_lists.hpp"
 #include "gpu/stream.hpp"

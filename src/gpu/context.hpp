@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 #include <relidar/stages/gpu.hpp>
 
 #include "core/parallel.hpp"

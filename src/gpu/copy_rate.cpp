@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of gpu/copy.
+#include "gpu/copy_rate.hpp"
+
 #include <algorithm>
 #include <chrono>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/gpu.hpp>
 #include <relidar/stages/gpu.hpp>
 
 #include "gpu/kernel.hpp"

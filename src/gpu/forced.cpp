@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 
 #include <utility>
 

@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/refine.hpp>
 #include <relidar/stages/refine.hpp>
 
 #include "core/assert.hpp"

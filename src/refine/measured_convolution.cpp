@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/measure/refine.hpp>
+#include "refine/measured_network.hpp"
 
 #include <vector>
 

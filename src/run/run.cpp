@@ -75,7 +75,7 @@ void save_config(const Run& run, const fs::path& folder) {
     write_text(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
         throw DataError(fmt::format("saving {}: found an option of image, init, loss, densify or refine that is no setting and not as it "
-                                    "is by default, expected those of `relidar config --all` alone",
+                                    "is by default, expected those of `relidar list settings --all` alone",
                                     (run.folder / kConfigFile).string()));
 }
 

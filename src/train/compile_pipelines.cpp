@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every pipeline of the program, made by what makes them in a training and in rendering: a look at what a driver's compiler says of them
 // needs neither a log nor a card.
-#include <relidar/train.hpp>
+#include "train/compile_pipelines.hpp"
 
 #include <relidar/stages/config.hpp>
 #include <relidar/dataset.hpp>
-#include <relidar/measure/refine.hpp>
 #include <relidar/render.hpp>
 #include <relidar/stages/forward.hpp>
+#include <relidar/stages/refine.hpp>
+#include <relidar/train.hpp>
 
 #include "gpu/radix_sort.hpp"
 #include "train/train_loop.hpp"

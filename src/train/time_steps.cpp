@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/measure/train.hpp>
+#include "train/time_steps.hpp"
 
 #include <algorithm>
 #include <chrono>

@@ -5,7 +5,7 @@
 #include <bit>
 #include <cmath>
 
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"

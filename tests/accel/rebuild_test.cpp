@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // When a structure is built anew instead of refitted: the first time, when told, after so many refits, and, software tree alone, when it
 // has outgrown its build.
-#include <relidar/measure/accel.hpp>
+#include <relidar/stages/accel.hpp>
 #include <relidar/stages/scene.hpp>
 
 #include "../support/device.hpp"
@@ -19,7 +19,7 @@ protected:
         scene.activate(stream, {}, glm::vec3(0.0f));
         accel.update(stream, scene, rebuild);
         stream.finish();
-        return refits_since_build(accel);
+        return accel.refits_since_build();
     }
 };
 

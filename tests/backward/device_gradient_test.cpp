@@ -5,7 +5,7 @@
 #include <cmath>
 #include <span>
 
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 
 #include "passes.hpp"
 

@@ -6,7 +6,7 @@
 
 #include <random>
 
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include "backward/pose_gradients.hpp"
 #include "../support/floats.hpp"
 #include "passes.hpp"

@@ -110,7 +110,7 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     const std::string file = (folder / "config.toml").string() + ": setting ";
     const std::string advice = "; a run of another version of relidar must be trained again";
     EXPECT_EQ(error(whole + "[mars]\ncolour = \"red\"\n"),
-              file + "mars.colour: unknown key, expected one that `relidar config --all` lists" + advice);
+              file + "mars.colour: unknown key, expected one that `relidar list settings --all` lists" + advice);
     const std::string line = "alpha_min = 0.04\n";
     std::string less = whole;
     ASSERT_NE(less.find(line), std::string::npos);

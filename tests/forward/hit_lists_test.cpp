@@ -7,7 +7,7 @@
 #include <cstring>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 #include <relidar/stages/forward.hpp>
 
 #include "../support/device.hpp"

@@ -6,7 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include <relidar/error.hpp>
 #include <relidar/export.hpp>
 #include <relidar/stages/forward.hpp>

@@ -7,9 +7,9 @@
 #include <stdlib.h>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/gpu.hpp>
-
 #include "../support/device.hpp"
+#include "gpu/copy_rate.hpp"
+#include "gpu/forced.hpp"
 #include "gpu/kernel.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"

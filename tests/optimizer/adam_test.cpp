@@ -5,7 +5,7 @@
 #include <limits>
 #include <random>
 
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 #include <relidar/stages/optimizer.hpp>
 #include <relidar/stages/scene.hpp>
 

@@ -12,7 +12,7 @@
 #include <filesystem>
 
 #include <relidar/export.hpp>
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include <relidar/scene.hpp>
 
 #include "../support/surfels.hpp"

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 #include <relidar/dataset.hpp>
 #include <relidar/error.hpp>
 #include <relidar/stages/forward.hpp>

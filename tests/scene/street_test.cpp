@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include <relidar/scene.hpp>
 
 namespace relidar {

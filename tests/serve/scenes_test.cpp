@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 
 #include "asset_shelf.hpp"
 #include "scenes.hpp"

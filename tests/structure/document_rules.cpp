@@ -109,10 +109,16 @@ Document read_document(const SourceFile& file) {
     return document;
 }
 
+/// Commands and options of one program.
+struct Program {
+    Names commands, options;
+};
+
 /// What there is to name.
 struct Known {
     const SourceTree& tree;
-    Names folders, top_folders, settings, sections, commands, options;
+    Names folders, top_folders, settings, sections;
+    std::map<std::string, Program> programs;   ///< by name
 };
 
 /// First groups of all matches in the sources of a folder, joined by a dot where there are two.
@@ -128,7 +134,7 @@ Names matches_in(const SourceTree& tree, const std::string& prefix, const std::r
 }
 
 Known names_of(const SourceTree& tree) {
-    Known known{tree, {}, {}, {}, {}, {}, {"--help"}};
+    Known known{tree, {}, {}, {}, {}, {}};
     for (const auto& [path, file] : tree) {
         for (fs::path parent = fs::path(path).parent_path(); !parent.empty(); parent = parent.parent_path())
             known.folders.insert(parent.generic_string());
@@ -138,8 +144,15 @@ Known names_of(const SourceTree& tree) {
     const std::regex term(R"(\bTERM\(\d+u, \w+, (\w+),)");
     for (const std::string& weight : matches_in(tree, "include/relidar/shared/loss_terms.h", term)) known.settings.insert("loss." + weight);
     for (const std::string& key : known.settings) known.sections.insert(key.substr(0, key.find('.')));
-    known.commands = matches_in(tree, "tools/relidar/", std::regex(R"re(add_subcommand\(\s*"(\w+)")re"));
-    known.options.merge(matches_in(tree, "tools/relidar/", std::regex(R"re("(?:-\w,)?(--[a-z][\w-]*)")re")));
+    const std::regex option(R"re("(?:-\w,)?(--[a-z][\w-]*)")re");
+    const std::map<std::string, std::string> folders{{"relidar", "tools/relidar/"}, {"relidar-dev", "tools/relidar_dev/"}};
+    for (const auto& [name, sources] : folders) {
+        Program& program = known.programs[name];
+        program.commands = matches_in(tree, sources, std::regex(R"re(\bapp\.add_subcommand\(\s*"(\w+)")re"));
+        program.options = matches_in(tree, sources, option);
+        program.options.insert("--help");
+    }
+    known.programs["relidar-dev"].options.merge(matches_in(tree, "tools/relidar/options.cpp", option));   // those that both have
     return known;
 }
 
@@ -245,12 +258,12 @@ std::string option_of(const std::string& word) {
     return std::regex_search(word, match, std::regex("^--[a-z][a-z0-9-]*")) ? match.str() : "";
 }
 
-/// Reports options among the words that neither relidar has nor `has_option` knows.
-void check_options(const Known& known, const std::vector<std::string>& words, const std::function<bool(const std::string&)>& has_option,
+/// Reports options among the words that neither the program has nor `has_option` knows.
+void check_options(const Program& program, const std::vector<std::string>& words, const std::function<bool(const std::string&)>& has_option,
                    const std::function<void(std::string)>& wrong) {
     for (const std::string& word : words) {
         const std::string option = option_of(word);
-        if (option.empty() || known.options.contains(option) || kPlaceholders.contains(option) || has_option(option)) continue;
+        if (option.empty() || program.options.contains(option) || kPlaceholders.contains(option) || has_option(option)) continue;
         wrong("no option " + option);
     }
 }
@@ -267,19 +280,27 @@ std::string script_of(const std::string& word) {
 /// One command: of relidar, of a script or program of ours; other programs are not looked at.
 void check_command(const Known& known, const std::vector<std::string>& words, const std::function<void(std::string)>& wrong) {
     if (words.empty()) return;
+    const Program& relidar = known.programs.at("relidar");
     if (const std::string script = script_of(words[0]); !script.empty()) {
         const auto file = known.tree.find(script);
         if (file == known.tree.end()) return script.ends_with(".cpp") ? wrong("no program " + words[0]) : void();   // see check_paths()
-        return check_options(known, words, [&](const std::string& option) { return contains_word(file->second.text, option); }, wrong);
+        return check_options(relidar, words, [&](const std::string& option) { return contains_word(file->second.text, option); }, wrong);
     }
     if (words[0].starts_with("--"))   // an option by itself may be anybody's of ours
-        return check_options(known, words, [&](const std::string& option) { return occurs(known, "tools/", option); }, wrong);
-    auto word = std::ranges::find_if(words, [](const std::string& w) { return w == "relidar" || w.ends_with("/relidar"); });
+        return check_options(relidar, words, [&](const std::string& option) { return occurs(known, "tools/", option); }, wrong);
+    std::string name = "relidar";
+    auto word = std::ranges::find_if(words, [&](const std::string& w) {
+        const std::string file = fs::path(w).filename().string();
+        if (!known.programs.contains(file)) return false;
+        name = file;
+        return true;
+    });
     if (word != words.end()) ++word;
-    else if (known.commands.contains(words[0])) word = words.begin();
+    else if (relidar.commands.contains(words[0])) word = words.begin();
     if (word == words.end()) return;
-    if (std::regex_match(*word, std::regex("[a-z]+")) && !known.commands.contains(*word)) wrong("no command relidar " + *word);
-    check_options(known, {word, words.end()}, [](const std::string&) { return false; }, wrong);
+    const Program& program = known.programs.at(name);
+    if (std::regex_match(*word, std::regex("[a-z]+")) && !program.commands.contains(*word)) wrong("no command " + name + " " + *word);
+    check_options(program, {word, words.end()}, [](const std::string&) { return false; }, wrong);
 }
 
 void check_commands(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
@@ -344,7 +365,8 @@ Violations check_documents(const SourceTree& tree) {
         if (has_extension(path, {".md"})) documents.emplace(path, read_document(file));
         else check_comments(known, file, violations);
     }
-    if (known.settings.empty() || known.commands.empty()) violations.push_back("src/config:1: settings or commands were not found");
+    if (known.settings.empty() || known.programs.at("relidar").commands.empty())
+        violations.push_back("src/config:1: settings or commands were not found");
     for (const auto& [path, document] : documents) {
         const auto reporter = [&](const Code& code) {
             return [&violations, where = path + ":" + std::to_string(code.line) + ": "](const std::string& what) {

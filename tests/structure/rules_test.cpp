@@ -193,7 +193,9 @@ Violations wrong_in(const std::string& document) {
                                       {"include/relidar/shared/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
                                       {"shaders/loss/bce.comp", ""},
                                       {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
-                                      {"tools/relidar/train.cpp", "add_subcommand(\"train\", x); add(\"--out\"); getenv(\"RELIDAR_X\")"}}));
+                                      {"tools/relidar/train.cpp",
+                                       "app.add_subcommand(\"train\", x); add(\"--out\"); getenv(\"RELIDAR_X\")"},
+                                      {"tools/relidar_dev/a.cpp", "app.add_subcommand(\"bench\", x); add(\"--slow\")"}}));
 }
 
 TEST(Documents, NamesThatExistAreRight) {
@@ -204,6 +206,13 @@ TEST(Documents, NamesThatExistAreRight) {
     EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like this\nRELIDAR_X=1 cmake --build x\n```\n"),
                 IsEmpty());
     EXPECT_THAT(wrong_in("`src/<kind>/*.cpp`, `RUN/a.cpp`, `shaders/*/*.comp`\n"), IsEmpty());
+}
+
+TEST(Documents, EachProgramHasItsOwnCommandsAndOptions) {
+    EXPECT_THAT(wrong_in("`relidar-dev bench --slow`, `build/relidar-dev bench`\n"), IsEmpty());
+    EXPECT_THAT(wrong_in("`relidar bench`, `relidar-dev train`, `relidar train --slow`, `relidar-dev bench --like`\n"),
+                ElementsAre(HasSubstr("no command relidar bench"), HasSubstr("no command relidar-dev train"),
+                            HasSubstr("no option --slow"), HasSubstr("no option --like")));
 }
 
 TEST(Documents, NamesThatDoNotExistAreFound) {
@@ -233,7 +242,6 @@ TEST(Umbrella, BringsNoStageThroughOtherFaces) {
 TEST(InstalledNames, OfSourcesAreFound) {
     const SourceTree tree = make_tree({{"include/relidar/a.hpp", "// docs/method.md, relidar/b.hpp\n// src/a.cpp\n// docs/gone.md\n"},
                                        {"include/relidar/b.hpp", ""},
-                                       {"include/relidar/measure/c.hpp", "// src/a.cpp\n"},
                                        {"src/a.cpp", ""},
                                        {"docs/method.md", ""}});
     EXPECT_THAT(check_installed_names(tree), ElementsAre(HasSubstr("a.hpp:2: names src/a.cpp"), HasSubstr("a.hpp:3: names docs/gone.md")));

@@ -7,7 +7,7 @@
 #include <string>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/gpu.hpp>
+#include "gpu/forced.hpp"
 
 namespace relidar::test {
 

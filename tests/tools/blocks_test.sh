@@ -271,7 +271,7 @@ frames() {
 
 mkdir street && printf 'seed = 5\nn_frames = 60\nrows = 8\ncolumns = 96\nspeed_mps = 13.4\n' >street/street.toml
 wrong_lengths
-if "$relidar" devices >/dev/null 2>&1; then
+if "$relidar" list devices >/dev/null 2>&1; then
     whole
     stopped
     if [[ -n $layers ]]; then lost_device; fi

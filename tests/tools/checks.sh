@@ -23,7 +23,7 @@ bad() {
     local found=$?
     check "relidar $*: exit code $found, expected $code" test "$found" = "$code"
     check "relidar $*: more or less than one line on stderr" test "$(wc -l <err)" = 1
-    check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar: .*$pattern" err
+    check "relidar $*: the message lacks '$pattern'" grep -Eq -- "^relidar(-dev)?: .*$pattern" err
 }
 
 # Ends the test: with 77 where $skipped is set.

@@ -145,7 +145,7 @@ score_tables
 stand_ins
 slurm
 kubernetes
-if "$relidar" devices >out 2>err; then
+if "$relidar" list devices >out 2>err; then
     streets
     makefile
     snakefile

@@ -41,6 +41,7 @@ foreign=$(dpkg-deb -c "$deb" | awk '!($1 ~ /^(drwxr-xr-x|-rwxr-xr-x|-rw-r--r--|l
 for path in bin/relidar lib/librelidar.a include/relidar lib/cmake/relidar/relidarConfig.cmake share/doc/relidar/copyright; do
     [[ -e root/usr/$path ]] || fail "/usr/$path is missing"
 done
+[[ $(ls root/usr/bin) == relidar ]] || fail "other programs than relidar are installed: $(ls root/usr/bin)"
 relidar=$PWD/root/usr/bin/relidar
 ! readelf -S "$relidar" | grep '\.symtab' >/dev/null || fail "the program is not stripped"
 for library in volk eigen3 nanoflann nlohmann-json3 glm cli11; do   # compiled in: their licences want to be told
@@ -62,6 +63,6 @@ done <needed
 [[ " $(field Depends)," == *" libvulkan1,"* ]] || fail "Depends lacks libvulkan1: $(field Depends)"
 
 # What it does.
-"$relidar" devices >devices.log || fail "devices failed: $(cat devices.log)"
+"$relidar" list devices >devices.log || fail "devices failed: $(cat devices.log)"
 cmake -DBUILD_DIR="$build" -DPREFIX="$PWD/root/usr" -DWORK_DIR="$PWD/consumer" "$@" -P "$tests/consumer/run.cmake" || fail "nothing can be built with the library of the package"
 printf 'package: %s, %d bytes, %d files\n' "$(basename "$deb")" "$(stat -c %s "$deb")" "$(find root -type f | wc -l)"

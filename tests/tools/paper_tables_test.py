@@ -95,7 +95,7 @@ class PaperTables(unittest.TestCase):
             self.assertIn(done.returncode, (3, 4), done.stderr)   # 3: no such folder; 4: no device
         settings = [word for command in [train, *others] for word in command.split() if "=" in word]
         self.assertIn("refine.rays=none", settings)
-        done = subprocess.run([RELIDAR, "config", *(word for s in settings for word in ("--set", s))], capture_output=True, text=True)
+        done = subprocess.run([RELIDAR, "list", "settings", *(word for s in settings for word in ("--set", s))], capture_output=True, text=True)
         self.assertEqual(done.returncode, 0, done.stderr)
 
 

@@ -16,7 +16,7 @@ readers=${RELIDAR_READERS:-${3:-}}
 command -v node >/dev/null || { echo "no node"; exit 77; }
 [[ -d $readers/node_modules ]] || { echo "no packages in $readers"; exit 77; }
 readers=$(realpath "$readers")
-if ! "$relidar" devices >/dev/null 2>&1; then
+if ! "$relidar" list devices >/dev/null 2>&1; then
     echo "no Vulkan device"
     [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
     exit 77

@@ -4,14 +4,15 @@
 # `relidar serve` as a user meets it: a server in a process of its own, on a small street; clients in Python whose stubs are made of the
 # proto, one of which compares scans with those of `relidar render` to the bit; bad input; Ctrl-C.
 #
-#   serve_test.sh RELIDAR WORK_FOLDER [LAYER_FOLDER]
+#   serve_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER [LAYER_FOLDER]
 #
 # LAYER_FOLDER: of the manifest of the layer that loses the device (device_loss/).
 # Exits 77 (skipped) where there is no Vulkan device, or no Python with grpcio and numpy.
 set -uo pipefail
-relidar=$(realpath "${1:?usage: serve_test.sh RELIDAR WORK_FOLDER}")
+relidar=$(realpath "${1:?usage: serve_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER}")
+relidar_dev=$(realpath "$2")
 root=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
-work=${2:?usage: serve_test.sh RELIDAR WORK_FOLDER} layers=${3:-}
+work=${3:?usage: serve_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER} layers=${4:-}
 [[ -z $layers ]] || layers=$(realpath "$layers")
 rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
 n_failed=0 server=""
@@ -19,7 +20,7 @@ n_failed=0 server=""
 fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; }
 trap '[[ -z $server ]] || kill -KILL "$server" 2>/dev/null' EXIT
 
-if ! "$relidar" devices >/dev/null 2>&1; then
+if ! "$relidar" list devices >/dev/null 2>&1; then
     echo "no Vulkan device"
     [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]] && exit 1
     exit 77
@@ -83,15 +84,15 @@ bad 2 "found \"run\" as the name of both, expected another one, given as NAME=RU
 bad 2 "listen: found 'nonsense', expected HOST:PORT with a port from 0 to 65535" serve run --listen nonsense
 bad 2 "listen: found '127.0.0.1:99999'" serve run --listen 127.0.0.1:99999
 bad 2 "listen: found '127.0.0.1:-1'" serve run --listen 127.0.0.1:-1
-bad 2 "serve: found '127.0.0.1:99999', expected HOST:PORT with a port from 1 to 65535" bench --serve 127.0.0.1:99999
+relidar=$relidar_dev bad 2 "serve: found '127.0.0.1:99999', expected HOST:PORT with a port from 1 to 65535" bench --serve 127.0.0.1:99999
 bad 2 "listening at 192.0.2.1:0: Cannot assign requested address" serve run --listen 192.0.2.1:0
-bad 3 "asking the service at 127.0.0.1:1: found status 14" bench --serve 127.0.0.1:1
+relidar=$relidar_dev bad 3 "asking the service at 127.0.0.1:1: found status 14" bench --serve 127.0.0.1:1
 
 serve town=run
 bad 2 "listening at $address: it is taken" serve run --listen "$address"
-"$relidar" bench --serve "$address" --calls 8 --clients 2 >bench.out || fail "bench --serve: $(cat bench.out)"
+"$relidar_dev" bench --serve "$address" --calls 8 --clients 2 >bench.out || fail "bench --serve: $(cat bench.out)"
 grep -q "town at $address: 8 calls by 2 clients, 768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
-bad 3 "found status 5, reading scene: found \"city\"" bench --serve "$address" --serve-scene city
+relidar=$relidar_dev bad 3 "found status 5, reading scene: found \"city\"" bench --serve "$address" --serve-scene city
 
 # gRPC's own services, asked in bytes: health of ours (1 = serving), and the list of services by reflection.
 "$python" - "$address" <<'PYTHON' || fail "health or reflection"
@@ -120,7 +121,7 @@ done
 "$python" -B "$root/tools/examples/closed_loop_client.py" "$address" >loop.out 2>&1
 grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py: $(cat loop.out)"
 stop
-! "$relidar" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
+! "$relidar_dev" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
 
 # The other car of the street as an asset, under a name of the client's; taken out again, the name is free.
 bad 3 "nowhere: no such folder" serve run --assets nowhere
@@ -152,7 +153,7 @@ if command -v openssl >/dev/null; then
     serve run --tls-cert cert.pem --tls-key key.pem
     "$python" -B "$root/tests/tools/compare_served.py" "$root" "$address" way.csv 0.5 scans/frame_000000.npz VLP-16:90x10 cert.pem \
         || fail "a client with TLS"
-    ! "$relidar" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "a client without TLS is answered by a server with it"
+    ! "$relidar_dev" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "a client without TLS is answered by a server with it"
     stop
 fi
 
@@ -172,7 +173,7 @@ for _ in range(200):
         pass
 sys.exit(0 if len(silent) > 90 else 1)
 PYTHON
-timeout 20 "$relidar" bench --serve "$address" --calls 2 >bench.out 2>&1 || fail "it does not serve after silent connections: $(cat bench.out)"
+timeout 20 "$relidar_dev" bench --serve "$address" --calls 2 >bench.out 2>&1 || fail "it does not serve after silent connections: $(cat bench.out)"
 stop
 
 # A lost device: clients hear UNAVAILABLE, and the server ends with the exit code of a device.
@@ -180,7 +181,7 @@ if [[ -n $layers ]]; then
     before=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers" RELIDAR_LOSE_DEVICE_AFTER=60)
     serve run
     before=()
-    bad 3 "found status 14, .*VK_ERROR_DEVICE_LOST" bench --serve "$address" --calls 1000
+    relidar=$relidar_dev bad 3 "found status 14, .*VK_ERROR_DEVICE_LOST" bench --serve "$address" --calls 1000
     wait "$server"
     code=$?
     server=""

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/measure/traversal.hpp>
+#include "traversal/collect_hits.hpp"
 #include "collect.hpp"
 
 #include <gtest/gtest.h>

@@ -3,7 +3,7 @@
 // its own, for tests that refit, rebuild or bring a tree themselves.
 #pragma once
 
-#include <relidar/measure/traversal.hpp>
+#include "traversal/collect_hits.hpp"
 #include <relidar/stages/traversal.hpp>
 
 #include "gpu/kernel.hpp"

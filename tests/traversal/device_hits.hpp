@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/measure/traversal.hpp>
+#include "traversal/collect_hits.hpp"
 #include "../support/device.hpp"
 #include "../support/placed.hpp"
 #include "cases.hpp"

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The traversal contract on the device (traversal/collect_hits): ray query over triangles and over boxes, the software tree walked by
 // lanes and by subgroups, and brute force, against the host's brute force and Embree.
-#include <relidar/measure/gpu.hpp>
-#include <relidar/measure/traversal.hpp>
+#include "gpu/forced.hpp"
+#include "traversal/collect_hits.hpp"
 #include "device_hits.hpp"
 
 namespace relidar {

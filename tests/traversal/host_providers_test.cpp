@@ -6,7 +6,7 @@
 
 #include <cstdio>
 
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include "../support/surfels.hpp"
 #include "cases.hpp"
 #include "hit_comparison.hpp"

@@ -6,9 +6,9 @@
 #include <limits>
 #include <random>
 
-#include <relidar/measure/accel.hpp>
-#include <relidar/measure/gpu.hpp>
-#include <relidar/measure/traversal.hpp>
+#include <relidar/stages/accel.hpp>
+#include "gpu/forced.hpp"
+#include "traversal/collect_hits.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"
 #include "gpu/stream.hpp"
@@ -109,11 +109,11 @@ TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     expect_agreement(scene, accel, "built");
     disturb(case_.surfels, random);
     update(false);
-    ASSERT_EQ(refits_since_build(accel), 1);
+    ASSERT_EQ(accel.refits_since_build(), 1);
     expect_agreement(scene, accel, "refitted");
     disturb(case_.surfels, random);
     update(true);
-    ASSERT_EQ(refits_since_build(accel), 0);
+    ASSERT_EQ(accel.refits_since_build(), 0);
     expect_agreement(scene, accel, "rebuilt");
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The walk of software_bvh.glsl alone, over trees built on the host: what fails here is the traversal, not the device's builder.
-#include <relidar/measure/traversal.hpp>
+#include "traversal/collect_hits.hpp"
 #include "../support/host_bvh.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"

@@ -9,7 +9,7 @@
 #
 # PART is suites, bench or demo, for machines that are lent for some minutes at a time. A step that fails or takes too long is named, with
 # what it found and expected, and the next one begins; a summary comes last, and the exit code is 1 where a step failed.
-# RELIDAR=FILE chooses the program, RELIDAR_TESTS=DIR the folder of the suites. DIR keeps the logs and the JSON of every case. The peer's
+# RELIDAR=FILE and RELIDAR_DEV=FILE choose the programs, RELIDAR_TESTS=DIR the folder of the suites. DIR keeps the logs and the JSON of every case. The peer's
 # numbers are its own, from an NVIDIA H200: on another device the columns of ratios say nothing.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -38,6 +38,8 @@ first_of() {
 }
 relidar=$(first_of "${RELIDAR:-}" "$here/../../bin/relidar" "$here/../../build/release/tools/relidar/relidar" "$(command -v relidar || true)")
 [[ -n $relidar ]] || fail "no program: looked for \$RELIDAR, bin/relidar of a bundle and build/release; build it or unpack the bundle"
+relidar_dev=$(first_of "${RELIDAR_DEV:-}" "$here/../../tests/bin/relidar-dev" "$here/../../build/ci/tools/relidar_dev/relidar-dev")
+[[ -n $relidar_dev || $only == suites ]] || fail "no relidar-dev: looked for \$RELIDAR_DEV, tests/bin of a bundle and build/ci; build preset ci, or pack the bundle with --tests"
 tests=$(first_of "${RELIDAR_TESTS:-}" "$here/../../tests/bin" "$here/../../build/ci/tests")
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
@@ -114,9 +116,9 @@ kernels() {
          }' "$1"
 }
 
-"$relidar" devices | tee "$out/devices.txt"
+"$relidar" list devices | tee "$out/devices.txt"
 traversals=(software)
-if "$relidar" devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
+if "$relidar" list devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
 if wants suites; then suites traversal:60 accel:60 forward:60 backward:200; fi
 
 # How fast every kernel is.
@@ -128,7 +130,7 @@ bench() {
     while read -r scene surfels rays build forward backward iteration memory; do
         [[ -n $scene && $surfels -le $surfels_max ]] || continue
         file=$out/${scene}_${surfels}_${rays}.json
-        step "bench_${scene}_${surfels}_$rays" 60 "$relidar" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
+        step "bench_${scene}_${surfels}_$rays" 60 "$relidar_dev" bench --scene "$scene" --surfels "$surfels" --rays "$rays" --chunk "${CHUNK:-64}" --sh surfel --repeat "$repeat" --json "$file" --quiet "${options[@]}" \
             || { printf '%-5s %9s %-6s | failed\n' "$scene" "$surfels" "$rays"; continue; }
         if [[ $rays == waymo && $scene == A ]]; then largest_A=$file; fi
         if [[ $rays == waymo && $scene == B ]]; then largest_B=$file; fi
@@ -154,7 +156,7 @@ bench() {
         for chunk in 16 32 64; do
             for walk in lane subgroup; do
                 file=$out/${scene}_chunk${chunk}_$walk.json
-                step "bench_${scene}_chunk${chunk}_$walk" 40 "$relidar" bench --scene "$scene" --surfels "$surfels_max" --rays waymo --chunk "$chunk" --walk "$walk" --traversal software --sh surfel \
+                step "bench_${scene}_chunk${chunk}_$walk" 40 "$relidar_dev" bench --scene "$scene" --surfels "$surfels_max" --rays waymo --chunk "$chunk" --walk "$walk" --traversal software --sh surfel \
                     --repeat 7 --json "$file" --quiet "${options[@]}" || continue
                 printf '%-30s %12s %12s\n' "$scene $surfels_max, $chunk, $walk" "$(median "$file" "forward/.*")" "$(median "$file" backward/trace)"
             done
@@ -171,7 +173,7 @@ if wants demo; then
         [[ -d $out/demo/run ]] || continue
         read -r -a words <<<"$part"
         name=run_${words[0]}
-        step "$name" 60 "$relidar" bench --run "$out/demo/run" "${words[@]:1}" --json "$out/$name.json" "${options[@]}" &&
+        step "$name" 60 "$relidar_dev" bench --run "$out/demo/run" "${words[@]:1}" --json "$out/$name.json" "${options[@]}" &&
             tail -n 40 "$out/$name.log" || true
     done
     rm -rf "$out/demo"   # the scans and pictures; its table is in the log

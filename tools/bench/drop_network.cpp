@@ -9,7 +9,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/refine.hpp>
+#include "refine/measured_network.hpp"
 
 #include "timing.hpp"
 
@@ -59,7 +59,7 @@ int main(int argc, char** argv) {
     app.add_option("--rows", rows, "of the image; not given: 66 x 1030 and 64 x 2650");
     app.add_option("--columns", columns)->needs("--rows");
     app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
-    app.add_option("--device", index, "as `relidar devices` lists them");
+    app.add_option("--device", index, "as `relidar list devices` lists them");
     CLI11_PARSE(app, argc, argv);
     try {
         DeviceOptions chosen;

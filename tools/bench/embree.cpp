@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_embree: the image of `relidar bench` rendered by Embree on the host, as a yardstick for the software traversal. The
+// relidar_bench_embree: the image of `relidar-dev bench` rendered by Embree on the host, as a yardstick for the software traversal. The
 // same surfels, rays, order and blending (docs/method.md M1-M5, Eq. 2-4), single precision, two threads: an intersection filter puts
 // candidates into a sorted buffer of `chunk` hits and shortens the ray once it is full.
 #if __has_include(<embree4/rtcore.h>)
@@ -20,7 +20,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include <relidar/scene.hpp>
 #include <relidar/sensor.hpp>
 
@@ -247,7 +247,7 @@ double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
-    // as relidar bench
+    // as relidar-dev bench
     if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2) return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(text);
 }

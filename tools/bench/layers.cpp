@@ -16,7 +16,7 @@
 #include <fmt/format.h>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/refine.hpp>
+#include "refine/measured_network.hpp"
 
 #include "timing.hpp"
 
@@ -118,7 +118,7 @@ int main(int argc, char** argv) {
     CLI::App app("convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn: medians and their ratio");
     int repeat = 15, index = -1;
     app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
-    app.add_option("--device", index, "as `relidar devices` lists them");
+    app.add_option("--device", index, "as `relidar list devices` lists them");
     CLI11_PARSE(app, argc, argv);
     try {
         DeviceOptions options;

@@ -160,7 +160,7 @@ int main(int argc, char** argv) {
     app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
     app.add_option("--device", device, "as of `relidar render`");
     app.add_option("--aside", aside_m, "also score the street itself, cast from this many metres to the left and above");
-    app.add_option("--sensor", others, "also score these in the place of the first LiDAR: names of `relidar sensors`, or files");
+    app.add_option("--sensor", others, "also score these in the place of the first LiDAR: names of `relidar list sensors`, or files");
     CLI11_PARSE(app, argc, argv);
     try {
         run(folder, device, aside_m, others);

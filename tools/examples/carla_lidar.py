@@ -157,7 +157,7 @@ def main():
     parser.add_argument("--carla", default="127.0.0.1:2000", help="CARLA's own address")
     parser.add_argument("--scene", default="", help="of the server (default: its first)")
     parser.add_argument("--ego", default="hero", help="role_name of the vehicle that carries the sensor")
-    parser.add_argument("--sensor", default="", help="a name of `relidar sensors` (default: the log's own)")
+    parser.add_argument("--sensor", default="", help="a name of `relidar list sensors` (default: the log's own)")
     parser.add_argument("--rate", type=float, default=10.0, help="sweeps a second; that of the sensor")
     parser.add_argument("--mount", type=numbers, default=[0, 0, 1.8, 0], metavar="X,Y,Z,YAW",
                         help="of the sensor on the ego, right-handed: metres forward, left, up and degrees to the left")

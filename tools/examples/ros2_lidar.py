@@ -89,7 +89,7 @@ def main(arguments=None):
     parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="of relidar serve")
     parser.add_argument("--scene", default="", help="of the server (default: its first)")
     parser.add_argument("--lidar", default="", help="of the log, whose way is driven (default: its first)")
-    parser.add_argument("--sensor", default="", help="a name of `relidar sensors` (default: that LiDAR itself)")
+    parser.add_argument("--sensor", default="", help="a name of `relidar list sensors` (default: that LiDAR itself)")
     parser.add_argument("--rate", type=float, default=10.0, help="sweeps a second; that of the sensor")
     parser.add_argument("--topic", default="/points")
     parser.add_argument("--frame", default="lidar", help="of the points")

@@ -74,7 +74,7 @@ void set_values(Config& config, const py::dict& values) {
 
 void add_config(py::module_& module) {
     py::class_<Config>(module, "Config",
-                       "All settings of a run, by the names that `relidar config` lists: config[\"train.iterations\"] = 300.")
+                       "All settings of a run, by the names that `relidar list settings` lists: config[\"train.iterations\"] = 300.")
         .def(py::init(&make), py::arg("preset") = "default", py::arg("settings") = py::dict(),
              "preset: \"paper\", \"released\", \"default\" or \"quick\"\nsettings: dict of names and values, set over it\n\nRaises "
              "UsageError for unknown names and values out of range.")

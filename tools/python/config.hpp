@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings from Python: names as in `relidar config`, values as Python has them.
+// Settings from Python: names as in `relidar list settings`, values as Python has them.
 #pragma once
 
 #include <string>

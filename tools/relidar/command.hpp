@@ -23,10 +23,7 @@ struct Call {
 /// Adds all of them.
 void add_commands(CLI::App& app, Call& call);
 
-void add_devices(CLI::App& app, Call& call);
-void add_sensors(CLI::App& app, Call& call);
-void add_pipelines(CLI::App& app, Call& call);
-void add_config(CLI::App& app, Call& call);
+void add_list(CLI::App& app, Call& call);
 void add_convert(CLI::App& app, Call& call);
 void add_info(CLI::App& app, Call& call);
 void add_train(CLI::App& app, Call& call);
@@ -37,7 +34,6 @@ void add_assets(CLI::App& app, Call& call);
 void add_render(CLI::App& app, Call& call);
 void add_eval(CLI::App& app, Call& call);
 void add_export(CLI::App& app, Call& call);
-void add_import(CLI::App& app, Call& call);
 void add_demo(CLI::App& app, Call& call);
 void add_view(CLI::App& app, Call& call);
 void add_bench(CLI::App& app, Call& call);

@@ -7,7 +7,7 @@ namespace relidar::cli {
 void add_commands(CLI::App& app, Call& call) {
     for (const auto& add :
          {add_demo, add_train, add_refine, add_render, add_view, add_serve, add_edit, add_assets, add_eval,
-          add_export, add_import, add_convert, add_info, add_bench, add_config, add_devices, add_sensors, add_pipelines})
+          add_export, add_convert, add_info, add_list, add_bench})
         add(app, call);
 }
 

@@ -159,7 +159,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
 }  // namespace
 
 void add_demo(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("demo", "the whole way on a synthetic street: log, training, new scans, report");
+    CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")->type_name("S");

@@ -32,7 +32,7 @@ bool parse(const std::string& text, T& value) {
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
     command
         .add_option("--device", choice.index,
-                    "Vulkan device by its number in `relidar devices` (default: a GPU, one with ray query first; else a CPU device)")
+                    "Vulkan device by its number in `relidar list devices` (default: a GPU, one with ray query first; else a CPU device)")
         ->type_name("N");
     command
         .add_option(
@@ -44,7 +44,7 @@ void add_device_options(CLI::App& command, DeviceChoice& choice) {
 DeviceOptions device_options(const DeviceChoice& choice) {
     DeviceOptions options;
     if (choice.index < -1)
-        throw UsageError(fmt::format("--device: found {}, expected a number that `relidar devices` lists", choice.index));
+        throw UsageError(fmt::format("--device: found {}, expected a number that `relidar list devices` lists", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
     return from_environment(options);
@@ -78,7 +78,7 @@ void add_weather_option(CLI::App& command, std::string& weather, const std::stri
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
-    command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar config` lists all keys")
+    command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar list settings` lists all keys")
         ->type_name("KEY=VALUE")
         ->type_size(1)
         ->allow_extra_args(false);

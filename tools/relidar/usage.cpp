@@ -6,6 +6,7 @@
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
 
@@ -40,17 +41,24 @@ std::string without_value(const std::string& option) { return option.substr(0, o
 }  // namespace
 
 std::string usage_message(const CLI::App& app, const std::string& what) {
-    const std::vector<CLI::App*> chosen = app.get_subcommands();
-    const CLI::App& command = chosen.empty() ? app : *chosen.front();
-    const std::string help = chosen.empty() ? "relidar --help" : fmt::format("relidar {} --help", command.get_name());
+    const CLI::App* chosen = &app;
+    std::string path = app.get_name();
+    while (!chosen->get_subcommands().empty()) {
+        chosen = chosen->get_subcommands().front();
+        path += " " + chosen->get_name();
+    }
+    const CLI::App& command = *chosen;
+    const std::string help = path + " --help";
     std::vector<std::string> unexpected = app.remaining(true);
+    if (unexpected.empty() && what.find("subcommand") != std::string::npos)
+        return fmt::format("found no subcommand, expected {} (see `{}`)", fmt::join(command_names(command), ", "), help);
     if (unexpected.empty()) return fmt::format("{} (see `{}`)", in_our_words(what), help);
     const std::string word = without_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
         return fmt::format("option {}: unknown{} (see `{}`)", word, did_you_mean(word, option_names(command)), help);
     }
-    if (chosen.empty())
-        return fmt::format("command {}: unknown{} (see `{}`)", word, did_you_mean(word, command_names(app)), help);
+    if (const std::vector<std::string> names = command_names(command); !names.empty())
+        return fmt::format("command {}: unknown{} (see `{}`)", word, did_you_mean(word, names), help);
     return fmt::format("argument {}: not expected (see `{}`)", word, help);
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The other end of the line: what tests and `relidar bench --serve` call a service with.
+// The other end of the line: what tests and `relidar-dev bench --serve` call a service with.
 #pragma once
 
 #include <memory>

@@ -66,6 +66,7 @@ public:
     Proxy proxy() const;
     std::uint64_t memory_bytes() const;   ///< of structures, proxies and scratch
     std::uint64_t updates() const;        ///< builds and refits recorded so far
+    int refits_since_build() const;       ///< refits recorded since the last build
 
     struct Impl;
 

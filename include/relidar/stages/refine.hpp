@@ -15,6 +15,9 @@ struct DropSamples;
 struct DropProbabilities;
 }  // namespace shared
 
+/// Compiles every pipeline that training and evaluating the options' network use. Runs none of them.
+void compile_drop_network(Device& device, const RefineOptions& options);
+
 /// A network in evaluation mode, as DropRefiner, in a stream of the caller's.
 class DropPass {
 public:

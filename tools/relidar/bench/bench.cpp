@@ -1,222 +1,184 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar bench: milliseconds a kernel, rays a second and memory of a training iteration, on a street that is the same everywhere
-// or on a run.
+// relidar bench: a short report of a device's speed, on a street that is the same everywhere or on a run.
+// relidar-dev bench times every kernel.
+#include <algorithm>
+#include <chrono>
 #include <memory>
 #include <optional>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 
-#include "bench/actors.hpp"
+#include <relidar/export.hpp>
+#include <relidar/render.hpp>
+#include <relidar/stages/config.hpp>
+
 #include "bench/case.hpp"
-#include "bench/floor.hpp"
-#include "bench/measure.hpp"
-#include "bench/scans.hpp"
-#include "bench/serve.hpp"
-#include "bench/steps.hpp"
-#include "bench/text.hpp"
+#include "bench/training_step.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include <relidar/export.hpp>
-#include <relidar/measure/gpu.hpp>
+#include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
 namespace {
 
-constexpr int kMaxRepeat = 100000;
+using Clock = std::chrono::steady_clock;
+
+constexpr int kLeast = 3, kMost = 10, kScans = 30;   // repetitions
+constexpr double kEnough_ms = 5000.0;
 
 struct BenchOptions {
-    BenchChoice choice;
-    bool describes_street = false;   ///< --scene, --surfels or --rays was given
-    BenchSettings settings;
-    bool no_backward = false;
-    std::string json;
-    std::string actors;   ///< "1,10,100": scenes of so many actors are timed instead
-    ServeBench service;
-    ScanBench scans;
-    int n_steps = 0;   ///< of training; 0: not asked for
+    std::string run, json;
     DeviceChoice device;
 };
 
-constexpr int kMaxActors = 1000;
+/// Wall times until the device is done. Medians.
+struct BenchTimes {
+    double build_ms = 0.0, refit_ms = 0.0;     ///< of the tree
+    double forward_ms = 0.0, backward_ms = 0.0;
+    double iteration_ms = 0.0;                 ///< refit, forward, losses, backward and Adam, without a pause
+    std::size_t repetitions = 0;
+    std::optional<double> scans_per_s;         ///< of a run
+};
 
-std::vector<int> actor_counts(const std::string& list) {
-    std::vector<int> counts;
-    for (const double n : parse_list("--actors", list)) {
-        if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n))
-            throw UsageError(fmt::format("--actors: found {} in \"{}\", expected whole numbers from 1 to {}", n, list, kMaxActors));
-        counts.push_back(static_cast<int>(n));
+double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
+
+double median(std::vector<double> samples) {
+    std::ranges::sort(samples);
+    return samples[samples.size() / 2];
+}
+
+BenchTimes measure(Device& device, const BenchCase& bench) {
+    const auto n_rays = static_cast<std::uint32_t>(bench.rays.size());
+    const RendererOptions options{.trace = training_trace_options(bench.config),
+                                  .n_rays = n_rays,
+                                  .keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits)};
+    const auto rendered = [&] {
+        Renderer image(device, bench.scene, bench.config.image, {.trace = trace_options(bench.config), .n_rays = n_rays});
+        image.place(bench.placed, bench.view_origin_m);
+        return image.forward(bench.rays);
+    };
+    TrainingStep step(device, bench, options, noisy_targets(rendered(), bench.config.loss.normalised_depth));
+    DifferentiableRenderer& renderer = step.renderer;
+    Stream& stream = renderer.stream();
+    const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays");
+    const RayBatch batch{&rays, 0, 1, n_rays, static_cast<std::uint32_t>(bench.columns), &step.targets};
+    std::vector<double> build, refit, forward, backward, iteration;
+    const auto time = [&](std::vector<double>& samples, const auto& record) {
+        const Clock::time_point start = Clock::now();
+        record();
+        stream.finish();
+        samples.push_back(ms_since(start));
+    };
+    const auto repeat = [&] {
+        stop_if_interrupted();
+        time(iteration, [&] {
+            renderer.place(bench.placed, bench.view_origin_m);
+            renderer.record_forward(batch);
+            step.compare(batch);
+            renderer.record_backward();
+            step.optimise();
+        });
+        time(build, [&] { renderer.accel().update(stream, renderer.scene(), true); });
+        time(refit, [&] { renderer.accel().update(stream, renderer.scene()); });
+        time(forward, [&] { renderer.record_forward(batch); });
+        step.compare(batch);
+        stream.finish();
+        time(backward, [&] { renderer.record_backward(); });
+    };
+    // the first launches compile kernels, and a GPU raises its clocks
+    const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
+    Clock::time_point start = Clock::now();
+    do repeat();
+    while (ms_since(start) < warm_up_ms);
+    for (std::vector<double>* samples : {&build, &refit, &forward, &backward, &iteration}) samples->clear();
+    start = Clock::now();
+    for (int i = 0; i < kLeast || (i < kMost && ms_since(start) < kEnough_ms); ++i) repeat();
+    return {median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
+}
+
+/// Renders scans of the log's own sensor, evenly spaced on its own path. Two are pending at any time.
+double scans_per_second(Device& device, const Run& run) {
+    ScanRenderer renderer(device, run);
+    const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
+    const PoseTrack path = shifted_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
+    const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
+    const auto request = [&](int scan) {
+        const double time_s = first_s + length_s * (scan + 0.5) / kScans;
+        renderer.ask_points(sensor, {time_s, path}, time_s);
+    };
+    request(0);
+    renderer.take_points();   // allocates memory
+    const Clock::time_point start = Clock::now();
+    request(0);
+    for (int scan = 1; scan <= kScans; ++scan) {
+        stop_if_interrupted();
+        if (scan < kScans) request(scan);
+        renderer.take_points();
     }
-    return counts;
+    return 1e3 * kScans / ms_since(start);
 }
 
-void bench_actors(const BenchOptions& options, Device& device, const std::string& command_line) {
-    std::vector<ActorTimes> times;
-    for (const int n : actor_counts(options.actors))
-        for (const bool own_models : {false, true}) times.push_back(measure_actors(device, n, own_models, options.settings));
-    end_progress_line();
-    if (!options.json.empty()) write_text(options.json, actors_json(times, device, command_line));
-    if (!options.settings.quiet) print(actors_text(times));
+const char* traversal_name(const Device& device) { return device.traversal() == Traversal::software ? "software" : "ray_query"; }
+
+std::string report_text(const BenchCase& bench, const BenchTimes& t, const Device& device) {
+    const double krays = double(bench.rays.size()) / 1000.0;
+    std::string text = fmt::format("device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
+                                   device.info().name, device.info().driver, traversal_name(device), bench.name,
+                                   bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
+    text += fmt::format("tree        build {:.2f} ms, refit {:.2f} ms\nforward     {:.2f} ms, {:.3f} Mrays/s\n"
+                        "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
+                        t.build_ms, t.refit_ms, t.forward_ms, krays / t.forward_ms, t.backward_ms, krays / t.backward_ms, t.iteration_ms);
+    if (t.scans_per_s) text += fmt::format("scans       {:.1f} a second\n", *t.scans_per_s);
+    return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, t.repetitions);
 }
 
-void bench_scans(const BenchOptions& options, Device& device, const std::string& command_line) {
-    ScanBench bench = options.scans;
-    bench.run = options.choice.run;
-    bench.sensor = options.service.sensor;
-    const ScanTimes times = measure_scans(device, bench);
-    if (!options.json.empty()) write_text(options.json, scans_json(times, device, command_line));
-    if (!options.settings.quiet) print(scans_text(times));
+std::string report_json(const BenchCase& bench, const BenchTimes& t, const Device& device) {
+    const double krays = double(bench.rays.size()) / 1000.0;
+    nlohmann::ordered_json json = {{"format", "relidar bench"}, {"version", 2}, {"relidar", RELIDAR_VERSION},
+                                   {"device", device.info().name}, {"driver", device.info().driver},
+                                   {"traversal", traversal_name(device)},
+                                   {"scene", bench.name}, {"surfels", bench.scene.surfels.size()}, {"rays", bench.rays.size()},
+                                   {"build_ms", t.build_ms}, {"refit_ms", t.refit_ms}, {"forward_ms", t.forward_ms},
+                                   {"backward_ms", t.backward_ms}, {"iteration_ms", t.iteration_ms},
+                                   {"forward_mrays_per_s", krays / t.forward_ms}, {"backward_mrays_per_s", krays / t.backward_ms},
+                                   {"repetitions", t.repetitions}};
+    if (t.scans_per_s) json["scans_per_s"] = *t.scans_per_s;
+    return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
-void bench_steps(const BenchOptions& options, Device& device, const std::string& command_line) {
-    const StepTimes times = measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
-    if (!options.json.empty()) write_text(options.json, steps_json(times, device, command_line));
-    if (!options.settings.quiet) print(steps_text(times, device));
-}
-
-void run_bench(const BenchOptions& options, const std::string& command_line) {
-    if (!options.service.address.empty()) return bench_service(options.service);
-    check(options.choice);
-    if (!options.choice.run.empty() && options.describes_street)
-        throw UsageError("--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its scene and rays");
-    BenchSettings settings = options.settings;
-    settings.backward = !options.no_backward;
-    if (settings.repeat < 1 || settings.repeat > kMaxRepeat)
-        throw UsageError(fmt::format("--repeat: found {}, expected 1 to {}", settings.repeat, kMaxRepeat));
+void run_bench(const BenchOptions& options) {
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
         throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
-    if (!options.actors.empty()) actor_counts(options.actors);
-    if (options.scans.n_scans != 0 && options.choice.run.empty())
-        throw UsageError("--scans: found no --run beside it, expected the run that is to be rendered");
-    if (options.n_steps != 0 && options.choice.run.empty())
-        throw UsageError("--steps: found no --run beside it, expected the run that is to be trained on");
-    if (options.n_steps != 0 && options.scans.n_scans != 0)
-        throw UsageError("--steps: found --scans beside it, expected one of them: scans are rendered, steps train");
-    if (options.n_steps < 0 || options.n_steps > kMostTimedSteps)
-        throw UsageError(fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
+    std::optional<Run> run;
+    if (!options.run.empty()) run = load_run(options.run);
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
-
     catch_interrupts();
-    if (!options.actors.empty()) return bench_actors(options, device, command_line);
-    if (options.scans.n_scans != 0) return bench_scans(options, device, command_line);
-    if (options.n_steps != 0) return bench_steps(options, device, command_line);
-    const BenchCase bench = make_case(options.choice);
-    BenchResult result = measure(device, bench, settings);
-    result.copy_bytes_per_s = copy_bytes_per_s(device);   // now that the case has left the memory
-    end_progress_line();
-    if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
-    if (!settings.quiet) print(bench_text(bench, result, device));
-}
-
-/// What a training step does beside the forward pass.
-void add_training_options(CLI::App& command, BenchChoice& choice) {
-    command
-        .add_option(
-            "--keep-hits", choice.keep_hits,
-            "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says, and "
-            "more where training would keep more)")
-        ->type_name("N");
-    command.add_option("--distortion", choice.distortion, "weight of loss.distortion (default: 0, or as the run says)")
-        ->type_name("WEIGHT");
-    command.add_option("--likelihood", choice.likelihood, "weight of loss.likelihood (default: 0, or as the run says)")
-        ->type_name("WEIGHT");
-    command.add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
-}
-
-/// What times whole scans instead, of many actors, of a run or from a service.
-void add_scan_options(CLI::App& command, BenchOptions& options) {
-    command
-        .add_option("--actors", options.actors,
-                    "time scans, training and moves of so many copies of an actor of 1000 surfels; several numbers parted by commas")
-        ->type_name("LIST");
-    command.add_option("--scans", options.scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
-        ->type_name("N");
-    command
-        .add_option("--together", options.scans.together,
-                    "so many scans of --scans go to the device at once; a GPU renders them side by side (default: all of a rig, else 1)")
-        ->type_name("N");
-    command
-        .add_option("--steps", options.n_steps,
-                    "time so many steps of training on from --run instead, on its own batches, and what lies between their kernels")
-        ->type_name("N");
-    command.add_flag("--sampled", options.scans.sampled, "scans of --scans are drawn by a seed, with the sensor's noise");
-    ServeBench& service = options.service;
-    command.add_option("--serve", service.address, "time calls of a running `relidar serve` at this address instead")
-        ->type_name("HOST:PORT");
-    command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")->type_name("NAME");
-    command
-        .add_option("--sensor", service.sensor,
-                    "of these scans: one of `relidar sensors`, as HDL-32E:512x10, or with --scans a rig (default: the log's own)")
-        ->type_name("NAME|RIG.json");
-    command.add_option("--clients", service.clients, "that call at the same time (default: 1)")->type_name("N");
-    command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
+    const BenchCase bench = run ? make_run_case(*run) : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
+    BenchTimes times = measure(device, bench);
+    if (run) times.scans_per_s = scans_per_second(device, *run);
+    if (!json.empty()) write_text(json, report_json(bench, times, device));
+    print(report_text(bench, times, device));
 }
 
 }  // namespace
 
 void add_bench(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("bench", "time every kernel of a training iteration, on a benchmark street or a run");
+    CLI::App* command = app.add_subcommand("bench", "report how fast a device is, on a fixed street or on a run");
     const auto options = std::make_shared<BenchOptions>();
-    BenchChoice& choice = options->choice;
-    const CLI::Option* scene =
-        command
-            ->add_option("--scene", choice.street,
-                         "street A: surfels of 0.1 to 0.3 m; B: smaller the more there are; C: as B, all of opacity 0.1 (default: A)")
-            ->type_name("A|B|C");
-    const CLI::Option* surfels =
-        command->add_option("--surfels", choice.n_surfels, "surfels of the street (default: 100000)")->type_name("N");
-    const CLI::Option* rays =
-        command
-            ->add_option("--rays", choice.rays, "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")
-            ->type_name("NAME|ROWSxCOLUMNS");
-    command->add_option("--run", choice.run, "bench a run instead: its scene, and its sensor's rays at the first held-out frame")
-        ->type_name("RUN");
-    command->add_option("--chunk", choice.chunk, "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")->type_name("N");
-    command
-        ->add_option("--proxy", choice.proxy,
-                     "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as the run says)")
-        ->type_name("WHAT");
-    command
-        ->add_option("--walk", choice.walk, "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
-        ->type_name("HOW");
-    command
-        ->add_option("--order", choice.order,
-                     "how hits come in order: auto, chunks as they are found, or lists that are sorted (default: auto: lists on a GPU)")
-        ->type_name("HOW");
-    command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
-        ->type_name("ray|surfel");
-    add_training_options(*command, choice);
-    command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
-    command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
-    add_scan_options(*command, *options);
-    command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
+    command->add_option("--run", options->run, "time a run instead of the street: its scene and its sensor")->type_name("RUN");
+    command->add_option("--json", options->json, "write the report to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
-    command->add_flag("--quiet", options->settings.quiet, "print errors only");
-    command->footer(
-        "A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, loss, backward, Adam with\n"
-        "learning rate 0, so that the scene stays); one instance moved (top level). Times are device timestamps; a kernel launched\n"
-        "several times in an iteration counts in full. Mrays/s: of forward/* and of backward/trace, median. A floor is the bytes that a\n"
-        "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no arithmetic.\n"
-        "Examples:\n"
-        "  relidar bench --json bench.json\n"
-        "  relidar bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
-        "  relidar bench --run run --repeat 50\n"
-        "  relidar bench --run run --scans 100\n"
-        "  relidar bench --run run --scans 400 --sensor rig.json\n"
-        "  relidar bench --run run --steps 100\n"
-        "  relidar bench --keep-hits 0 --deterministic\n"
-        "  relidar bench --actors 1,1000\n"
-        "  relidar bench --serve 127.0.0.1:50051 --sensor HDL-32E:512x10 --clients 4");
-    command->callback([&call, options, scene, surfels, rays] {
-        options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
-        call.run = [&call, options] { run_bench(*options, call.command_line); };
-    });
+    command->footer("The street has 100000 surfels; its image has 64 x 1024 rays. Times are wall times until the device is done.\n"
+                    "Examples:\n  relidar bench\n  relidar bench --run run --json bench.json");
+    command->callback([&call, options] { call.run = [options] { run_bench(*options); }; });
 }
 
 }  // namespace relidar::cli

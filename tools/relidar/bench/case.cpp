@@ -1,105 +1,34 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "bench/case.hpp"
 
-#include <algorithm>
-#include <charconv>
-#include <optional>
-#include <string>
-#include <vector>
-
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <relidar/error.hpp>
-#include <relidar/measure/scene.hpp>
 #include <relidar/render.hpp>
-#include <relidar/run.hpp>
 #include <relidar/stages/config.hpp>
 
-#include "console.hpp"
-#include "options.hpp"
+#include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
-namespace {
 
-constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;   // a channel number has 16 bits
-constexpr float kFaintLogit = -2.19722458f;                // opacity 0.1
-constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;   // HDL-64E, as the kitti rays
-
-struct ImageSize {
-    long long rows = 0;
-    long long columns = 0;
-};
-
-bool parse_count(const std::string& text, long long& value) {
-    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-    return error == std::errc() && stop == text.data() + text.size() && value >= 1;
-}
-
-/// "64x1024"; nothing where the text is the name of a sensor.
-std::optional<ImageSize> parse_rays(const std::string& text) {
-    if (text == "waymo" || text == "kitti") return std::nullopt;
-    const std::vector<std::string> words = split(text, 'x');
-    ImageSize size;
-    if (words.size() != 2 || !parse_count(words[0], size.rows) || !parse_count(words[1], size.columns)) {
-        throw UsageError(fmt::format("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, as in 64x1024", text));
-    }
-    if (size.rows > kMaxRows || size.columns > kMaxRays / size.rows) {
-        throw UsageError(fmt::format("--rays: found {}, expected at most {} rows and {} rays", text, kMaxRows, kMaxRays));
-    }
-    return size;
-}
-
-/// The image model of the paper, as the streets are described; a run has its own.
-void apply(const BenchChoice& choice, Config& config) {
-    if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
-    if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
-    if (!choice.distortion.empty()) set_key(config, "loss.distortion", choice.distortion);
-    if (!choice.likelihood.empty()) set_key(config, "loss.likelihood", choice.likelihood);
-    if (choice.deterministic) config.train.deterministic = true;
-    if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
-}
-
-/// Place of a word among those of an option. @throws UsageError for another one
-std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
-    const auto found = std::find(words.begin(), words.end(), word);
-    if (found == words.end()) throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
-    return std::size_t(found - words.begin());
-}
-
-/// In the order of Proxy, of Walk and of HitOrder. @throws UsageError
-Proxy proxy_of(const BenchChoice& choice) {
-    return choice.proxy.empty() ? Proxy::automatic : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
-}
-Walk walk_of(const BenchChoice& choice) {
-    return choice.walk.empty() ? Walk::automatic : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
-}
-HitOrder order_of(const BenchChoice& choice) {
-    return choice.order.empty() ? HitOrder::automatic : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
-}
-
-BenchCase street_case(const BenchChoice& choice) {
+BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays) {
     BenchCase bench;
-    bench.name = "street " + choice.street;
-    const std::optional<ImageSize> size = parse_rays(choice.rays);
-    RayTable table = size ? make_benchmark_rays(static_cast<int>(size->rows), static_cast<int>(size->columns), kTop_deg, kBottom_deg)
-                          : make_benchmark_rays(choice.rays);
-    bench.rows = table.rows;
-    bench.columns = table.columns;
-    bench.view_origin_m = table.origin.front();
-    bench.rays = {to_vector(table.origin), to_vector(table.direction)};   // the street's world is the sensor's
-    Surfels surfels = make_benchmark_street(static_cast<std::uint32_t>(choice.n_surfels), 20261120, choice.street != "A");
-    if (choice.street == "C") surfels.opacity_logit.assign(surfels.size(), kFaintLogit);
+    bench.name = "benchmark street";
+    bench.rows = rays.rows;
+    bench.columns = rays.columns;
+    bench.view_origin_m = rays.origin.front();
+    bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};   // the street's world is the sensor's
+    const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
     bench.config = make_preset("paper");
     bench.placed.resize(1);
     return bench;
 }
 
-BenchCase run_case(const BenchChoice& choice) {
-    Run run = load_run(choice.run);
+BenchCase make_run_case(const Run& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each", choice.run));
+        throw DataError(
+            fmt::format("{}: a run without frames or surfels, expected at least one of each", run.folder.string()));
     const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
@@ -119,40 +48,8 @@ BenchCase run_case(const BenchChoice& choice) {
     }
     bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
     bench.scene = whole_scene(run.scene);
-    bench.config = std::move(run.config);
+    bench.config = run.config;
     return bench;
-}
-
-}  // namespace
-
-void check(const BenchChoice& choice) {
-    if (choice.street != "A" && choice.street != "B" && choice.street != "C")
-        throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
-    if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
-        throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
-    parse_rays(choice.rays);
-    Config unused;
-    apply(choice, unused);
-    proxy_of(choice), walk_of(choice), order_of(choice);
-}
-
-BenchCase make_case(const BenchChoice& choice) {
-    BenchCase bench = choice.run.empty() ? street_case(choice) : run_case(choice);
-    apply(choice, bench.config);
-    bench.proxy = proxy_of(choice);
-    bench.walk = walk_of(choice);
-    bench.order = order_of(choice);
-    bench.keeps_more_hits = choice.keep_hits.empty();
-    return bench;
-}
-
-AccelOptions accel_of(const BenchCase& bench) { return {.proxy = bench.proxy}; }
-
-TraceOptions trace_of(const BenchCase& bench) {
-    TraceOptions options = trace_options(bench.config);
-    options.walk = bench.walk;
-    options.order = bench.order;
-    return options;
 }
 
 }  // namespace relidar::cli

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar edit: a run with its actors removed, moved, retimed, copied, or joined by those of other runs, as a run of its own.
+// relidar edit: writes a run as another run with its actors removed, moved, retimed or copied,
+// with actors of other runs, or with surfels read from a PLY file.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -12,6 +13,7 @@
 #include "edit/edit_text.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
+#include <relidar/export.hpp>
 #include <relidar/run.hpp>
 
 namespace relidar::cli {
@@ -20,6 +22,7 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
+    std::string ply;                ///< surfels that replace those of the run; empty: none
     std::vector<TypedEdit> edits;   ///< in the order typed
     bool force = false;
     bool quiet = false;
@@ -60,13 +63,14 @@ std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
 }
 
 void run_edit(const EditOptions& options) {
-    if (options.edits.empty())
+    if (options.edits.empty() && options.ply.empty())
         throw UsageError(
-            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario or --keep (see `relidar edit "
-            "--help`)");
+            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario, --keep or --from-ply (see "
+            "`relidar edit --help`)");
     check_other_folder(options);
     const NewRun edited(options.out, options.force);
     Run run = load_run(options.run);
+    if (!options.ply.empty()) run.scene = read_surfel_ply(options.ply, whole_scene(run.scene), run.config.image.primitive);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
     const Sequence before = without_frames(driving.sequence);
@@ -88,7 +92,7 @@ void run_edit(const EditOptions& options) {
 }  // namespace
 
 void add_edit(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("edit", "remove, move, retime, copy and insert the actors of a run");
+    CLI::App* command = app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels back from a PLY");
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
@@ -102,6 +106,10 @@ void add_edit(CLI::App& app, Call& call) {
             ->allow_extra_args(false)
             ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
     }
+    command
+        ->add_option("--from-ply", options->ply,
+                     "before all edits, replace the surfels by those of a PLY file that `relidar export` wrote and another tool edited")
+        ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
@@ -129,6 +137,7 @@ void add_edit(CLI::App& app, Call& call) {
         "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
         "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10\n"
         "  relidar edit run --out parked --copy 0@12,3.5,ground\n"
+        "  relidar edit run --out cleaned --from-ply scene.ply\n"
         "  relidar edit run --out cut_in --scenario cut_in.xosc@Ego=-,Car1=0,Van=assets/van-0");
     command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar devices: every Vulkan device of the machine, what it has, which traversal relidar would use and why not ray query.
+// relidar list devices: every Vulkan device of the machine, what it has, which traversal relidar would use and why not ray query.
 #include <memory>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "command.hpp"
+#include "inspect/list.hpp"
 #include "console.hpp"
 #include <relidar/gpu.hpp>
 
@@ -53,11 +53,11 @@ void print_table(const std::vector<DeviceInfo>& devices) {
 
 }  // namespace
 
-void add_devices(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("devices", "list every Vulkan device, what it offers and which traversal relidar would use");
+void add_device_list(CLI::App& list, Call& call) {
+    CLI::App* command = list.add_subcommand("devices", "list every Vulkan device, what it offers and which traversal relidar would use");
     const auto json = std::make_shared<bool>(false);
     command->add_flag("--json", *json, "print JSON");
-    command->footer("The number in the first column is what --device takes.\nExample: relidar devices");
+    command->footer("The number in the first column is what --device takes.\nExample: relidar list devices");
     command->callback([&call, json] {
         call.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar sensors: the sensors that can be simulated, where their figures are from, and pictures of their patterns.
+// relidar list sensors: the sensors that can be simulated, where their figures are from, and pictures of their patterns.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -9,7 +9,7 @@
 
 #include <relidar/export.hpp>
 #include <relidar/sensor_files.hpp>
-#include "command.hpp"
+#include "inspect/list.hpp"
 #include "console.hpp"
 #include "evaluate/pictures.hpp"
 
@@ -104,8 +104,8 @@ void run_sensors(const SensorsOptions& options) {
 
 }  // namespace
 
-void add_sensors(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
+void add_sensor_list(CLI::App& list, Call& call) {
+    CLI::App* command = list.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
     const auto options = std::make_shared<SensorsOptions>();
     command->add_option("SENSOR", options->sensor, "a name, or a file (default: list all names)");
     command->add_option("--out", options->out, "picture of the pattern: azimuth by elevation, colour by firing time")
@@ -113,7 +113,8 @@ void add_sensors(CLI::App& app, Call& call) {
     command->add_option("--time", options->time_s, "of the scan, for a sensor whose rays differ from scan to scan (default: 0)")
         ->type_name("SECONDS");
     command->footer(std::string(kSensorFileHelp) +
-                    "\n\nExamples:\n  relidar sensors\n  relidar sensors OS1-128 --out pattern.png\n  relidar sensors metadata.json\n"
+                    "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
+                    "  relidar list sensors metadata.json\n"
                     "  relidar render run --out scans --sensor OS1-128:2048x10");
     command->callback([&call, options] { call.run = [options] { run_sensors(*options); }; });
 }

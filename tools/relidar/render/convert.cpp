@@ -51,7 +51,7 @@ void run_convert(const ConvertOptions& options) {
 }  // namespace
 
 void add_convert(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("convert", "write a log as a plain folder: npz, text and JSON that any tool can read");
+    CLI::App* command = app.add_subcommand("convert", "write a log as a plain folder: npz, text and JSON");
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log (path, or kind:path)")->required();
     command->add_option("--out", options->out, "folder to make")->required()->type_name("FOLDER");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar export and relidar import: the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, and back; the same at
-// the moments of frames, a file each; the path of its sensor as a trajectory.
+// relidar export: writes the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, or
+// one file for each frame, or the path of the sensor. relidar edit --from-ply reads the file back.
 #include <memory>
 #include <optional>
 
@@ -23,14 +23,6 @@ struct ExportOptions {
     std::string run;
     std::string out;
     std::optional<std::string> frames;
-    bool quiet = false;
-};
-
-struct ImportOptions {
-    std::string file;
-    std::string run;
-    std::string out;
-    bool force = false;
     bool quiet = false;
 };
 
@@ -88,20 +80,11 @@ void run_export(const ExportOptions& options) {
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
 
-void run_import(const ImportOptions& options) {
-    const NewRun imported(options.out, options.force);
-    Run run = load_run(options.run);
-    run.scene = read_surfel_ply(options.file, whole_scene(run.scene), run.config.image.primitive);
-    imported.save(run);
-    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), sizes(run.scene)));
-}
-
 }  // namespace
 
 void add_export(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand(
-        "export", "write the surfels of a run as PLY, in the layout of 3D Gaussian splatting, of all or a file a frame; or the path of its "
-                  "sensor as CSV");
+        "export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
     const auto options = std::make_shared<ExportOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_option("--out", options->out, "file to write: surfels, or the sensor's path; with --frames a folder")
@@ -116,9 +99,8 @@ void add_export(CLI::App& app, Call& call) {
     command->footer(
         "Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold hit_0..15, drop_0..15 and model, so "
         "that\n"
-        "`relidar import` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin, in the shape in "
-        "which\n"
-        "they rest. With --frames everything is where it is in the world; such files are not read back.\n"
+        "`relidar edit --from-ply` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin, in\n"
+        "the shape in which they rest. With --frames everything is where it is in the world; such files are not read back.\n"
         "The path is time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world, as render --trajectory and edit --trajectory read "
         "it.\n"
         "Examples:\n"
@@ -126,21 +108,6 @@ void add_export(CLI::App& app, Call& call) {
         "  relidar export run --out frames --frames 10:20\n"
         "  relidar export run --out trajectory.csv");
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
-}
-
-void add_import(CLI::App& app, Call& call) {
-    CLI::App* command =
-        app.add_subcommand("import", "make a run of a PLY file that `relidar export` wrote and another tool may have edited");
-    const auto options = std::make_shared<ImportOptions>();
-    command->add_option("FILE", options->file, "PLY file with the properties that `relidar export` writes")->required();
-    command->add_option("--run", options->run, "run it came from: settings, sensor, poses, boxes and names of models")
-        ->required()
-        ->type_name("RUN");
-    command->add_option("--out", options->out, "run folder to make")->required()->type_name("RUN2");
-    command->add_flag("--force", options->force, "overwrite the run in RUN2");
-    command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("Example: relidar import scene.ply --run run --out cleaned");
-    command->callback([&call, options] { call.run = [options] { run_import(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -422,7 +422,7 @@ void add_render(CLI::App& app, Call& call) {
         ->type_name("NAME");
     command
         ->add_option("--sensor", options->sensor,
-                     "another sensor: native (the log's), one of `relidar sensors`, or the file of a sensor or rig, see below")
+                     "another sensor: native (the log's), one of `relidar list sensors`, or the file of a sensor or rig, see below")
         ->type_name("NAME|FILE");
     command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
         ->type_name("WHAT")

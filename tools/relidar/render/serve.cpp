@@ -149,8 +149,7 @@ void add_serve(CLI::App& app, Call& call) {
         "  relidar serve run\n"
         "  relidar serve run --assets assets\n"
         "  relidar serve run --api sensorsim\n"
-        "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem\n"
-        "  relidar bench --serve 127.0.0.1:50051");
+        "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem");
     command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });
 }
 

@@ -403,7 +403,7 @@ void add_train(CLI::App& app, Call& call) {
         "long.\n"
         "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened, with the ray-drop\n"
         "network too. Settings refine.*, render.* and eval.* may be changed then; other refine.* train the network from the beginning.\n"
-        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar config` lists them.\n"
+        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar list settings` lists them.\n"
         "Examples:\n"
         "  relidar train data/street --out run --preset quick\n"
         "  relidar train --resume run\n"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a step of training costs on a trained run's own batches, kernel by kernel. Not installed.
+// Times training steps on a trained run's own batches, kernel by kernel.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What tests and `relidar bench` ask of a device, and what tests force upon it. Not installed.
+// Settings of a device that only tests change, and the validation messages that tests count.
 #pragma once
 
 #include <cstddef>
@@ -11,10 +11,6 @@ namespace relidar {
 
 /// Validation messages of severity warning or error that a device has seen so far (0 without validation).
 std::size_t validation_messages(const Device& device);
-
-/// Bytes a second that a copy on the device reads and writes together: the best of several copies of 256 MiB, so that no cache holds them,
-/// or of less where memory is short. Nothing where not even 1 MiB is left.
-std::optional<double> copy_bytes_per_s(Device& device);
 
 /// What is done in another way than suits the device.
 struct ForcedWays {

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar pipelines: compiles every pipeline of the program on a device and prints what the driver's compiler says of it.
+// relidar-dev pipelines: compiles every pipeline of the program on a device and prints what the driver's compiler says of it.
 #include <memory>
 #include <set>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include "command.hpp"
+#include "commands.hpp"
 #include "console.hpp"
 #include <relidar/gpu.hpp>
-#include <relidar/train.hpp>
+#include "train/compile_pipelines.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -28,7 +28,8 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
     return device.pipelines();
 }
 
-/// Those of the traversals asked for, of "both" those that the device has; each pipeline once.
+/// Compiles for the requested traversals; "both" means those that the device has. Lists each
+/// pipeline once.
 std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
@@ -80,13 +81,13 @@ void add_pipelines(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand(
         "pipelines", "compile every kernel as the program uses it and print what the device's compiler says: registers, spills, waves");
     const auto options = std::make_shared<PipelinesOptions>();
-    command->add_option("--device", options->device, "number of `relidar devices`");
+    command->add_option("--device", options->device, "number of `relidar list devices`");
     command->add_option("--traversal", options->traversal, "software, ray_query or both")
         ->check(CLI::IsMember({"software", "ray_query", "both"}));
     command->add_option("--kernel", options->kernel, "only kernels whose name contains this");
     command->add_flag("--tsv", options->tsv, "one line a pipeline, columns separated by tabs");
     command->footer(
-        "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar pipelines --kernel trace");
+        "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar-dev pipelines --kernel trace");
     command->callback([&call, options] { call.run = [options] { run(*options); }; });
 }
 

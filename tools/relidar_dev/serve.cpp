@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/serve.hpp"
+#include "serve.hpp"
 
 #include <fmt/format.h>
 
-#include "../../network/host_port.hpp"
-#include "../../serve/latency.hpp"
+#include "../network/host_port.hpp"
+#include "../serve/latency.hpp"
 #include "console.hpp"
 #include <relidar/error.hpp>
 

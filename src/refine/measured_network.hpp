@@ -1,18 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the ray-drop network and its dearest layer cost, for benchmarks and for looks at what compilers make of it. Not installed.
+// Times the ray-drop network and its most expensive layer, for benchmarks.
 #pragma once
 
 #include <cstdint>
 #include <memory>
-#include <string>
 
 #include <relidar/gpu.hpp>
 #include <relidar/refine.hpp>
 
 namespace relidar {
-
-/// Makes every pipeline that training and asking the options' network takes, and runs none of them.
-void compile_drop_network(Device& device, const RefineOptions& options);
 
 /// A convolution 3x3 of one image.
 struct ConvolutionSize {

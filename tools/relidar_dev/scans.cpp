@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/scans.hpp"
+#include "scans.hpp"
 
 #include <algorithm>
 #include <chrono>
@@ -9,7 +9,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "bench/measure.hpp"
+#include "measure.hpp"
 #include "interrupt.hpp"
 #include <relidar/error.hpp>
 #include <relidar/render.hpp>
@@ -126,7 +126,7 @@ std::string scans_text(const ScanTimes& t) {
 }
 
 std::string scans_json(const ScanTimes& t, const Device& device, const std::string& command_line) {
-    const nlohmann::ordered_json json = {{"format", "relidar bench scans"}, {"version", 1},
+    const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"}, {"version", 1},
                                          {"relidar", RELIDAR_VERSION},      {"command", command_line},
                                          {"device", device.info().name},    {"sensor", t.sensor},
                                          {"scans", t.n_scans},              {"together", t.together},

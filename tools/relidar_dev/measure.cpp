@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/measure.hpp"
+#include "measure.hpp"
 
 #include <algorithm>
 #include <chrono>
@@ -13,11 +13,12 @@
 
 #include <fmt/format.h>
 
-#include "bench/case.hpp"
+#include "bench/training_step.hpp"
+#include "dev_case.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include <relidar/error.hpp>
-#include <relidar/measure/forward.hpp>
+#include "forward/count_visits.hpp"
 #include <relidar/stages/differentiable_renderer.hpp>
 #include <relidar/stages/loss.hpp>
 #include <relidar/stages/optimizer.hpp>
@@ -47,28 +48,13 @@ std::string row_of(const std::string& kernel, const std::string& phase) {
     return kernel;
 }
 
-/// What was rendered, with uniform noise: no gradient of the L1 terms is zero. Rays that met little are dropped ones.
-std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth) {
-    constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
-    std::mt19937 random(1);
-    const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
-    std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
-    for (std::size_t i = 0; i < targets.size(); ++i) {
-        if (!(rendering.weight[i] > kSolid)) continue;
-        const float range_m = rendering.depth[i] / (normalised_depth ? rendering.weight[i] : 1.0f);
-        targets[i].range_m = std::max(range_m + kRangeNoise_m * noise(), 0.01f);
-        targets[i].intensity = rendering.intensity[i] + kIntensityNoise * noise();
-    }
-    return targets;
-}
-
-RendererOptions renderer_options(const BenchCase& bench) {
+RendererOptions renderer_options(const DevCase& bench) {
     return {.accel = accel_of(bench),
             .trace = trace_of(bench),
             .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
 }
 
-RendererOptions training_options(const BenchCase& bench, std::uint32_t keep_hits) {
+RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) {
     RendererOptions options = renderer_options(bench);
     options.trace = training_trace_options(bench.config);
     options.trace.walk = bench.walk;
@@ -78,7 +64,7 @@ RendererOptions training_options(const BenchCase& bench, std::uint32_t keep_hits
 }
 
 /// Hits of a ray that a training keeps in the end.
-std::uint32_t hits_to_keep(const BenchCase& bench, const std::vector<std::uint32_t>& hits) {
+std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
         const auto n_overfull = std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
@@ -89,46 +75,8 @@ std::uint32_t hits_to_keep(const BenchCase& bench, const std::vector<std::uint32
     return keep;
 }
 
-/// What one step of training runs.
-struct TrainingStep {
-    DifferentiableRenderer renderer;
-    ImageLoss loss;
-    std::optional<GeometryLoss> geometry_loss;   ///< where the case has its terms
-    Adam adam;
-    Array<DeviceTarget> targets;
-    Array<float> terms;
-    double n_returned = 0.0;
-    int step = 0;
-
-    TrainingStep(Device& device, const BenchCase& bench, std::uint32_t keep_hits, const std::vector<DeviceTarget>& wanted)
-        : renderer(device, bench.scene, bench.config.image, training_options(bench, keep_hits),
-                   {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam takes the others for zero
-          loss(device, bench.config.loss),
-          adam(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},
-               renderer.scene().parameters().parameters()),
-          targets(device, std::span<const DeviceTarget>(wanted), "targets"),
-          terms(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
-        for (const DeviceTarget& target : wanted) n_returned += target.range_m > 0.0f;
-        if (renderer.batch().geometry) geometry_loss.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
-    }
-
-    void run(const RayBatch& rays) {
-        constexpr LearningRates kStandStill{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
-        Stream& stream = renderer.stream();
-        const std::uint32_t columns = std::max(rays.columns, 1u);
-        const ImageShape image{rays.n_rays / columns, columns, false};
-        const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned, static_cast<double>(rays.n_rays), image};
-        loss.compare(stream, renderer.batch(), measured, terms);
-        if (geometry_loss) geometry_loss->compare(stream, renderer.batch(), measured, terms);
-        renderer.record_backward();
-        const Gradients& gradients = renderer.gradients();
-        adam.step(stream, renderer.scene().parameters(), gradients.surfels, &gradients.touched, kStandStill, ++step,
-                  renderer.model().sh_degree);
-    }
-};
-
 /// Memory of the parts of a case, each made once for it.
-BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool training) {
+BenchMemory memory_of_parts(Device& device, const DevCase& bench, bool training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
     };
@@ -146,7 +94,7 @@ BenchMemory memory_of_parts(Device& device, const BenchCase& bench, bool trainin
 
 class Bench {
 public:
-    Bench(Device& device, const BenchCase& bench)
+    Bench(Device& device, const DevCase& bench)
         : device_(device),
           case_(bench),
           allocated_before_(device.allocated_bytes()),
@@ -169,7 +117,8 @@ public:
         }
         if (!training) return;
         image_.reset();
-        training_ = std::make_unique<TrainingStep>(device_, case_, keep, noisy_targets(rendering, case_.config.loss.normalised_depth));
+        training_ = std::make_unique<TrainingStep>(device_, case_, training_options(case_, keep),
+                                                   noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// One repetition: rebuild, a whole iteration, an instance moved and put back.
@@ -182,7 +131,11 @@ public:
         const Clock::time_point start = Clock::now();
         r.place(case_.placed, case_.view_origin_m);
         r.record_forward(batch());
-        if (training_) training_->run(batch());
+        if (training_) {
+            training_->compare(batch());
+            training_->renderer.record_backward();
+            training_->optimise();
+        }
         stream.finish();
         phases_["iteration_wall"].push_back(ms_since(start));
         take("iteration", kernels_);
@@ -217,7 +170,7 @@ public:
 
 private:
     Device& device_;
-    const BenchCase& case_;
+    const DevCase& case_;
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
     BenchMemory memory_;   ///< of the parts
@@ -326,7 +279,7 @@ Spread spread_of(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
-BenchResult measure(Device& device, const BenchCase& bench_case, const BenchSettings& settings) {
+BenchResult measure(Device& device, const DevCase& bench_case, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
     Progress(settings.quiet).show("warming up");
     Bench bench(device, bench_case);

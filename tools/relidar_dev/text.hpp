@@ -10,14 +10,14 @@ class Device;
 
 namespace relidar::cli {
 
-struct BenchCase;
+struct DevCase;
 struct BenchResult;
 struct BenchSettings;
 
-std::string bench_text(const BenchCase& bench, const BenchResult& result, const Device& device);
+std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device);
 
 /// @param command_line  as typed
-std::string bench_json(const BenchCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device,
+std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device,
                        const std::string& command_line);
 
 }  // namespace relidar::cli

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scenes that benchmarks and tests measure on. Not installed.
+// The street that benchmarks and tests measure on.
 #pragma once
 
 #include <cstdint>

@@ -2,7 +2,7 @@
 // The benchmark street: a deterministic synthetic scene of surfels (docs/method.md section 2) and its sensor, the same numbers as
 // ../shared/bench/scene_gen.py draws with numpy. The random stream is numpy's legacy RandomState: MT19937 seeded by one integer,
 // 53-bit uniforms, the polar method for normals, keeping the second of each pair for the next call. Draws follow the script's order.
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 
 #include <algorithm>
 #include <array>

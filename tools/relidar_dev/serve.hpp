@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar bench --serve`: how long clients of a running service wait.
+// `relidar-dev bench --serve`: how long clients of a running service wait.
 #pragma once
 
 #include <string>

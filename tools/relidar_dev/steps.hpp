@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar bench --run RUN --steps N`: a training step on the run's own batches, and the time between its kernels.
+// `relidar-dev bench --run RUN --steps N`: a training step on the run's own batches, and the time between its kernels.
 #pragma once
 
 #include <string>
 
-#include <relidar/measure/train.hpp>
+#include "train/time_steps.hpp"
 
 namespace relidar::cli {
 

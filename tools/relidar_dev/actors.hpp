@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "bench/measure.hpp"
+#include "measure.hpp"
 
 namespace relidar::cli {
 

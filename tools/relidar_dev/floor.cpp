@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/floor.hpp"
+#include "floor.hpp"
 
 #include <algorithm>
 #include <bit>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the software traversal costs, for benchmarks. Not installed.
+// Counts what the software traversal visits, for benchmarks.
 #pragma once
 
 #include <optional>
@@ -14,8 +14,9 @@ struct VisitCounts {
     double nodes = 0.0;     ///< nodes opened, of the top tree too
     double surfels = 0.0;   ///< surfels tested
 };
-/// Counts by rendering a batch once more. The scene must have been activated and accel updated, and both submitted. Blocks; at most
-/// 2^32 visits. @return nothing where the device traverses by ray query: its driver does not say
+/// Renders a batch again and counts the visits, at most 2^32. The scene must be activated, accel
+/// updated, and both submitted. Blocks.
+/// @return nothing if the device traverses by ray query, because the driver reports no visits
 std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
                                         const ImageModel& model, const TraceOptions& options);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/actors.hpp"
+#include "actors.hpp"
 
 #include <algorithm>
 #include <chrono>
@@ -8,13 +8,13 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "bench/case.hpp"
-#include "bench/measure.hpp"
+#include "dev_case.hpp"
+#include "measure.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include <relidar/error.hpp>
 #include <relidar/stages/accel.hpp>
-#include <relidar/measure/scene.hpp>
+#include "scene/benchmark_street.hpp"
 #include <relidar/stages/scene.hpp>
 
 namespace relidar::cli {
@@ -54,8 +54,8 @@ std::vector<InstancePose> poses_at(int n_actors, int step) {
     return placed;
 }
 
-BenchCase case_of_actors(int n_actors, bool own_models) {
-    BenchCase bench;
+DevCase case_of_actors(int n_actors, bool own_models) {
+    DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
     const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
@@ -68,7 +68,7 @@ BenchCase case_of_actors(int n_actors, bool own_models) {
     return bench;
 }
 
-void measure_moves(Device& device, const BenchCase& bench, int repeat, ActorTimes& times) {
+void measure_moves(Device& device, const DevCase& bench, int repeat, ActorTimes& times) {
     constexpr int kWarmUp = 3;
     DeviceScene on_device(device, bench.scene);
     Accel accel(device, on_device, accel_of(bench));
@@ -107,7 +107,7 @@ std::string milliseconds(const Spread& spread) { return fmt::format("{:.2f}", sp
 std::uint64_t ActorTimes::n_surfels() const { return std::uint64_t(own_models ? n_actors : 1) * kActorSurfels; }
 
 ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const BenchSettings& settings) {
-    const BenchCase bench = case_of_actors(n_actors, own_models);
+    const DevCase bench = case_of_actors(n_actors, own_models);
     ActorTimes times{.n_actors = n_actors, .own_models = own_models};
     measure_moves(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
@@ -132,7 +132,7 @@ std::string actors_text(const std::vector<ActorTimes>& times) {
 
 std::string actors_json(const std::vector<ActorTimes>& times, const Device& device, const std::string& command_line) {
     const auto json_of = [](const Spread& s) { return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}}; };
-    nlohmann::ordered_json json = {{"format", "relidar bench actors"}, {"version", 2},
+    nlohmann::ordered_json json = {{"format", "relidar-dev bench actors"}, {"version", 2},
                                    {"relidar", RELIDAR_VERSION},       {"command", command_line},
                                    {"device", device.info().name},     {"actors", nlohmann::ordered_json::array()}};
     for (const ActorTimes& t : times)

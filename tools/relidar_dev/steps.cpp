@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/steps.hpp"
+#include "steps.hpp"
 
 #include <algorithm>
 #include <utility>
@@ -41,7 +41,7 @@ std::string steps_text(const StepTimes& t, const Device& device) {
 std::string steps_json(const StepTimes& t, const Device& device, const std::string& command_line) {
     nlohmann::ordered_json kernels = nlohmann::ordered_json::object();
     for (const auto& [name, kernel] : t.kernels) kernels[name] = {{"launches", kernel.launches}, {"ms", kernel.ms}};
-    const nlohmann::ordered_json json = {{"format", "relidar bench steps"}, {"version", 1},
+    const nlohmann::ordered_json json = {{"format", "relidar-dev bench steps"}, {"version", 1},
                                          {"relidar", RELIDAR_VERSION},      {"command", command_line},
                                          {"device", device.info().name},    {"steps", t.n_steps},
                                          {"surfels", t.surfels},            {"rays", t.rays},

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bench/text.hpp"
+#include "text.hpp"
 
 #include <algorithm>
 #include <map>
@@ -7,8 +7,8 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "bench/case.hpp"
-#include "bench/measure.hpp"
+#include "dev_case.hpp"
+#include "measure.hpp"
 #include "console.hpp"
 #include <relidar/gpu.hpp>
 
@@ -26,16 +26,16 @@ std::string phase_text(const std::string& phase, bool training) {
     return "move of one instance";
 }
 
-std::string walk_name(const BenchCase& bench) {
+std::string walk_name(const DevCase& bench) {
     return bench.walk == Walk::lane ? "lane" : bench.walk == Walk::subgroup ? "subgroup" : "automatic";
 }
 
 std::string traversal_of(const Device& device) { return device.traversal() == Traversal::software ? "software" : "ray_query"; }
 /// What there is to choose about a traversal.
-std::string search_of(const Device& device, const BenchCase& bench, const BenchResult& result) {
+std::string search_of(const Device& device, const DevCase& bench, const BenchResult& result) {
     return device.traversal() == Traversal::software ? "walk " + walk_name(bench) : "proxy " + result.proxy;
 }
-std::string sh_of(const BenchCase& bench) { return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel"; }
+std::string sh_of(const DevCase& bench) { return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel"; }
 std::string reduction_of(const BenchResult& result) { return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics"; }
 std::uint64_t surfel_bytes(const BenchMemory& m) { return m.scene + m.accel + m.training; }
 
@@ -113,7 +113,7 @@ Json memory_json(const BenchMemory& m, std::size_t n_surfels, std::size_t n_rays
 
 }  // namespace
 
-std::string bench_text(const BenchCase& bench, const BenchResult& result, const Device& device) {
+std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device) {
     std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench.name, bench.scene.surfels.size(),
                                    bench.rays.size(), bench.rows, bench.columns);
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}", device.info().name,
@@ -140,10 +140,10 @@ std::string bench_text(const BenchCase& bench, const BenchResult& result, const 
     return text + floor_text(result) + memory_text(result.memory, bench.scene.surfels.size(), bench.rays.size());
 }
 
-std::string bench_json(const BenchCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device,
+std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device,
                        const std::string& command_line) {
     const DeviceInfo& info = device.info();
-    Json json = {{"format", "relidar bench"},
+    Json json = {{"format", "relidar-dev bench"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
                  {"command", command_line},

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract made visible for its conformance tests (shaders/traversal/README.md). Not installed.
+// The traversal contract made visible for its conformance tests (shaders/traversal/README.md).
 #pragma once
 
 #include <cstdint>

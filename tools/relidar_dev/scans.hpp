@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar bench --run RUN --scans N`: scans a second that a simulation gets from a run, poses in, scans out.
+// `relidar-dev bench --run RUN --scans N`: scans a second that a simulation gets from a run, poses in, scans out.
 #pragma once
 
 #include <string>
@@ -11,10 +11,10 @@ class Device;
 namespace relidar::cli {
 
 struct ScanBench {
-    int n_scans = 0;          ///< 0: not asked for
-    std::string run, sensor;  ///< one of `relidar sensors`, or the file of a rig; empty: the log's own
-    int together = 0;         ///< so many scans go to the device at once; 0: one, or all of a rig
-    bool sampled = false;     ///< drawn by seeds, instead of the likeliest
+    int n_scans = 0;          ///< 0: no scans are timed
+    std::string run, sensor;  ///< sensor: a name of `relidar list sensors` or the file of a rig; empty: the log's sensor
+    int together = 0;         ///< number of scans that are submitted together; 0: one, or all of a rig
+    bool sampled = false;     ///< drawn by seeds instead of the likeliest
 };
 
 struct ScanTimes {

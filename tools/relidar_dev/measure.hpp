@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "bench/floor.hpp"
+#include "floor.hpp"
 
 namespace relidar {
 class Device;
@@ -16,7 +16,7 @@ class Device;
 
 namespace relidar::cli {
 
-struct BenchCase;
+struct DevCase;
 
 /// Milliseconds over the repetitions.
 struct Spread {
@@ -74,6 +74,6 @@ struct BenchSettings {
 
 /// Warms up, then measures. Learning rates are 0, so that every repetition sees the same scene.
 /// @throws DeviceError where a ray reaches the cap of passes
-BenchResult measure(Device& device, const BenchCase& bench, const BenchSettings& settings);
+BenchResult measure(Device& device, const DevCase& bench, const BenchSettings& settings);
 
 }  // namespace relidar::cli

@@ -1,0 +1,83 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+#
+# relidar-dev on a tiny synthetic street: every measurement that developers of relidar take, and bad input.
+#
+#   dev_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER
+#
+# Exits 77 (skipped) if there is no Vulkan device, or fails if RELIDAR_REQUIRE_GPU=1.
+set -uo pipefail
+usage="usage: dev_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER"
+program=$(realpath "${1:?$usage}") relidar=$(realpath "${2:?$usage}")
+tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
+work=${3:?$usage}
+rm -rf "$work" && mkdir -p "$work" && cd "$work" || exit 1
+source "$tests/checks.sh"
+
+good --help
+for command in bench pipelines; do says "^  $command "; done
+bad 2 'scene: found "D", expected A, B or C' bench --scene D
+bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
+bad 2 'surfels: found "many", expected an integer' bench --surfels many
+bad 2 'rays: found "64x", expected waymo, kitti or' bench --rays 64x
+bad 2 'rays: found 20000x20000, expected at most' bench --rays 20000x20000
+bad 2 'trace.chunk: found "65"' bench --chunk 65
+bad 2 '--proxy: found "cube", expected one of auto, triangles, boxes' bench --proxy cube
+bad 2 'sh_direction: found "normal"' bench --sh normal
+bad 2 'trace.keep_hits: found "-1"' bench --keep-hits -1
+bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
+bad 2 'actors: found "x"' bench --actors x
+bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
+bad 2 'steps: found no --run beside it' bench --steps 3
+bad 2 'steps: found --scans beside it' bench --run none --steps 3 --scans 3
+bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
+bad 2 "command train: unknown" train street
+if ! "$program" list devices >/dev/null 2>&1; then
+    [[ ${RELIDAR_REQUIRE_GPU:-0} != 1 ]] || fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"
+    skipped=1
+    finish_checks
+fi
+
+mkdir street
+printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
+check "no run to measure" "$program" train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
+    --set train.iterations=6 --set dataset.test_every=5 --no-eval --quiet
+good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
+for kernel in scene/activate accel/build accel/refit forward/trace backward/trace optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
+says "^floors    bytes that must move once, at the [0-9.]+ GB/s of a copy"
+says "^forward +[0-9.]+ Mrays/s, 0\.[0-9]+ blended hits a ray"
+exists numbers/bench.json
+for key in forward_mrays_per_s backward_mrays_per_s hits_per_ray bytes_per_surfel accel_bytes_per_surfel copy_bytes_per_s median_over_floor; do
+    check "bench.json lacks $key" grep -Eq "\"$key\": [0-9]*[1-9.]" numbers/bench.json
+done
+# By hand: 2000 surfels of 58 floats, of which 3 arrays are read and written, and a mark each; gradients of those that have one; records of
+# 64 B from 40 B and 3 x 16 harmonics; 1024 rays of 36 B rendered, 12 B measured and 20 B of gradients.
+with_gradient=$(sed -n 's/.*"surfels_with_gradient": \([0-9]*\).*/\1/p' numbers/bench.json)
+check "bench.json: no surfel has a gradient, or more than there are" test "$with_gradient" -gt 0 -a "$with_gradient" -le 2000
+for floor in "optimizer/adam\": $((2000 * (6 * 232 + 4) + with_gradient * 232))" "scene/activate\": 592000" "loss/image_loss\": 69632"; do
+    check "bench.json: other bytes than $floor" grep -Eq "\"$floor(\.0)?,?$" numbers/bench.json
+done
+good bench --surfels 2000 --rays 16x64 --repeat 1 --deterministic --keep-hits 0 --json gather.json
+for kernel in backward/sort backward/gather; do says "^$kernel +[0-9.]+"; done
+check "bench --deterministic does not gather" grep -q '"reduction": "gather"' gather.json
+check "bench --keep-hits 0 keeps hits" grep -q '"keep_hits": 0' gather.json
+good bench --run run --no-backward --repeat 1 --json render.json --quiet
+check "bench --quiet prints" test ! -s out -a ! -s err
+check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json
+check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
+good bench --run run --steps 2 --json steps.json
+says "^forward/trace +1 +[0-9.]+ +[0-9.]+%$"
+says "^between kernels +-?[0-9.]+ +-?[0-9.]+%$"
+says "^step, wall time +[0-9.]+ +100.0%$"
+check "steps.json: other batches than the run's" grep -q '"rays": 768' steps.json
+bad 2 "steps: found 501, expected 1 to 500" bench --run run --steps 501
+bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
+good bench --actors 1,3 --repeat 2 --json actors.json
+says "^ +3 +one +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+says "^ +3 +own +3000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
+check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 4
+absent lost.json
+good pipelines --traversal software --kernel optimizer/adam --tsv
+says "^kernel	constants	workgroup"
+says "^optimizer/adam	"
+finish_checks

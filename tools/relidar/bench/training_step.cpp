@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/training_step.hpp"
+
+#include <algorithm>
+#include <random>
+
+#include <relidar/stages/config.hpp>
+
+#include "bench/case.hpp"
+
+namespace relidar::cli {
+
+std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth) {
+    constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
+    std::mt19937 random(1);
+    const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
+    std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
+    for (std::size_t i = 0; i < targets.size(); ++i) {
+        if (!(rendering.weight[i] > kSolid)) continue;
+        const float range_m = rendering.depth[i] / (normalised_depth ? rendering.weight[i] : 1.0f);
+        targets[i].range_m = std::max(range_m + kRangeNoise_m * noise(), 0.01f);
+        targets[i].intensity = rendering.intensity[i] + kIntensityNoise * noise();
+    }
+    return targets;
+}
+
+TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
+                           const std::vector<DeviceTarget>& wanted)
+    : renderer(device, bench.scene, bench.config.image, options,
+               {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam skips the surfels without gradient
+      targets(device, std::span<const DeviceTarget>(wanted), "targets"),
+      loss_(device, bench.config.loss),
+      adam_(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},
+            renderer.scene().parameters().parameters()),
+      terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
+    for (const DeviceTarget& target : wanted) n_returned_ += target.range_m > 0.0f;
+    if (renderer.batch().geometry) geometry_loss_.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
+}
+
+void TrainingStep::compare(const RayBatch& rays) {
+    const std::uint32_t columns = std::max(rays.columns, 1u);
+    const ImageShape image{rays.n_rays / columns, columns, false};
+    const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays), image};
+    loss_.compare(renderer.stream(), renderer.batch(), measured, terms_);
+    if (geometry_loss_) geometry_loss_->compare(renderer.stream(), renderer.batch(), measured, terms_);
+}
+
+void TrainingStep::optimise() {
+    constexpr LearningRates kNone{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
+    const Gradients& gradients = renderer.gradients();
+    adam_.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, kNone, ++step_,
+               renderer.model().sh_degree);
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "program.hpp"
+
+#include <cstdio>
+#include <exception>
+#include <filesystem>
+#include <new>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "console.hpp"
+#include "freed_memory.hpp"
+#include "usage.hpp"
+
+namespace relidar::cli {
+namespace {
+
+std::string command_line_text(const std::string& name, int argc, char** argv) {
+    std::string text = name;
+    for (int i = 1; i < argc; ++i) text += fmt::format(" {}", shell_word(argv[i]));
+    return text;
+}
+
+void flush_output() {
+    if (std::fflush(stdout) != 0 || std::ferror(stdout)) throw DataError("writing to standard output: it cannot take all of the text");
+}
+
+/// The help of the program: a line for each command, so that it fits on one screen.
+std::string program_help(const CLI::App& app) {
+    std::string text =
+        fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n", app.get_description(), app.get_name());
+    for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
+        text += fmt::format("  {:<9} {}\n", command->get_name(), command->get_description());
+    return text + "\n" + app.get_footer() + "\n";
+}
+
+void run(const Program& program, int argc, char** argv) {
+    CLI::App app(program.description, program.name);
+    Call call{command_line_text(program.name, argc, argv), {}};
+    app.set_version_flag("--version", fmt::format("{} {}", program.name, RELIDAR_VERSION));
+    app.require_subcommand(0, 1);
+    app.footer(program.footer);
+    program.add_commands(app, call);
+    app.formatter_fn([](const CLI::App* shown, std::string, CLI::AppFormatMode) { return program_help(*shown); });
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::Success& help) {
+        app.exit(help);   // prints it
+        return flush_output();
+    } catch (const CLI::ParseError& error) {
+        throw UsageError(usage_message(app, error.what()));
+    }
+    if (!call.run) throw UsageError(fmt::format("found no command, expected one; `{} --help` lists them", program.name));
+    call.run();
+    flush_output();
+}
+
+}  // namespace
+
+int run_program(const Program& program, int argc, char** argv) {
+    const auto report = [&](ExitCode code, const std::string& message) {
+        end_progress_line();
+        std::fputs(fmt::format("{}: {}\n", program.name, one_line(message)).c_str(), stderr);
+        return static_cast<int>(code);
+    };
+    keep_freed_memory();
+    try {
+        run(program, argc, argv);
+        return static_cast<int>(ExitCode::ok);
+    } catch (const Error& error) {
+        return report(error.code(), error.what());
+    } catch (const std::bad_alloc&) {
+        return report(ExitCode::data,
+                      "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames a:b) or larger voxels (--set "
+                      "init.voxel_m=...)");
+    } catch (const std::filesystem::filesystem_error& error) {   // what the system refuses is no fault of ours
+        return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
+    } catch (const std::exception& error) {
+        return report(ExitCode::bug, std::string("a fault of relidar itself: ") + error.what());
+    } catch (...) {
+        return report(ExitCode::bug, "a fault of relidar itself: an unknown exception");
+    }
+}
+
+}  // namespace relidar::cli

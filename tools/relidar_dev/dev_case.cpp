@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "dev_case.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/error.hpp>
+#include "scene/benchmark_street.hpp"
+#include <relidar/render.hpp>
+#include <relidar/run.hpp>
+#include <relidar/stages/config.hpp>
+
+#include "console.hpp"
+#include "options.hpp"
+
+namespace relidar::cli {
+namespace {
+
+constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;   // a channel number has 16 bits
+constexpr float kFaintLogit = -2.19722458f;                // opacity 0.1
+constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;   // HDL-64E, as the kitti rays
+
+struct ImageSize {
+    long long rows = 0;
+    long long columns = 0;
+};
+
+bool parse_count(const std::string& text, long long& value) {
+    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    return error == std::errc() && stop == text.data() + text.size() && value >= 1;
+}
+
+/// "64x1024"; nothing where the text is the name of a sensor.
+std::optional<ImageSize> parse_rays(const std::string& text) {
+    if (text == "waymo" || text == "kitti") return std::nullopt;
+    const std::vector<std::string> words = split(text, 'x');
+    ImageSize size;
+    if (words.size() != 2 || !parse_count(words[0], size.rows) || !parse_count(words[1], size.columns)) {
+        throw UsageError(fmt::format("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, as in 64x1024", text));
+    }
+    if (size.rows > kMaxRows || size.columns > kMaxRays / size.rows) {
+        throw UsageError(fmt::format("--rays: found {}, expected at most {} rows and {} rays", text, kMaxRows, kMaxRays));
+    }
+    return size;
+}
+
+/// The image model of the paper, as the streets are described; a run has its own.
+void apply(const BenchChoice& choice, Config& config) {
+    if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
+    if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
+    if (!choice.distortion.empty()) set_key(config, "loss.distortion", choice.distortion);
+    if (!choice.likelihood.empty()) set_key(config, "loss.likelihood", choice.likelihood);
+    if (choice.deterministic) config.train.deterministic = true;
+    if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
+}
+
+/// Place of a word among those of an option. @throws UsageError for another one
+std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
+    const auto found = std::find(words.begin(), words.end(), word);
+    if (found == words.end()) throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
+    return std::size_t(found - words.begin());
+}
+
+/// In the order of Proxy, of Walk and of HitOrder. @throws UsageError
+Proxy proxy_of(const BenchChoice& choice) {
+    return choice.proxy.empty() ? Proxy::automatic : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
+}
+Walk walk_of(const BenchChoice& choice) {
+    return choice.walk.empty() ? Walk::automatic : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
+}
+HitOrder order_of(const BenchChoice& choice) {
+    return choice.order.empty() ? HitOrder::automatic : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
+}
+
+DevCase street_case(const BenchChoice& choice) {
+    const std::optional<ImageSize> size = parse_rays(choice.rays);
+    const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows), static_cast<int>(size->columns), kTop_deg, kBottom_deg)
+                               : make_benchmark_rays(choice.rays);
+    DevCase bench{make_street_case(static_cast<std::uint32_t>(choice.n_surfels), choice.street != "A", rays)};
+    bench.name = "street " + choice.street;
+    if (choice.street == "C") bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
+    return bench;
+}
+
+}  // namespace
+
+void check(const BenchChoice& choice) {
+    if (choice.street != "A" && choice.street != "B" && choice.street != "C")
+        throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
+    if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
+        throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
+    parse_rays(choice.rays);
+    Config unused;
+    apply(choice, unused);
+    proxy_of(choice), walk_of(choice), order_of(choice);
+}
+
+DevCase make_case(const BenchChoice& choice) {
+    DevCase bench = choice.run.empty() ? street_case(choice) : DevCase{make_run_case(load_run(choice.run))};
+    apply(choice, bench.config);
+    bench.proxy = proxy_of(choice);
+    bench.walk = walk_of(choice);
+    bench.order = order_of(choice);
+    bench.keeps_more_hits = choice.keep_hits.empty();
+    return bench;
+}
+
+AccelOptions accel_of(const DevCase& bench) { return {.proxy = bench.proxy}; }
+
+TraceOptions trace_of(const DevCase& bench) {
+    TraceOptions options = trace_options(bench.config);
+    options.walk = bench.walk;
+    options.order = bench.order;
+    return options;
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: Apache-2.0
+// Replaces serve.cpp in a build without gRPC.
+#include "serve.hpp"
+
+#include <relidar/error.hpp>
+
+namespace relidar::cli {
+
+void bench_service(const ServeBench&) {
+    throw UsageError("--serve: this program was built without gRPC, expected one with it: `tools/dev/setup --serve`, then build again");
+}
+
+}  // namespace relidar::cli
