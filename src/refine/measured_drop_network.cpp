@@ -14,7 +14,7 @@ namespace {
 std::vector<DropImage> noise(const RefineOptions& options, int rows, int columns) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     std::mt19937 random(1);
-    std::vector<DropImage> images(std::size_t(options.batch), {rows, columns, std::vector<float>(drop_channel_names(options).size() * n),
+    std::vector<DropImage> images(std::size_t(refine::batch_of(options)), {rows, columns, std::vector<float>(drop_channel_names(options).size() * n),
                                                                std::vector<float>(n)});
     for (DropImage& image : images) {
         for (float& x : image.channels) x = float(random() % 1024) / 512.0f - 1.0f;
