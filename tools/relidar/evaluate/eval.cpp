@@ -257,7 +257,9 @@ void add_eval(CLI::App& app, Call& call) {
         ->allow_extra_args(false);
     command->footer(
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
-        "The variable RELIDAR_LPIPS_WEIGHTS names a file with the weights of LPIPS (tools/lpips_weights makes it); without it there is no LPIPS.\nMetrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
+        "The variable RELIDAR_LPIPS_WEIGHTS names a file with the weights of LPIPS (tools/lpips_weights makes it); without it there is no "
+        "LPIPS.\n"
+        "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
         "the names.\n"
         "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they "
         "change);\n"

@@ -196,7 +196,8 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     write_text(run.folder / "metrics.json",
-               metrics_json(evaluation, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+               metrics_json(evaluation, run.config,
+                            {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
 }
 
