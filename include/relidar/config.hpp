@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every choice of a run, one field each, so that each ablation of the paper is one `--set`. Keys are the field names below,
-// joined by a dot: `loss.depth`, `init.voxel_m`.
+// joined by a dot: `loss.depth`, `init.voxel_m`. A field that `relidar list settings --all` does not list is a constant: the preset sets
+// it, and a run with another value cannot be saved.
 #pragma once
 
 #include <cstdint>
@@ -109,11 +110,6 @@ struct RenderConfig {
     bool operator==(const RenderConfig&) const = default;
 };
 
-struct EvalConfig {
-    std::string lpips_weights;          ///< safetensors file; empty = no LPIPS
-    bool operator==(const EvalConfig&) const = default;
-};
-
 struct TraceConfig {
     int chunk = 16;
     /// hits a ray that the forward pass keeps for the backward pass, at first: doubled up to 256 while any ray has more;
@@ -123,7 +119,7 @@ struct TraceConfig {
 };
 
 struct Config {
-    std::string preset = "default";
+    std::string preset = "paper";
     DatasetConfig dataset;
     SensorConfig sensor;
     InitialiseOptions init;
@@ -134,7 +130,6 @@ struct Config {
     DensifyOptions densify;
     RefineOptions refine;
     RenderConfig render;
-    EvalConfig eval;
     TraceConfig trace;
 
     /// Whether a loss compares neighbouring pixels: steps then see windows of columns in the place of groups of columns from all around.

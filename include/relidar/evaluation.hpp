@@ -97,6 +97,8 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
                              const Progress& progress = {}, const SeeFrame& see = {});
 
 /// Reads the weights of LPIPS, where some are named, to notice a wrong file before the long work. @throws DataError as read_lpips_weights
-void check_lpips_weights(const Config& config);
+void check_lpips_weights();
+/// Path of the file with the weights of LPIPS, from the variable RELIDAR_LPIPS_WEIGHTS. Empty: scores have no LPIPS.
+std::string lpips_weights_file();
 
 }  // namespace relidar

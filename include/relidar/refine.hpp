@@ -27,7 +27,7 @@ struct RefineOptions {
     std::string rays = "direction";  ///< its inputs about rays: "none", "direction" (its elevation) or "origin,direction"
     int frames = 64;                 ///< training frames that it learns from at most, spread over all; 0: all
     int epochs = 4;                  ///< each of them is seen so often
-    int batch = 1;                   ///< images a step
+    int batch = 0;                   ///< images in a training step; 0: the network's own number
     double rate = 2e-3;              ///< Adam's, at the start; it falls to a hundredth
     bool operator==(const RefineOptions&) const = default;
 };

@@ -207,13 +207,13 @@ struct InitialiseOptions {
     /// hit logit less drop logit of new surfels, whose mean is 0.5: a surface starts at a ray-drop probability of 1 / (1 + exp(it)) (M6)
     double hit_margin = 1.0;
     bool one_logit = false;            ///< hit logits start at 0 and drop logits at their difference (ImageModel::single_drop_logit)
-    double max_scale_m = 0.5;          ///< initial standard deviations are clamped to this, but across gaps
+    double max_scale_m = 1000.0;       ///< initial standard deviations are clamped to this, but across gaps
     double scale_factor = 1.0;         ///< times the mean distance to the 3 nearest neighbours
     /// a disc on a surface reaches across the gap to the next scan lines, up to so wide a one, where that is far wider than the distance to
     /// its neighbours on its own line; 0 = discs are round (paper)
     double max_gap_m = 0.0;
     double thickness = 1.0;            ///< 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian splatting starts
-    bool second_returns = true;       ///< second returns are points too, where the log has them
+    bool second_returns = false;       ///< second returns of the log are points too
     UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;   ///< (paper)
     /// comma-separated kinds (object_kind()) or classes of moving boxes that become actors of their own; all = every class, empty = none
     std::string actor_classes = "all";

@@ -89,7 +89,7 @@ struct PrepareSession {
 };
 
 /// Estimates what the log does not say and training needs from the start, in this order, as the settings ask: poses of the sensor
-/// (train.refine_poses with train.pose_register), offsets and responses of its beams (sensor.calibrate),
+/// (train.refine_poses), offsets and responses of its beams (sensor.calibrate),
 /// tracks of what moves without a label (init.unlabelled_movers). From training frames alone, but for the poses of held-out ones; the same
 /// for the same log and settings, so that a resumed training prepares its log anew, and in all processes of a group, of which the first one
 /// alone tells.
@@ -122,8 +122,8 @@ struct HeldOutPlacement {
 
 /// Places each held-out scan of a run, whose sequence has its scans, on the trained scene, which stays (place_scan() in registration.hpp):
 /// training has moved the poses around it, and it did not go along. Nothing but the pose of its frame is found from its returns. LiDARs
-/// that sweep together are placed together. Nothing happens where the settings do not register the sensor (train.pose_register) or say so
-/// (train.place_held_out), and for 3D Gaussians, which have no normals. Sets Run::held_out_placed, unless it was stopped: then nothing is
+/// that sweep together are placed together. Nothing happens if the settings do not register the sensor (train.refine_poses), or for
+/// 3D Gaussians, which have no normals. Sets Run::held_out_placed, unless it was stopped: then nothing is
 /// placed.
 HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session = {});
 

@@ -51,7 +51,7 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
         if (block.train.empty())
             throw DataError(
                 fmt::format("cutting {} into blocks: found no training frame within {:g} m of metres {:.0f} to {:.0f} of its trajectory, "
-                            "expected one: blocks.halo_m says how near, dataset.test_every and dataset.test_frames which are held out",
+                            "expected one: dataset.test_every and dataset.test_frames say which are held out",
                             sequence.name, options.halo_m, block.begin_m, block.end_m));
     }
     return blocks;

@@ -79,12 +79,12 @@ Found found_in(const toml::node& node, const std::string& key) {
     throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
 }
 
-/// All of a table but the preset, in the order of the alphabet.
+/// All of a table, in the order of the alphabet.
 void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, Found>& settings) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
         if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
-        else if (key != "preset") settings.emplace(key, found_in(node, key));
+        else settings.emplace(key, found_in(node, key));
     }
 }
 
@@ -95,7 +95,7 @@ void check_complete(const std::map<std::string, Found>& settings) {
     for (const auto& [key, found] : settings)
         if (std::ranges::find(keys, key) == keys.end()) throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
     for (const std::string& key : keys)
-        if (key != "preset" && !settings.contains(key))
+        if (!settings.contains(key))
             throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
 }
 
@@ -143,7 +143,7 @@ void read_config(Config& config, const std::filesystem::path& path, const Check&
         std::map<std::string, Found> settings;
         flatten(table, "", settings);
         check(settings);
-        if (const toml::node* preset = table.get("preset")) set_found(result, "preset", found_in(*preset, "preset"));
+        if (const auto preset = settings.extract("preset")) set_found(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) set_found(result, key, found);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));

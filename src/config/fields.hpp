@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The one table of settings: key, value, what it accepts, what it means. Keys, `--set`, TOML in and out and `--help` all walk
 // it, so a new setting is a field in <relidar/config.hpp> and a line here; weights of losses come from their own table. Private to config.
+// A field without a line is a constant that each preset sets.
 #pragma once
 
 #include <limits>
@@ -117,26 +118,13 @@ void visit_scene(C& c, Visitor&& f) {
     f("init.voxel_growth", c.init.voxel_growth, at_least(0),
       expert("the voxel edge grows by this share of the range to the nearest sensor position; 0: paper"));
     f("init.normals", c.init.normals, anything(), expert("orient surfels along normals of the nearest neighbours; false: at random"));
-    f("init.normal_neighbours", c.init.normal_neighbours, between(3, 1000), expert("neighbours a normal is fitted to"));
-    f("init.flatness", c.init.flatness, between(0, 1),
-      expert("where points scatter across their plane by more than this share of the variance in it, surfels face the sensor; others are "
-             "moved onto it; 1: all follow their points as they are (paper)"));
-    f("init.second_returns", c.init.second_returns, anything(),
-      expert("second returns are points of the start too, where the log has them"));
     f("init.unlabelled_movers", c.init.unlabelled_movers, one_of({"background", "removed", "actors"}),
       "what moves without a label belongs to the background (paper), is left out where other training frames see through it, or that and "
       "becomes an actor with a track of its own");
-    f("init.opacity", c.init.opacity, Accepts{0.0, 0.99, true, {}}, expert("opacity of new surfels"));
-    f("init.hit_margin", c.init.hit_margin, between(-40, 40),
-      expert("hit logit less drop logit of new surfels: a surface starts at 27 % drops at 1 (paper), at 12 % at 2"));
-    f("init.max_scale_m", c.init.max_scale_m, above(0),
-      expert("largest standard deviation of a new surfel, but across gaps between scan lines, metres"));
     f("init.scale_factor", c.init.scale_factor, above(0),
       expert("standard deviation of a new surfel over the mean distance to its 3 nearest neighbours"));
     f("init.max_gap_m", c.init.max_gap_m, at_least(0),
       expert("new surfels on surfaces reach across gaps between scan lines of up to so many metres; 0: all are round (paper)"));
-    f("init.thickness", c.init.thickness, between(1e-3, 10),
-      expert("image.primitive=gaussian: standard deviation of a new Gaussian along its normal over that in the plane; 1: spheres"));
     f("init.actor_classes", c.init.actor_classes, anything(),
       "moving boxes that become actors of their own, separated by commas: vehicle, cyclist, person, other, or a dataset's own class; all: "
       "every class; empty: none (init.mask_others says what becomes of them)");
@@ -169,8 +157,6 @@ void visit_losses(C& c, Visitor&& f) {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) f("loss." #setting, c.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    f("loss.intensity_delta", c.loss.intensity_delta, between(0, 1),
-      expert("Huber loss of intensities: errors up to this are squared, which finds means, larger ones are not; 0: L1, the paper's"));
     f("loss.normalised_depth", c.loss.normalised_depth, anything(), expert("the range term compares D / W; false: D, as the paper does"));
 }
 
@@ -180,36 +166,16 @@ void visit_training(C& c, Visitor&& f) {
     f("train.grid", c.train.grid, one_of({"native", "kitti360"}),
       expert("frames: rays as fired, or images of 66 x 1030 cells (published)"));
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount), "rays of one step; 0: all rays of one frame");
-    f("train.sh_degree_start", c.train.sh_degree_start, between(0, 3),
-      expert("degree of the spherical harmonics that is active from the start"));
     f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount),
       expert("the active degree of the spherical harmonics rises by one after so many steps"));
-    f("train.mean_rate", c.train.mean_rate, at_least(0), expert("learning rate of the means at the start, times the extent"));
-    f("train.mean_rate_final", c.train.mean_rate_final, at_least(0), expert("learning rate of the means at the end, times the extent"));
-    f("train.rotation_rate", c.train.rotation_rate, at_least(0), expert("learning rate of the rotations"));
-    f("train.scale_rate", c.train.scale_rate, at_least(0), expert("learning rate of the log scales"));
-    f("train.max_growth", c.train.max_growth, at_least(1), expert("surfels grow to so many times their first standard deviation at most"));
-    f("train.opacity_rate", c.train.opacity_rate, at_least(0), expert("learning rate of the opacity logits"));
-    f("train.sh_rate", c.train.sh_rate, at_least(0), expert("learning rate of the constant coefficient of each channel"));
-    f("train.intensity_factor", c.train.intensity_factor, at_least(0),
-      expert("rates of the intensity's harmonics over those of the drop logits"));
-    f("train.rate_decay", c.train.rate_decay, Accepts{0.0, 1.0, true, {}},
-      expert("every rate but the mean's ends at this share of its start"));
     f("train.only_touched", c.train.only_touched, anything(), expert("surfels without a gradient in a step keep their values and moments"));
     f("train.deterministic", c.train.deterministic, anything(),
       "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
     f("train.sensor_drop", c.train.sensor_drop, anything(), expert("learn what the sensor itself never sees (its own vehicle) by itself"));
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}),
       "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
-    f("train.pose_register", c.train.pose_register, anything(),
-      expert("where the sensor's poses are refined, they start from a registration of the scans, before the scene is initialised"));
-    f("train.place_held_out", c.train.place_held_out, anything(),
-      expert("where scans were registered, held-out ones are placed once more by their own returns, on the trained scene, which stays"));
     f("train.allow_lost_scans", c.train.allow_lost_scans, anything(),
       "train also where more than 5 % of the scans did not find their place; false: an error");
-    f("train.pose_rate_m", c.train.pose_rate_m, at_least(0),
-      expert("learning rate of the sensor's translations at the start, metres; a tenth at the end; its turns have a tenth of it in "
-             "radians, boxes ten times as much; without train.pose_register 2e-3 and more follow centimetres"));
 }
 
 /// What training tells and keeps.
@@ -218,31 +184,9 @@ void visit_keeping(C& c, Visitor&& f) {
     f("train.frame_memory_mib", c.train.frame_memory_mib, between(0, kMaxCount),
       expert("device memory for rays and targets that stay there, MiB; those of further frames are sent again whenever it is their turn"));
     f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
-    f("train.checkpoint_every", c.train.checkpoint_every, between(0, kMaxCount), "steps between two checkpoints; 0: by time alone");
     f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0),
-      "minutes between two checkpoints; 0: by steps alone; Ctrl-C always leaves one");
+      "minutes between two checkpoints; 0: no checkpoint but the one that Ctrl-C leaves");
     f("train.seed", c.train.seed, between(0, kMaxSeed), "seed of the initialisation, and of the order of frames and rays");
-}
-
-template <class C, class Visitor>
-void visit_blocks(C& c, Visitor&& f) {
-    f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
-      "the log is trained in blocks of at most so many metres of its trajectory; 0: in one piece");
-    f("blocks.halo_m", c.blocks.halo_m, between(0, 1e6),
-      expert("training frames that were taken so near to a block are trained on with it"));
-    f("blocks.actor_epochs", c.blocks.actor_epochs, between(0, 1000),
-      expert("so often every training frame teaches the actors once the blocks are joined; 0: actors stay as a block has left them"));
-}
-
-template <class C, class Visitor>
-void visit_densify(C& c, Visitor&& f) {
-    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "mcmc"}),
-      "surfels are added and removed: by gradient (adaptive, paper), or moved from dead to living and grown (mcmc)");
-    f("densify.from", c.densify.from, between(0, kMaxCount), expert("first step after which surfels are added and removed"));
-    f("densify.until", c.densify.until, between(0, kMaxCount), expert("from this step on no surfel is added, removed or reset"));
-    f("densify.every", c.densify.every, between(1, kMaxCount), expert("steps between"));
-    f("densify.gradient_threshold", c.densify.gradient_threshold, at_least(0),
-      expert("adaptive: a surfel grows above this mean norm of the gradient of its mean, the loss being a mean over a frame"));
 }
 
 template <class C, class Visitor>
@@ -258,7 +202,6 @@ void visit_refine(C& c, Visitor&& f) {
     f("refine.frames", c.refine.frames, at_least(0),
       expert("training frames that the network learns from at most, spread over all; 0: all"));
     f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each of them");
-    f("refine.batch", c.refine.batch, between(1, 1024), expert("frames a step of the network's training"));
     f("refine.rate", c.refine.rate, above(0), expert("the network's learning rate at the start; it falls to a hundredth"));
 }
 
@@ -273,15 +216,14 @@ void visit(C& c, Visitor&& f) {
     visit_losses(c, f);
     visit_training(c, f);
     visit_keeping(c, f);
-    visit_blocks(c, f);
-    visit_densify(c, f);
+    f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
+      "the log is trained in blocks of at most so many metres of its trajectory; 0: in one piece");
+    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "mcmc"}),
+      "surfels are added and removed: by gradient (adaptive, paper), or moved from dead to living and grown (mcmc)");
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
       expert("range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the mean of the heaviest "
              "surface (hits nearer to each other than sensor.return_separation_m are one)"));
-    f("render.follow_sweeps", c.render.follow_sweeps, anything(),
-      expert("the log's own sensor, rendered at one of its sweeps, has the azimuths of that sweep; false: nominal ones, evenly spaced "
-             "(paper)"));
     f("render.channels", c.render.channels, some_of(optional_channel_names()),
       "what scans say of each ray beside the basic channels, in all their outputs; `relidar render --help` says what they are");
     f("render.points", c.render.points, one_of({"median", "range"}),
@@ -289,9 +231,6 @@ void visit(C& c, Visitor&& f) {
              "points between two surfaces"));
     f("render.memory_mib", c.render.memory_mib, between(0, kMaxCount),
       "device memory, MiB, for blocks of a long scene that are kept beside those that a scan needs");
-    f("eval.lpips_weights", c.eval.lpips_weights, anything(),
-      "safetensors file with the weights of LPIPS (AlexNet, v0.1); empty: no LPIPS, unless RELIDAR_LPIPS_WEIGHTS names them to the command "
-      "line");
     f("trace.chunk", c.trace.chunk, between(1, 64), expert("hits sorted at a time"));
     f("trace.keep_hits", c.trace.keep_hits, between(0, 4096),
       expert("training: hits kept a ray, 16 bytes each, which need no second search; doubled up to 256 while any ray has more; "

@@ -12,10 +12,7 @@ namespace {
 /// The paper: the defaults of the structs, and the unnormalised range D it scores.
 Config paper() {
     Config config;
-    config.preset = "paper";
     config.dataset.waymo_intensity = "clamp";
-    config.init.second_returns = false;
-    config.init.max_scale_m = 1000.0;   // the paper does not clamp
     config.init.actor_classes = "vehicle";   // as it says; people and cyclists are left in the background
     config.init.mask_others = false;
     config.init.actor_min_points = 100;
@@ -24,7 +21,7 @@ Config paper() {
     config.render.range = "expected";
     config.densify.strategy = DensifyStrategy::adaptive;
     config.refine = {.enabled = true, .network = "paper", .image = "grid", .rays = "origin,direction", .frames = 0, .epochs = 500,
-                     .batch = 16, .rate = 1e-3};
+                     .rate = 1e-3};
     return config;
 }
 
@@ -57,6 +54,7 @@ Config standard() {
     config.init.hit_margin = 2.0;                      // a surface starts at 12 % drops instead of 27 %: about what sensors have
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
+    config.init.second_returns = true;
     config.init.max_gap_m = 2.0;                       // else another sensor sees the road between the rings of a log of 32 beams as holes
     // 3D Gaussians, street of `demo`, 150 steps: median range error 9.3 mm as with surfels; 0.2: 10.7 mm, spheres: 44 mm
     config.init.thickness = 0.05;

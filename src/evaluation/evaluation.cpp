@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <functional>
 #include <memory>
 
@@ -72,8 +73,8 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const S
 }
 
 /// LPIPS where there are weights.
-std::unique_ptr<Lpips> load_lpips(const Config& config) {
-    const std::string& file = config.eval.lpips_weights;
+std::unique_ptr<Lpips> load_lpips() {
+    const std::string file = lpips_weights_file();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
@@ -147,7 +148,7 @@ struct ManyFrames {
 /// @param what  is done with a frame, for the progress @param render  makes the frame at a position
 std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
                                    const std::function<RenderedFrame(int position, const Frame&)>& render) {
-    const std::unique_ptr<Lpips> lpips = load_lpips(many.config);
+    const std::unique_ptr<Lpips> lpips = load_lpips();
     const std::size_t n = many.positions.size();
     std::vector<ScoredFrame> scored;
     for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
@@ -190,7 +191,7 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
 
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
                         const Pose& sensor_offset) {
-    const std::unique_ptr<Lpips> lpips = load_lpips(config);
+    const std::unique_ptr<Lpips> lpips = load_lpips();
     return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence, lpips.get()).front();
 }
 
@@ -225,8 +226,11 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
     return evaluation;
 }
 
-void check_lpips_weights(const Config& config) {
-    load_lpips(config);
+void check_lpips_weights() { load_lpips(); }
+
+std::string lpips_weights_file() {
+    const char* file = std::getenv("RELIDAR_LPIPS_WEIGHTS");
+    return file ? file : "";
 }
 
 MetricRow mean_times(const KernelTimes& times) {

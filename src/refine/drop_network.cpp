@@ -24,13 +24,14 @@ struct Known {
     std::vector<std::uint32_t> factors;
     std::uint32_t heads, taps;
     bool residual;
+    int batch;
     Regularisation in_training;
 };
 
 const Known& find_known(const std::string& name) {
-    static const Known networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, {}},
-                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, {0.1, true}},   // docs/method.md
-                                     {"pixel", 16, {1}, 0, 1, true, {}}};
+    static const Known networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
+                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},   // docs/method.md
+                                     {"pixel", 16, {1}, 0, 1, true, 1, {}}};
     const auto found = std::find_if(std::begin(networks), std::end(networks), [&](const Known& known) { return name == known.name; });
     if (found == std::end(networks)) throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
     return *found;
@@ -69,6 +70,8 @@ DropNetwork shape_of(const RefineOptions& options) {
     network.residual = known.residual;
     return network;
 }
+
+int batch_of(const RefineOptions& options) { return options.batch > 0 ? options.batch : find_known(options.network).batch; }
 
 Regularisation regularisation_of(const RefineOptions& options) { return find_known(options.network).in_training; }
 

@@ -13,6 +13,9 @@ namespace relidar::refine {
 /// A network of the options' shape without parameters. @throws UsageError for more channels or levels than make sense
 DropNetwork shape_of(const RefineOptions& options);
 
+/// Returns the number of images in a training step. @throws UsageError for an unknown network
+int batch_of(const RefineOptions& options);
+
 /// What keeps a network in training from knowing its images by heart. Little helps small networks, and turning them cost accuracy.
 struct Regularisation {
     double dropout = 0.0;   ///< share of the values that a layer drops

@@ -61,7 +61,7 @@ struct DropTraining::Impl {
         : network(start(images, o, seed)),
           options(o),
           n_images(images.size()),
-          batch(std::min<std::size_t>(std::size_t(o.batch), images.size())),
+          batch(std::min<std::size_t>(std::size_t(batch_of(o)), images.size())),
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
           inputs(device, network),
           unet(device, network),

@@ -14,8 +14,8 @@ namespace {
 std::vector<DropImage> noise(const RefineOptions& options, int rows, int columns) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     std::mt19937 random(1);
-    std::vector<DropImage> images(std::size_t(options.batch), {rows, columns, std::vector<float>(drop_channel_names(options).size() * n),
-                                                               std::vector<float>(n)});
+    const DropImage empty{rows, columns, std::vector<float>(drop_channel_names(options).size() * n), std::vector<float>(n)};
+    std::vector<DropImage> images(std::size_t(refine::batch_of(options)), empty);
     for (DropImage& image : images) {
         for (float& x : image.channels) x = float(random() % 1024) / 512.0f - 1.0f;
         for (float& x : image.dropped) x = float(random() % 2);

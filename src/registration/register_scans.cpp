@@ -122,7 +122,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     if (result.rounds.back().planes == 0)
         throw DataError(
             fmt::format("registering the scans of {}: found no surface that two of its {} training scans see, expected some; "
-                        "train.pose_register=false leaves poses where they are",
+                        "train.refine_poses=none leaves poses where they are",
                         sequence.name, split.train.size()));
     const PlaneMap map = adjustment.planes(kLast);
     result.on_planes = median_share(adjustment, map, scans, is_train);

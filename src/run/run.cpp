@@ -74,9 +74,9 @@ void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
-        throw DataError(fmt::format("saving {}: found an option of image, init, loss, densify or refine that is no setting and not as it "
-                                    "is by default, expected those of `relidar list settings --all` alone",
-                                    (run.folder / kConfigFile).string()));
+        throw DataError(fmt::format("saving {}: an option that is no setting differs from preset {}; expected changes of settings that "
+                                    "`relidar list settings --all` lists alone",
+                                    (run.folder / kConfigFile).string(), run.config.preset));
 }
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {

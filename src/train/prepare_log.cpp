@@ -104,7 +104,7 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
         throw DataError(
             fmt::format("registering the scans of {}: {}; expected at most {:.0f} %. train.allow_lost_scans=true moves them as their "
-                        "neighbours, train.pose_register=false keeps the log's own poses",
+                        "neighbours, train.refine_poses=none keeps the log's own poses",
                         sequence.name, text, 100.0 * kMostLost));
     session.tell(text + ": moved as their neighbours were");
 }
@@ -255,8 +255,8 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     if (!session.tell || !session.group.is_first()) session.tell = [](const std::string&) {};
     if (!has_poses(sequence, config) && !registers_sensor(config.train))
         throw UsageError(
-            "the log has no poses, or dataset.poses=none: they have to be found from the scans; expected train.refine_poses=sensor and "
-            "train.pose_register=true");
+            "the log has no poses, or dataset.poses=none: they have to be found from the scans; expected "
+            "train.refine_poses=sensor");
     begin_stage(session.stages, "register");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     begin_stage(session.stages, "calibrate");

@@ -67,7 +67,7 @@ class Train(TestCase):
 
     def test_ctrl_c_while_the_network_is_trained(self):
         checkpoints, settings = FOLDER / "network_checkpoints", config().copy()
-        for key, value in {"train.checkpoint_every": 20, "refine.network": "small", "refine.epochs": 12}.items():
+        for key, value in {"train.checkpoint_minutes": 1e-9, "refine.network": "small", "refine.epochs": 12}.items():
             settings[key] = value
         in_network = threading.Event()
 

@@ -417,6 +417,10 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     run = example_run(folder / "second");
     run.sequence.world_from_vehicle.pose.pop_back();
     EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"), std::string::npos);
+    run = example_run(folder / "second");
+    run.config.train.mean_rate *= 2.0;   // a constant of the preset: config.toml cannot hold it
+    EXPECT_NE(data_error([&] { save_run(run); }).find("an option that is no setting differs from preset paper"), std::string::npos);
+    EXPECT_FALSE(is_run(run.folder));
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {

@@ -29,7 +29,7 @@ glm::vec3 normal_of(const glm::vec4& q) {
 
 TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     const Sequence street = make_synthetic_street(small_street());
-    const Surfels surfels = initialise_background(street, split_frames(street, 10).train, {});
+    const Surfels surfels = initialise_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
     ASSERT_GT(surfels.size(), 5000u);
     float ground = 1e9f;
     for (const glm::vec3& p : surfels.mean) ground = std::min(ground, p.z);

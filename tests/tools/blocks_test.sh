@@ -21,7 +21,7 @@ source "$tests/checks.sh"
 
 # Settings that train on this street within seconds, the same way each time.
 settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true
-    --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_every=2 --set init.voxel_m=0.3 --set blocks.actor_epochs=1)
+    --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_minutes=1e-9 --set init.voxel_m=0.3)
 
 # same RUN: its surfels, its poses and what was learnt of them are those of `one`, to the bit.
 same() {
@@ -215,7 +215,7 @@ misfits() {
 
     mkdir -p full && mount -t tmpfs -o size=2500k tmpfs full 2>/dev/null || return 0   # not everybody may
     # no checkpoints on the way: one half written beside it would take the room of the first model
-    mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_every=0 --quiet >out 2>err
+    mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
     check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; trained blocks are kept, continue with: relidar train --resume full/run" err
     absent full/run/scene.json
@@ -247,10 +247,10 @@ frames() {
     done
     mpi 2 "$relidar" render one --out together --frames 20:25 >out 2>err
     check "two processes overwrite a rendering" test $? != 0
-    check "the message lacks --overwrite" grep -Eq "holds another rendering .*--overwrite" err
+    check "the message lacks --force" grep -Eq "holds another rendering .*--force" err
     exists together/frame_000020.npz
-    mpi 2 "$relidar" render one --out together --frames 20:25 --overwrite --quiet >out 2>err
-    check "render --overwrite by two processes: exit code $?, expected 0" test $? = 0
+    mpi 2 "$relidar" render one --out together --frames 20:25 --force --quiet >out 2>err
+    check "render --force by two processes: exit code $?, expected 0" test $? = 0
     mpi 2 "$relidar" render one --out film --format mcap >out 2>err
     check "two processes write one recording" test $? != 0
     check "the message lacks mcap" grep -Eq -- "--format mcap: found 2 processes, expected one" err

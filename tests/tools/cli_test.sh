@@ -86,7 +86,7 @@ wrong_usage() {
     bad 2 "open: found a log, expected a run" eval street --baseline nearest --open
     bad 3 "nowhere: no such folder" export nowhere --out x.ply
     bad 2 "x.obj: found the ending .obj, expected a name that ends in .ply" export run --out x.obj
-    bad 2 'setting train.iterations: found "-1"' demo --out x --iterations -1
+    bad 2 'setting train.iterations: found "-1"' demo --out x --set train.iterations=-1
     bad 3 "nowhere: no such folder" edit nowhere --from-ply scene.ply --out x
     bad 2 "found no subcommand, expected devices, sensors, settings" list
     bad 2 "command sensor: unknown, did you mean sensors\?" list sensor
@@ -165,11 +165,11 @@ converting() {
     grep -v ^source out >street.txt
     good info plain
     check "info says other things of a log and of the folder it was converted to" cmp -s street.txt <(grep -v ^source out)
-    bad 2 "plain: found a plain folder, expected a new name; --overwrite replaces it" convert street --out plain
-    good convert plain --out plain --frames 3: --overwrite --quiet
+    bad 2 "plain: found a plain folder, expected a new name; --force replaces it" convert street --out plain
+    good convert plain --out plain --frames 3: --force --quiet
     check "--quiet prints" test ! -s out -a ! -s err
-    check "--overwrite left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
-    bad 2 "street: found something that is no plain folder" convert street --out street --overwrite
+    check "--force left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
+    bad 2 "street: found something that is no plain folder" convert street --out street --force
     good convert street --out free --set dataset.poses=none
     absent free/poses.txt
     bad 3 "free/poses.txt: no such file; expected poses of the vehicle" info free
@@ -190,7 +190,7 @@ converting() {
 }
 
 training() {
-    good train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=6 --set train.log_every=2 --set dataset.test_every=5 --seed 3
+    good train street --out run --preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=6 --set train.log_every=2 --set dataset.test_every=5 --seed 3
     says "^stages  .*train [0-9.]* s"
     check "log.jsonl does not end with the stages" grep -Eq '^\{"stages_s":\{"read":[0-9.e-]+,.*"train":' <(tail -n 1 run/log.jsonl)
     check "the report lacks the stages" grep -q "train [0-9.]* s" run/report.html
@@ -250,16 +250,16 @@ rendering() {
     flock --no-fork scans/.lock sleep 60 &   # another process writes it
     local writer=$!
     while flock --nonblock scans/.lock true; do sleep 0.05; done
-    bad 3 "scans: another relidar is writing this folder" render run --out scans --overwrite
+    bad 3 "scans: another relidar is writing this folder" render run --out scans --force
     bad 3 "scans: another relidar is writing this folder" export run --out scans --frames 2:3
     kill -KILL $writer
     wait $writer 2>/dev/null
-    bad 2 "scans: the folder holds another rendering \(13 files.*--overwrite replaces it" render run --out scans --frames 2:3
+    bad 2 "scans: the folder holds another rendering \(13 files.*--force replaces it" render run --out scans --frames 2:3
     printf 'mine' >scans/frame_notes.txt
-    good render run --out scans --frames 2:3 --format NPZ --overwrite
-    check "--overwrite removed a file of the user's" grep -qx mine scans/frame_notes.txt
+    good render run --out scans --frames 2:3 --format NPZ --force
+    check "--force removed a file of the user's" grep -qx mine scans/frame_notes.txt
     rm scans/frame_notes.txt
-    check "--overwrite left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
+    check "--force left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out recorded --frames 2:4 --format mcap,rosbag
     check "recordings are other than one file each" test "$(ls -A recorded | tr '\n' ' ')" = "rosbag.mcap scans.json scans.mcap "
     bad 2 "out run: found a run, expected another folder" render run --out run
@@ -589,19 +589,17 @@ lost_scans() {
     mkdir sparse && sed 's/^columns.*/columns = 48/' street/street.toml >sparse/street.toml
     bad 3 "[0-9]+ of 12 scans did not find their place.*expected at most 5 %.*train.allow_lost_scans" train sparse --out adrift --quiet --preset quick --set train.iterations=1
     good train sparse --out adrift --quiet --preset quick --set train.iterations=1 --set train.allow_lost_scans=true --no-eval
-    bad 2 "dataset.poses=none.*train.pose_register=true" train street --out adrift --force --set dataset.poses=none --set train.pose_register=false
+    bad 2 "dataset.poses=none.*train.refine_poses=sensor" train street --out adrift --force --set dataset.poses=none --set train.refine_poses=none
     rm -r adrift sparse
 }
 
 # Weights of LPIPS are read before anything is made or trained; --no-eval needs none.
 wrong_weights() {
-    bad 3 "missing.safetensors" train street --out unweighted --set eval.lpips_weights=missing.safetensors
-    absent unweighted
     RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" train street --out unweighted
     absent unweighted
-    bad 3 "missing.safetensors" demo --out unweighted --set eval.lpips_weights=missing.safetensors
+    RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" demo --out unweighted
     absent unweighted
-    good train street --out unweighted --quiet --preset quick --set train.pose_register=false --set train.iterations=1 --no-eval --set eval.lpips_weights=missing.safetensors
+    RELIDAR_LPIPS_WEIGHTS=missing.safetensors good train street --out unweighted --quiet --preset quick --set train.refine_poses=none --set train.iterations=1 --no-eval
     rm -r unweighted
 }
 
@@ -633,7 +631,7 @@ baseline() {
     good eval street --baseline nearest-actors --set dataset.test_every=5 --quiet
     check "eval --quiet prints" test ! -s out -a ! -s err
     printf 'no weights' >weights.safetensors
-    bad 3 "weights.safetensors" eval street --baseline nearest --set dataset.test_every=5 --lpips-weights weights.safetensors
+    RELIDAR_LPIPS_WEIGHTS=weights.safetensors bad 3 "weights.safetensors" eval street --baseline nearest --set dataset.test_every=5
     RELIDAR_LPIPS_WEIGHTS=missing.safetensors bad 3 "missing.safetensors" eval street --baseline nearest --set dataset.test_every=5
 }
 
@@ -658,8 +656,8 @@ surfels_as_ply() {
 }
 
 gaussians() {
-    local few=(--preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5)
-    good train street --out thick "${few[@]}" --set image.primitive=gaussian --set densify.strategy=adaptive --set densify.from=2 --set densify.every=2
+    local few=(--preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5)
+    good train street --out thick "${few[@]}" --set image.primitive=gaussian --set densify.strategy=adaptive
     good info thick
     says "^surfels +[0-9]+ 3D Gaussians$"
     good render thick --out thick_scans --frames 5:6
@@ -765,7 +763,7 @@ early_interruption() {
 
 # Ctrl-C while training: the scene so far is saved, exit code 130.
 interruption() {
-    "$relidar" train street --out stopped --preset quick --set train.pose_register=false --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
+    "$relidar" train street --out stopped --preset quick --set train.refine_poses=none --set train.iterations=1000000 --set train.log_every=1 >out 2>err &
     local pid=$!
     for _ in $(seq 600); do
         [[ ! -s stopped/log.jsonl ]] || break
@@ -802,7 +800,7 @@ resuming() {
     [[ -n $stopped_at ]] || return 0   # said above
     local total=$((stopped_at + 3))
     bad 2 "resuming from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
-    good train --resume stopped --set train.iterations=$total --set train.checkpoint_every=1 --no-eval
+    good train --resume stopped --set train.iterations=$total --set train.checkpoint_minutes=1e-9 --no-eval
     says "^resume  from iteration $stopped_at$"
     check "the resumed log does not have each iteration once" diff <(seq 1 $total) <(grep -o '"iteration":[0-9]*' stopped/log.jsonl | cut -d: -f2)
     check "config.toml lacks the raised iterations" grep -qx "iterations = $total" stopped/config.toml
@@ -815,16 +813,16 @@ resuming() {
     check "the damaged checkpoint is not named" grep -Eq "^relidar: note: reading safetensors .*$total.safetensors.*taking the checkpoint before" err
     exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
     mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0   # as a process leaves it that is killed while it writes its first file
-    good train street --out anew --preset quick --set train.pose_register=false --set train.iterations=2 --no-eval --resume
+    good train street --out anew --preset quick --set train.refine_poses=none --set train.iterations=2 --no-eval --resume
     absent anew/.config.toml.tmp-1-0
     check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew holds no checkpoint" err
     bad 2 "has ended and left no checkpoint" train --resume anew --set train.iterations=4
-    bad 3 "the intensity loss is|array parameters/sh: row" train street --out lost --quiet --preset quick --set train.pose_register=false --set train.sh_rate=1e39 --set train.log_every=1 --set train.checkpoint_every=1
+    bad 3 "training, iteration 1: (the intensity loss is|array .*: row [0-9]+ holds inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
 }
 
 # Ctrl-C while the network is trained: a checkpoint stays, and the network ends as it would have without.
 network_resuming() {
-    local few=(--preset quick --set train.pose_register=false --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
+    local few=(--preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
     stop_in_network train street --out half "${few[@]}" --set refine.epochs=15 --no-eval
     check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; half holds the scene; continue with: relidar train --resume half$" err
@@ -844,7 +842,7 @@ network_resuming() {
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=15
     check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: other has the network it had; continue with: relidar refine --resume other$" err
-    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.batch: found 5" refine --resume other --set refine.batch=5
+    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
     good refine --resume other --no-eval
     says "^resume  from step [1-9]"
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors
@@ -897,7 +895,7 @@ bench() {
 }
 
 demo() {
-    good demo --out demo --iterations 2 --set init.voxel_m=0.5 --set refine.epochs=1
+    good demo --out demo --set train.iterations=2 --set init.voxel_m=0.5 --set refine.epochs=1
     for file in report.html street/street.toml run/model.safetensors run/report.html run/metrics.json; do exists demo/$file; done
     for folder in held_out shifted; do
         for format in npz png ply exr; do exists demo/$folder/frame_000010.$format; done

@@ -93,7 +93,7 @@ kubernetes() {
 }
 
 # Settings that train on these streets within a second. Eight rows are too few to place a scan.
-train="--preset quick --set train.iterations=2 --set train.pose_register=false --set refine.enabled=false"
+train="--preset quick --set train.iterations=2 --set train.refine_poses=none --set refine.enabled=false"
 train+=" --set init.actor_min_points=10 --set init.unlabelled_movers=removed --set dataset.test_every=5"
 
 streets() {

@@ -6,6 +6,7 @@ storages beside them. What relidar reads is what was put in.
 """
 import collections
 import json
+import os
 import pathlib
 import pickle
 import random
@@ -123,10 +124,10 @@ def main():
         for name, (shape, numbers) in truth.items():
             begin, end = header[name]["data_offsets"]
             assert header[name]["shape"] == shape and data[8 + n + begin:8 + n + end] == numbers, name
-        # weights are looked at before the parts, of which there is none
-        read = subprocess.run([relidar, "tables", "paper", "--parts", "kd1", "--out", work / "none", "--lpips-weights",
-                               work / "out.safetensors"], capture_output=True, text=True)
-        assert read.returncode == 3 and "no --kitti360 given" in read.stderr, read.stderr
+        (work / "street.toml").write_text("seed = 1\nn_frames = 3\nrows = 32\ncolumns = 64\n")
+        read = subprocess.run([relidar, "eval", f"synthetic:{work}", "--baseline", "nearest", "--set", "dataset.test_frames=1"],
+                              capture_output=True, text=True, env=os.environ | {"RELIDAR_LPIPS_WEIGHTS": str(work / "out.safetensors")})
+        assert read.returncode == 0 and "peer/depth_lpips" in read.stdout and "no weights" not in read.stdout, read
         (work / "out.safetensors").unlink()
 
     def refused(message, *names):

@@ -47,7 +47,7 @@ check() {
 
 # train STREET RUN: of a street.toml
 train() {
-    "$relidar" train "$1" --out "$2" --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
+    "$relidar" train "$1" --out "$2" --preset quick --set train.refine_poses=none --set init.actor_min_points=10 \
         --set train.iterations=6 --no-eval --quiet || { fail "no run"; exit 1; }
 }
 
@@ -89,7 +89,7 @@ check second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet 2>err && fail "a rig's recordings were overwritten unasked"
 grep -q "rig/sensor: the folder holds another rendering" err || fail "another message than that of a folder that is taken: $(cat err)"
-"$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet --overwrite || fail "a rig rendered over another"
+"$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet --force || fail "a rig rendered over another"
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front " ]] || fail "a new rendering left the old one's recordings"
 
 # The readers notice damage: a flipped bit in a chunk.

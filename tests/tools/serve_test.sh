@@ -69,7 +69,7 @@ bad() {
 mkdir street
 printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
 # Eight beams leave gaps that a scene of six steps fills with the rims of its discs alone.
-"$relidar" train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
+"$relidar" train street --out run --preset quick --set train.refine_poses=none --set init.actor_min_points=10 \
     --set image.alpha_min=0.004 --set train.iterations=6 --no-eval --quiet || { fail "no run to serve"; exit 1; }
 
 bad 2 "RUN is required" serve

@@ -54,6 +54,7 @@ Run trained(Device& device, Sequence street) {
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
     run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
+    run.config.init.flatness = make_preset("quick").init.flatness;   // other constants cannot be saved
     return run;
 }
 

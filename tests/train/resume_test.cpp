@@ -293,7 +293,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     EXPECT_NE(setting("train.iterations", "0").find("setting train.iterations: found 0"), std::string::npos);
     Config free = resumed_config();
     for (const auto& [key, value] : {std::pair{"train.log_every", "3"},
-                                     {"train.checkpoint_every", "5"},
+                                     {"train.checkpoint_minutes", "5"},
                                      {"train.iterations", "99"},
                                      {"render.range", "median"},
                                      {"dataset.path", "moved"}})

@@ -18,7 +18,7 @@ except ImportError:
     sys.exit(77)
 
 STREET = "seed = 3\nn_frames = 6\nrows = 32\ncolumns = 512\n"
-TRAIN = ["--preset", "quick", "--set", "train.pose_register=false", "--set", "train.iterations=3", "--set", "dataset.test_every=3",
+TRAIN = ["--preset", "quick", "--set", "train.refine_poses=none", "--set", "train.iterations=3", "--set", "dataset.test_every=3",
          "--set", "init.actor_min_points=10", "--set", "refine.enabled=false", "--no-eval", "--quiet"]
 PATIENCE_S = 60
 STRIP = """const c = document.getElementById(arguments[0]);

@@ -52,7 +52,7 @@ void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows
 int main(int argc, char** argv) {
     CLI::App app("the ray-drop network: milliseconds of a training step and of an inference, medians of wall times, and peak memory");
     int repeat = 5, index = -1, rows = 0, columns = 0;
-    RefineOptions options;
+    RefineOptions options{.batch = 1};
     app.add_option("--network", options.network, "small, paper or pixel");
     app.add_option("--width", options.width, "channels at full size; 0: the network's own");
     app.add_option("--batch", options.batch, "images a step")->check(CLI::Range(1, 1024));

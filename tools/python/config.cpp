@@ -43,7 +43,7 @@ Config make(const std::string& preset, const py::dict& values) {
 }
 
 Config load(const std::filesystem::path& path) {
-    Config config;
+    Config config = make_preset("default");
     load_config(config, path);
     return config;
 }

@@ -32,7 +32,6 @@ constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rm
 struct DemoOptions {
     std::string out = "demo";
     std::string seed = "1";
-    std::string iterations = "250";   // of the 540 of preset quick: one to two minutes in all on two cores
     std::vector<std::string> sets;
     DeviceChoice device;
     bool quiet = false;
@@ -42,7 +41,7 @@ Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
     config.init.scale_factor = 0.6;   // 32 beams leave wider gaps between points than the 64 the preset is made for
-    set_key(config, "train.iterations", options.iterations);
+    config.train.iterations = 250;    // one to two minutes in all on two cores; preset quick has 540
     apply_sets(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street.string());
     return config;
@@ -50,10 +49,9 @@ Config config_of(const DemoOptions& options, const fs::path& street) {
 
 Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
-    const Config config = with_lpips_weights(run.config);
     ScanRenderer renderer(device, run);
     std::vector<ScoredFrame> with_images;   // which are written as scans
-    Evaluation evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress),
+    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress),
                                             [&](const ScoredFrame& frame) { with_images.push_back(frame); });
     evaluation.frames = std::move(with_images);
     return evaluation;
@@ -62,7 +60,6 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 /// The held-out frames seen from the shifted sensor, against what that sensor would have measured.
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
-    const Config config = with_lpips_weights(run.config);
     ScanRenderer renderer(device, run);
     const PoseTrack track = moved_track(run.sequence.world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
@@ -72,7 +69,7 @@ Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptio
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
         drop_outside(exact.scan, run.sequence.lidars[0].sensor.range_limits());
-        frames.push_back(score_frame(renderer, config, run.sequence, exact, kShift));
+        frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
         progress.count("shifted sensor, frame", frames.size(), run.split.test.size());
     }
     return summarise(std::move(frames), renderer.times());
@@ -102,7 +99,7 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
     write_text(run.folder / "metrics.json",
-               metrics_json(held_out, with_lpips_weights(run.config),
+               metrics_json(held_out, run.config,
                             {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
     write_scans(out / "held_out", held_out, run, {});
     write_scans(out / "shifted", shifted, run, kShift);
@@ -122,7 +119,7 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
 void run_demo(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = config_of(options, out / "street");
-    check_lpips_weights(with_lpips_weights(config));
+    check_lpips_weights();
     const LockedFolder folder(out);
     const RunFolder run_folder(out / "run", Existing::replace);
     Device device(device_options(options.device));
@@ -163,11 +160,11 @@ void add_demo(CLI::App& app, Call& call) {
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")->type_name("S");
-    command->add_option("--iterations", options->iterations, "optimiser steps (default: 250; preset quick has 540)")->type_name("N");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer("DIR gets report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as npz, png, ply, exr).\n"
+                    "Training has 250 steps: --set train.iterations=N changes that.\n"
                     "Example: relidar demo --out demo");
     command->callback([&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
 }

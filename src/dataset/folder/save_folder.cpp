@@ -162,7 +162,7 @@ void check_place(const fs::path& folder, bool overwrite) {
     if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
         throw UsageError(fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
     if (!overwrite)
-        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --overwrite replaces it", folder.string()));
+        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --force replaces it", folder.string()));
 }
 
 }  // namespace

@@ -16,19 +16,16 @@
 namespace relidar {
 namespace {
 
-constexpr std::array kFollows{"refine.", "render.", "eval."};   // settings of what begins where the steps end
+constexpr std::array kFollows{"refine.", "render."};   // settings of what begins where the steps end
 /// Settings that change where training ends, what it reports, or where the log lies, but not a step of it. Paths are free because the log
 /// itself is compared.
-constexpr std::array kFree{"preset",
-                           "dataset.path",
+constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",
                            "dataset.memory_mib",
                            "train.frame_memory_mib",
                            "train.iterations",
-                           "train.place_held_out",
                            "train.log_every",
-                           "train.checkpoint_every",
                            "train.checkpoint_minutes",
                            "sensor.grid",
                            "sensor.grid_method",

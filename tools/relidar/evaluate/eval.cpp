@@ -37,7 +37,6 @@ struct EvalOptions {
     LogPart part;
     std::string baseline;
     std::string pictures;
-    std::string lpips;
     std::vector<std::string> sets;
     DeviceChoice device;
     bool no_refine = false;
@@ -47,8 +46,6 @@ struct EvalOptions {
 
 void apply_options(Config& config, const EvalOptions& options) {
     apply_sets(config, options.sets);
-    if (!options.lpips.empty()) config.eval.lpips_weights = absolute_path(options.lpips);
-    config = with_lpips_weights(std::move(config));
 }
 
 void check_held_out(const Split& split, const std::string& where) {
@@ -121,7 +118,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = rendering_settings();
-    used.insert(used.end(), {"dataset.", "eval."});
+    used.insert(used.end(), {"dataset."});
     check_sets(options.sets, used, "eval");
     Run run = load_run(options.target);
     apply_options(run.config, options);
@@ -167,7 +164,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
 const std::vector<std::string> kBaselineSettings = {
     "dataset.sequence", "dataset.lidars",      "dataset.frames_begin", "dataset.frames_end",  "dataset.test_every",
     "dataset.poses",    "dataset.test_frames", "dataset.poses_from",   "dataset.skip_broken", "dataset.min_range_m",
-    "dataset.memory_mib", "dataset.max_range_m", "dataset.waymo_intensity", "sensor.grid", "sensor.rolling_shutter", "eval."};
+    "dataset.memory_mib", "dataset.max_range_m", "dataset.waymo_intensity", "sensor.grid", "sensor.rolling_shutter"};
 
 /// The baseline alone: a log, no run, no device.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
@@ -246,10 +243,6 @@ void add_eval(CLI::App& app, Call& call) {
     add_log_part_options(*command, options->part);
     command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")
         ->type_name("DIR");
-    command
-        ->add_option("--lpips-weights", options->lpips,
-                     "safetensors file with the weights of LPIPS (default: eval.lpips_weights, else RELIDAR_LPIPS_WEIGHTS)")
-        ->type_name("FILE");
     command->add_flag("--open", options->open, "make a page of it, evaluation.html beside the JSON file, and open a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
@@ -264,6 +257,8 @@ void add_eval(CLI::App& app, Call& call) {
         ->allow_extra_args(false);
     command->footer(
         "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
+        "The variable RELIDAR_LPIPS_WEIGHTS names a file with the weights of LPIPS (tools/lpips_weights makes it); without it there is no "
+        "LPIPS.\n"
         "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
         "the names.\n"
         "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they "

@@ -13,10 +13,6 @@ namespace relidar::cli {
 class Progress;
 class Ranks;
 
-/// The same settings with the weights of LPIPS that RELIDAR_LPIPS_WEIGHTS names, where they name none. For scoring only: a run keeps the
-/// settings it was given, and is scored elsewhere with what is there.
-Config with_lpips_weights(Config config);
-
 /// How an evaluation shows how far it is, and notices Ctrl-C: it then ends with an Error of exit code 130.
 relidar::Progress shown_until_interrupted(Progress& progress);
 

@@ -3,7 +3,6 @@
 #include "evaluate/evaluation.hpp"
 
 #include <algorithm>
-#include <cstdlib>
 #include <set>
 
 #include <fmt/format.h>
@@ -40,7 +39,7 @@ constexpr const char* kActors =
 constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json protocol_json(const Config& config) {
-    const std::string& lpips = config.eval.lpips_weights;
+    const std::string lpips = lpips_weights_file();
     return {
         {"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
         {"grid", config.sensor.grid},
@@ -105,12 +104,6 @@ Rows region_rows(const Evaluation& evaluation) {
 }
 
 }  // namespace
-
-Config with_lpips_weights(Config config) {
-    const char* named = std::getenv("RELIDAR_LPIPS_WEIGHTS");
-    if (named && config.eval.lpips_weights.empty()) config.eval.lpips_weights = named;
-    return config;
-}
 
 relidar::Progress shown_until_interrupted(Progress& progress) {
     return [show = shown_by(progress)](std::string_view what, double done) {

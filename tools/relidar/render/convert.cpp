@@ -57,7 +57,7 @@ void add_convert(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "folder to make")->required()->type_name("FOLDER");
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")->type_name("A:B");
     add_set_option(*command, options->settings.sets);
-    command->add_flag("--overwrite", options->overwrite, "replace a plain folder of that name");
+    command->add_flag("--force", options->overwrite, "replace a plain folder of that name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
         "Every ray is kept, dropped ones and second returns too, with beams, mountings, poses and boxes: the folder is read back as the "

@@ -128,7 +128,7 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
     const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
     if (!files.empty()) {
         throw UsageError(
-            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --overwrite replaces it",
+            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --force replaces it",
                         folder.string(), files.size(), files.front().filename().string()));
     }
 }
@@ -378,7 +378,7 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
                       "and rosbag to that at the stamp");
     add_recording_options(command, options.names);
     command.add_flag("--merge", options.merge, "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
-    command.add_flag("--overwrite", options.overwrite, "replace the rendering in DIR");
+    command.add_flag("--force", options.overwrite, "replace the rendering in DIR");
 }
 
 constexpr const char* kFilesHelp =

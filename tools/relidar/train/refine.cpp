@@ -68,7 +68,7 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
     Progress progress(quiet);
-    return evaluate_frames(renderer, with_lpips_weights(run.config), run.sequence, run.split.test, shown_until_interrupted(progress));
+    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
 }
 
 /// What the network is worth, told and written.
@@ -87,7 +87,7 @@ void run_refine(const RefineOptions& options) {
     const std::optional<Checkpoint> start = find_start(options);
     if (start) take_refine_settings(*start, run.config);
     std::vector<std::string> used = rendering_settings();
-    used.insert(used.end(), {"dataset.", "eval.", "refine.", "train.seed", "train.checkpoint_minutes"});
+    used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
     check_sets(options.sets, used, "refine");
     apply_sets(run.config, options.sets);
     run.config = with_farthest(std::move(run.config), run.sequence);

@@ -79,7 +79,6 @@ Config config_of(const TrainOptions& options) {
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;   // the length that 0 stands for
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
-    config.eval.lpips_weights = absolute_path(config.eval.lpips_weights);
     apply_log_part(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
         if (length.ends_with('m')) length.pop_back();
@@ -108,7 +107,7 @@ void check_unchanged(const fs::path& folder, const Config& config) {
     std::string key = differing_setting(trained, config);
     if (key.empty() && trained.dataset.path != config.dataset.path) key = "dataset.path";
     if (key.empty() && trained.dataset.sequence != config.dataset.sequence) key = "dataset.sequence";
-    for (const char* group : {"refine.", "render.", "eval."})
+    for (const char* group : {"refine.", "render."})
         if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format("resuming {}: its training is finished with another setting {}, expected the same; --force "
@@ -185,20 +184,20 @@ void complete_or_tell(Device& device, Run& run, const TrainOptions& options, Sta
 /// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
-    const Config config = with_lpips_weights(run.config);
     ScanRenderer renderer(device, run);
     Progress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
     Evaluation evaluation;
     try {
-        evaluation = evaluate_frames(renderer, config, run.sequence, run.split.test, shown_until_interrupted(progress));
+        evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
         throw interrupted_while("held-out frames were scored", run, options);
     }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     write_text(run.folder / "metrics.json",
-               metrics_json(evaluation, config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+               metrics_json(evaluation, run.config,
+                            {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
 }
 
@@ -331,7 +330,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
         return;
     }
     const bool resume = options.resume && !options.force;
-    if (!options.no_eval) check_lpips_weights(with_lpips_weights(config));
+    if (!options.no_eval) check_lpips_weights();
     if (resume && has_scene(options.out, config)) {
         if (ranks.is_first()) finish_scene(options, config, command_line);
         return;
@@ -402,7 +401,7 @@ void add_train(CLI::App& app, Call& call) {
         "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes "
         "long.\n"
         "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened, with the ray-drop\n"
-        "network too. Settings refine.*, render.* and eval.* may be changed then; other refine.* train the network from the beginning.\n"
+        "network too. Settings refine.* and render.* may be changed then; other refine.* train the network from the beginning.\n"
         "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar list settings` lists them.\n"
         "Examples:\n"
         "  relidar train data/street --out run --preset quick\n"

@@ -26,9 +26,9 @@ using Clock = std::chrono::steady_clock;
 /// Of settings that a block's surfels do not depend on.
 bool is_free(const std::string& key) {
     // a block names those actors that it has
-    constexpr std::array kFree{"preset",          "dataset.path",           "dataset.memory_mib", "train.log_every",
-                               "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
-    constexpr std::array kFreeGroups{"train.checkpoint_", "render.", "refine.", "eval.", "trace.", "blocks."};
+    constexpr std::array kFree{"dataset.path", "dataset.memory_mib", "train.log_every", "train.frame_memory_mib",
+                               "init.actor_classes", "init.actor_tracks"};
+    constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
     return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
            std::any_of(kFreeGroups.begin(), kFreeGroups.end(), [&](const char* group) { return key.starts_with(group); });
 }
