@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# add_kernel(stage/stem [TRACES] [ACCUMULATES]): compiles shaders/<stage>/<stem>.comp to SPIR-V and embeds it in the library.
+# add_kernel(room/folder/stem [TRACES] [ACCUMULATES]): compiles shaders/<room>/<folder>/<stem>.comp to SPIR-V and embeds it in the library.
 #   TRACES       built once per traversal backend: @ray_query, @software_bvh, @brute_force
 #   ACCUMULATES  built once with the device's float atomics and once with compare-and-swap: suffix _atomics, _swap
 # embed_kernels(<target>): generates the table that relidar::embedded_kernels() returns, so that there is nothing to find at run time, and

@@ -3,8 +3,8 @@
 // Input: from. Output: to. Floor: 16 B read, 16 B written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/gpu.h"
+#include "../base/kernel.glsl"
+#include "shared/gpu.h"
 RELIDAR_PARAMS(CopyParams);
 
 void main() {

@@ -3,9 +3,9 @@
 // of 4096 keys. Input: n_keys, keys. Output: counts. Floor: the keys read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/gpu.h"
-#include "../common/workgroup_scan.glsl"
+#include "../base/kernel.glsl"
+#include "shared/gpu.h"
+#include "../base/workgroup_scan.glsl"
 RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 shared uint histogram[RELIDAR_SORT_DIGITS];

@@ -3,9 +3,9 @@
 // value. Input: n_keys. Counts: in place; totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/gpu.h"
-#include "../common/workgroup_scan.glsl"
+#include "../base/kernel.glsl"
+#include "shared/gpu.h"
+#include "../base/workgroup_scan.glsl"
 RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 

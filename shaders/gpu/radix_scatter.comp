@@ -5,9 +5,9 @@
 // order, counts, totals. Output: sorted_keys, sorted_order. Floor: key and order read and written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/gpu.h"
-#include "../common/workgroup_scan.glsl"
+#include "../base/kernel.glsl"
+#include "shared/gpu.h"
+#include "../base/workgroup_scan.glsl"
 #extension GL_KHR_shader_subgroup_ballot : require
 RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"

@@ -3,9 +3,9 @@
 // Input: counts. Output: tile_sums. Floor: 4 B a count read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/gpu.h"
-#include "../common/workgroup_scan.glsl"
+#include "../base/kernel.glsl"
+#include "shared/gpu.h"
+#include "../base/workgroup_scan.glsl"
 RELIDAR_PARAMS(ScanParams);
 
 void main() {

@@ -4,9 +4,9 @@
 // Floor: 4 B read, 4 B written a count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/gpu.h"
-#include "../common/workgroup_scan.glsl"
+#include "../base/kernel.glsl"
+#include "shared/gpu.h"
+#include "../base/workgroup_scan.glsl"
 RELIDAR_PARAMS(ScanParams);
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;

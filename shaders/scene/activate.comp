@@ -6,12 +6,12 @@
 // and is never hit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../common/find_model.glsl"
-#include "../shared/scene.h"
-#include "../gaussian/quaternion.glsl"
-#include "../gaussian/sh.glsl"
-#include "../gaussian/gait.glsl"
+#include "../base/kernel.glsl"
+#include "find_model.glsl"
+#include "shared/scene.h"
+#include "gaussian/quaternion.glsl"
+#include "gaussian/sh.glsl"
+#include "gaussian/gait.glsl"
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateParams);
 

@@ -5,8 +5,8 @@
 // Input: touched. Output: rows, count (zero before).
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/scene.h"
+#include "../base/kernel.glsl"
+#include "shared/scene.h"
 RELIDAR_PARAMS(ListTouchedParams);
 
 void main() {

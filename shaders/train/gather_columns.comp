@@ -3,8 +3,8 @@
 // batch. Input: rays, targets. Output: batch_rays, batch_targets.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/train.h"
+#include "../base/kernel.glsl"
+#include "shared/train.h"
 #include "columns.glsl"
 RELIDAR_PARAMS(GatherColumnsParams);
 

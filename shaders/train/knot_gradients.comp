@@ -5,8 +5,8 @@
 // order. Input: moved, places, knots, d_rays. Output: rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../shared/train.h"
+#include "../base/kernel.glsl"
+#include "shared/train.h"
 #include "columns.glsl"
 #include "knots.glsl"
 RELIDAR_PARAMS(KnotGradientsParams);

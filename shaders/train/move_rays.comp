@@ -4,9 +4,9 @@
 // One thread a ray. Input: rays, places, knots. Output: moved.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "../common/kernel.glsl"
-#include "../common/rotation.glsl"
-#include "../shared/train.h"
+#include "../base/kernel.glsl"
+#include "../base/rotation.glsl"
+#include "shared/train.h"
 #include "knots.glsl"
 RELIDAR_PARAMS(MoveRaysParams);
 

@@ -13,9 +13,9 @@
 #include <vector>
 
 #include "gpu/forced.hpp"
-#include <relidar/stages/gpu.hpp>
+#include <relidar/gpu/stream.hpp>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 #include "gpu/vulkan.hpp"
 
 namespace relidar::gpu {

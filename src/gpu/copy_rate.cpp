@@ -5,12 +5,12 @@
 #include <algorithm>
 #include <chrono>
 
-#include <relidar/error.hpp>
-#include <relidar/stages/gpu.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/stream.hpp>
 
 #include "gpu/kernel.hpp"
 #include "gpu/stream.hpp"
-#include "shared/gpu.h"
+#include "gpu/shared/gpu.h"
 
 namespace relidar {
 namespace {

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the environment says of devices, read where a program asks for it.
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 #include <charconv>
 #include <cstdlib>
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar {
 

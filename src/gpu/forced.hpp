@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <optional>
 
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 namespace relidar {
 

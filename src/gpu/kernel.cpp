@@ -10,7 +10,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/pipeline_statistics.hpp"
@@ -29,7 +29,7 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
 }
 
 /// Kernels whose lanes work together behind branches and in loops that they leave at different times.
-constexpr std::array<std::string_view, 2> kReconverging{"accel/bvh_cluster", "backward/trace"};
+constexpr std::array<std::string_view, 2> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace"};
 
 /// Returns true for the versions of lavapipe that execute no load in a branch that no lane takes: 25.0 and older.
 bool loads_by_mask(const std::string& driver) {

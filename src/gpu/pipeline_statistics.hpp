@@ -2,7 +2,7 @@
 // What the driver's compiler says of a pipeline (VK_KHR_pipeline_executable_properties).
 #pragma once
 
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 #include "gpu/context.hpp"
 

@@ -2,7 +2,7 @@
 // Binding of gpu/scan_sums and gpu/scan_write: sums up the levels, prefix sums down again.
 #include "gpu/prefix_sum.hpp"
 
-#include "core/assert.hpp"
+#include "base/assert.hpp"
 #include "gpu/stream.hpp"
 #include "gpu/tiles.hpp"
 

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "gpu/kernel.hpp"
-#include "shared/gpu.h"
+#include "gpu/shared/gpu.h"
 
 namespace relidar {
 

@@ -2,7 +2,7 @@
 // Copies of device values into host memory as part of a submission.
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "gpu/stream.hpp"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is read from a SPIR-V module, and changed in it, when it is loaded. Execution modes: whether a device has them is known only then,
 // and glslang may not know their GLSL extensions. That parameters are only read: GLSL's word for it reaches too far
-// (shaders/common/kernel.glsl).
+// (shaders/base/kernel.glsl).
 #pragma once
 
 #include <cstdint>
@@ -40,7 +40,8 @@ std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> 
 std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
 
 /// The module with branches that its specialisation constants decide made unconditional. The blocks that are not reached stay where they
-/// are. A driver drops them too, but only after it has put all functions into one: Mesa's lavapipe makes forward/trace in half the time
+/// are. A driver drops them too, but only after it has put all functions into one: Mesa's lavapipe makes
+/// diff/forward/trace in half the time
 /// when they are unreachable from the start. @param constants  values by id; those not given are as the module has them
 std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
                                                const std::map<std::uint32_t, std::uint32_t>& constants);

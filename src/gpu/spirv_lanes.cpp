@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adds a zero to every index into an array, one that a compiler takes for another number in each lane:
-//   %lane_zero = LocalInvocationIndex & push.nothing.x & 255      `nothing` is a multiple of 256 (shaders/common/kernel.glsl)
+//   %lane_zero = LocalInvocationIndex & push.nothing.x & 255      `nothing` is a multiple of 256 (shaders/base/kernel.glsl)
 //   %place = OpAccessChain %pointer %array %int_0 %index    with    %index + %lane_zero    in place of    %index
 #include <set>
 #include <string>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 namespace relidar::gpu {
 

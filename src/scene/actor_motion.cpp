@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where an actor is while the head of a LiDAR faces it.
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
 #include <cmath>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the box's pose at the time it is looked at
 // (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
-#include <relidar/scene.hpp>
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -12,13 +12,13 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "core/list_text.hpp"
-#include "core/random.hpp"
+#include "base/list_text.hpp"
+#include "base/random.hpp"
 #include "scene/gait.hpp"
 #include "scene/point_surfels.hpp"
-#include "core/progress_blocks.hpp"
+#include "base/progress_blocks.hpp"
 
 namespace relidar {
 

@@ -9,7 +9,7 @@
 #include <cmath>
 #include <random>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar {
 namespace {

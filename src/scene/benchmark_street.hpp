@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <string>
 
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace relidar {
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The scene on the device: parameter arrays, records, the tables of models and instances, and the activation kernels between them.
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -8,11 +8,11 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "core/assert.hpp"
+#include "base/assert.hpp"
 #include "gpu/stream.hpp"
-#include "shared/scene.h"
+#include "scene/shared/scene.h"
 
 namespace relidar {
 

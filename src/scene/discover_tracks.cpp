@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tracks of what moves without a label: groups of returns that other frames see through, linked from frame to frame, placed by their near
 // ends along their motion, boxed, and proven by what other frames see where they were.
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <algorithm>
 #include <array>
@@ -12,7 +12,7 @@
 
 #include <fmt/format.h>
 
-#include "core/progress_blocks.hpp"
+#include "base/progress_blocks.hpp"
 #include "scene/mover_boxes.hpp"
 #include "scene/mover_clusters.hpp"
 #include "scene/mover_evidence.hpp"

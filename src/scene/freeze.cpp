@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A scene at one moment as one set of surfels in the world.
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <algorithm>
 #include <array>
@@ -8,16 +8,16 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 
 namespace relidar {
 namespace {
 
 using Basis = std::array<double, kShCoefficients>;
 
-/// shaders/gaussian/sh.glsl in double: real harmonics up to degree 3, orthonormal on the sphere. @param d [3] unit
+/// shaders/scene/gaussian/sh.glsl in double: real harmonics up to degree 3, orthonormal on the sphere. @param d [3] unit
 Basis harmonics(const glm::dvec3& d) {
     const double x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
@@ -72,7 +72,7 @@ void turn_harmonics(const Turn& turn, float* channel) {
     std::ranges::copy(turned, channel);
 }
 
-/// Moves a surfel to where it is at a phase of its gait, and lets it fade (shaders/gaussian/gait.glsl).
+/// Moves a surfel to where it is at a phase of its gait, and lets it fade (shaders/scene/gaussian/gait.glsl).
 void bend(Surfels& s, std::size_t i, double phase) {
     const Gait& gait = s.gait[i];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);

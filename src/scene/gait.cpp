@@ -12,8 +12,8 @@
 #include <fmt/format.h>
 #include <nanoflann.hpp>
 
-#include "core/parallel.hpp"
-#include "core/progress_blocks.hpp"
+#include "base/parallel.hpp"
+#include "base/progress_blocks.hpp"
 
 namespace relidar {
 namespace {

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "scene/point_surfels.hpp"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Background surfels from the training frames: points averaged per voxel, normals and scales from nearest neighbours (docs/method.md
 // section 2; paper section 3.2). Points of moving boxes are left out, and no held-out frame is looked at.
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <algorithm>
 #include <array>
@@ -11,13 +11,13 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "core/nearest_place.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "base/nearest_place.hpp"
+#include "base/parallel.hpp"
+#include "base/random.hpp"
 #include "scene/point_surfels.hpp"
-#include "core/progress_blocks.hpp"
+#include "base/progress_blocks.hpp"
 #include "scene/visibility.hpp"
 
 namespace relidar {

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Instances of a scene: found by name, and given models of their own.
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <algorithm>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar {
 

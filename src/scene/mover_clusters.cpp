@@ -9,9 +9,9 @@
 #include <unordered_map>
 #include <utility>
 
-#include "core/cell_key.hpp"
-#include "core/cell_numbers.hpp"
-#include "core/parallel.hpp"
+#include "base/cell_key.hpp"
+#include "base/cell_numbers.hpp"
+#include "base/parallel.hpp"
 
 namespace relidar {
 namespace {

@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "scene/visibility.hpp"
 

@@ -3,7 +3,7 @@
 // elsewhere. Private to scene.
 #pragma once
 
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
 
 #include "scene/mover_clusters.hpp"
 #include "scene/visibility.hpp"

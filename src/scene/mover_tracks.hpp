@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
 
 #include "scene/mover_clusters.hpp"
 

@@ -9,8 +9,8 @@
 #include <Eigen/Eigenvalues>
 #include <nanoflann.hpp>
 
-#include "core/random.hpp"
-#include "core/progress_blocks.hpp"
+#include "base/random.hpp"
+#include "base/progress_blocks.hpp"
 
 namespace relidar {
 

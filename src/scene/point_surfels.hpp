@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace relidar {
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameters, gradients or moments on the device, group by group.
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
 #include <limits>
@@ -8,9 +8,9 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "shared/scene.h"
+#include "scene/shared/scene.h"
 
 namespace relidar {
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Host-side surfel arrays: shapes, order, concatenation.
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -8,8 +8,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/stages/scene.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 namespace relidar {
 

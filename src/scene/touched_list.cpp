@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Binding of scene/list_touched.
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
 
 #include "gpu/stream.hpp"
-#include "shared/scene.h"
+#include "scene/shared/scene.h"
 
 namespace relidar {
 

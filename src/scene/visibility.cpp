@@ -8,8 +8,8 @@
 #include <numeric>
 #include <utility>
 
-#include "core/cell_key.hpp"
-#include "core/parallel.hpp"
+#include "base/cell_key.hpp"
+#include "base/parallel.hpp"
 
 namespace relidar {
 

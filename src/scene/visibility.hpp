@@ -8,7 +8,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 

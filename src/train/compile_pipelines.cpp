@@ -3,12 +3,12 @@
 // needs neither a log nor a card.
 #include "train/compile_pipelines.hpp"
 
-#include <relidar/stages/config.hpp>
-#include <relidar/dataset.hpp>
-#include <relidar/render.hpp>
-#include <relidar/stages/forward.hpp>
-#include <relidar/stages/refine.hpp>
-#include <relidar/train.hpp>
+#include <relidar/diff/forward.hpp>
+#include <relidar/diff/network_training.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "gpu/radix_sort.hpp"
 #include "train/train_loop.hpp"

@@ -9,9 +9,9 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/stages/densify.hpp>
-#include <relidar/stages/gpu.hpp>
-#include <relidar/stages/loss.hpp>
+#include <relidar/diff/densify.hpp>
+#include <relidar/diff/loss.hpp>
+#include <relidar/gpu/stream.hpp>
 
 namespace relidar {
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // How the intensities of a log scatter about those of its trained scene: some training frames rendered along the rays that measured them.
 // Residuals of held-out frames are as large (0.083 against 0.081 on KITTI raw drive 0005), so what is learnt here holds there.
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "train/frames/measured_frame.hpp"
 

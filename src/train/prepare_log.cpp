@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is estimated from a log before a scene is trained on it: poses of the sensor, its beams, what moves without a label.
-#include <relidar/train.hpp>
+#include <relidar/train/train.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -10,11 +10,11 @@
 
 #include <fmt/format.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/registration.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/log/registration.hpp>
 
-#include "core/list_text.hpp"
+#include "base/list_text.hpp"
 #include "train/poses/register_options.hpp"
 
 namespace relidar {

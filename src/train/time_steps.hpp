@@ -7,8 +7,8 @@
 #include <map>
 #include <string>
 
-#include <relidar/gpu.hpp>
-#include <relidar/run.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/run/run.hpp>
 
 namespace relidar {
 

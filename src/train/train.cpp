@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Training from a log to a scene: initialise or continue, iterate, report, keep checkpoints (the iteration itself is in train_loop.cpp).
-#include <relidar/train.hpp>
+#include <relidar/train/train.hpp>
 
 #include <algorithm>
 #include <chrono>
@@ -8,9 +8,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
 
 #include "train/checkpoints/checkpoint_keeper.hpp"
 #include "train/checkpoints/resume.hpp"

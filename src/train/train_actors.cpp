@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Actors of a scene in blocks learn on before the joined background. What they learn from is little: the rays near their boxes, and the
 // surfels along these, so that many blocks go into one training and an actor that drives along learns from all of them in random order.
-#include <relidar/train.hpp>
+#include <relidar/train/train.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <set>
 
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 #include "train/poses/placed_box.hpp"
 #include "train/train_loop.hpp"
 

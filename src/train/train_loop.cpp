@@ -10,9 +10,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
 
 #include "train/readback_lag.hpp"
 

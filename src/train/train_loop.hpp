@@ -8,13 +8,13 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/stages/densify.hpp>
-#include <relidar/stages/differentiable_renderer.hpp>
-#include <relidar/stages/optimizer.hpp>
-#include <relidar/train.hpp>
+#include <relidar/diff/densify.hpp>
+#include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/diff/optimizer.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/train/train.hpp>
 
-#include "core/random.hpp"
+#include "base/random.hpp"
 #include "train/frames/batch.hpp"
 #include "train/iteration_reports.hpp"
 #include "train/poses/pose_refiner.hpp"

@@ -2,9 +2,9 @@
 // The smallest user of the installed library: a table of rays, and the devices that could trace them.
 #include <cstdio>
 
-#include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/sensor.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/log/sensor.hpp>
 
 int main() {
     std::printf("%zu rays\n", relidar::make_rays(relidar::kitti360_grid()).size());

@@ -4,11 +4,11 @@
 
 #include <cstdlib>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
 #include "changed_files.hpp"
-#include "dataset/argoverse2_log.hpp"
-#include "dataset/argoverse2/feather.hpp"
+#include "log/readers/argoverse2/argoverse2_log.hpp"
+#include "base/codecs/feather.hpp"
 
 namespace relidar::fuzz {
 namespace {

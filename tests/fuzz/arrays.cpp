@@ -4,13 +4,14 @@
 
 #include <cstring>
 
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/export.hpp>
-#include <relidar/metrics.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/arrays.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/scene/surfel_ply.hpp>
+#include <relidar/score/metrics.hpp>
 
-#include "export/npy.hpp"
-#include "run/example_run.hpp"
+#include "base/codecs/npy.hpp"
+#include "run/files/example_run.hpp"
 
 namespace relidar::fuzz {
 namespace {

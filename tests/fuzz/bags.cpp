@@ -10,15 +10,15 @@
 #include <sqlite3.h>
 #include <zstd.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
 
-#include "core/bytes.hpp"
-#include "dataset/bag/byte_reader.hpp"
-#include "dataset/bag/messages.hpp"
-#include "dataset/packets/ouster.hpp"
-#include "dataset/packets/packet_log.hpp"
-#include "dataset/packets/packet_messages.hpp"
+#include "base/bytes.hpp"
+#include "base/codecs/byte_reader.hpp"
+#include "log/readers/bag/messages.hpp"
+#include "log/readers/bag/packets/ouster.hpp"
+#include "log/readers/bag/packets/packet_log.hpp"
+#include "log/readers/bag/packets/packet_messages.hpp"
 
 namespace relidar::fuzz {
 namespace {

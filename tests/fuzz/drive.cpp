@@ -8,14 +8,14 @@
 
 #include <fmt/format.h>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 
 #include "changed_files.hpp"
-#include "dataset/kitti_360_folder.hpp"
-#include "dataset/kitti_drive.hpp"
-#include "dataset/kitti/hdl64_rings.hpp"
-#include "dataset/kitti/kitti_360.hpp"
-#include "dataset/kitti/kitti_files.hpp"
+#include "log/readers/kitti/kitti_360_folder.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
+#include "log/readers/kitti/hdl64_rings.hpp"
+#include "log/readers/kitti/kitti_360.hpp"
+#include "log/clouds/log_files.hpp"
 
 namespace relidar::fuzz {
 namespace {

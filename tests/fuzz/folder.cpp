@@ -7,12 +7,13 @@
 
 #include <fmt/format.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/export.hpp>
-#include <relidar/math.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/log/dataset.hpp>
 
-#include "dataset/folder/point_table.hpp"
-#include "dataset/point_writers.hpp"
+#include "log/clouds/point_table.hpp"
+#include "log/clouds/point_writers.hpp"
 
 namespace relidar::fuzz {
 namespace {

@@ -13,7 +13,7 @@
 #include <sanitizer/allocator_interface.h>
 #include <unistd.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::fuzz {
 namespace {

@@ -4,9 +4,9 @@
 
 #include <cstdlib>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 #include "changed_files.hpp"
-#include "dataset/nuscenes_folder.hpp"
+#include "log/readers/nuscenes/nuscenes_folder.hpp"
 
 namespace relidar::fuzz {
 namespace {

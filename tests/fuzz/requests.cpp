@@ -6,11 +6,11 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
 
 #include "../../tools/view/request.hpp"
-#include "run/example_run.hpp"
+#include "run/files/example_run.hpp"
 #ifdef RELIDAR_FUZZ_VIEW
 #include "../../tools/view/access.hpp"
 #endif

@@ -5,12 +5,12 @@
 
 #include <cstdlib>
 
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
 
-#include "run/coverage_file.hpp"
-#include "run/example_run.hpp"
-#include "run/scatter_file.hpp"
-#include "run/sweeps_file.hpp"
+#include "run/files/coverage_file.hpp"
+#include "run/files/example_run.hpp"
+#include "run/files/scatter_file.hpp"
+#include "run/files/sweeps_file.hpp"
 
 namespace relidar::fuzz {
 namespace {

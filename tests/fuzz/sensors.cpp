@@ -4,8 +4,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/export.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/arrays.hpp>
+#include <relidar/log/sensor_files.hpp>
 
 namespace relidar::fuzz {
 namespace {

@@ -4,9 +4,9 @@
 
 #include <cstdlib>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 #include "changed_files.hpp"
-#include "dataset/stamped_folders.hpp"
+#include "log/clouds/stamped_folders.hpp"
 
 namespace relidar::fuzz {
 namespace {

@@ -5,14 +5,14 @@
 
 #include <fmt/format.h>
 
-#include <relidar/config.hpp>
-#include <relidar/dataset.hpp>
-#include <relidar/edit.hpp>
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/run/config.hpp>
+#include <relidar/run/edit.hpp>
+#include <relidar/run/run.hpp>
 
-#include "run/example_run.hpp"
+#include "run/files/example_run.hpp"
 
 namespace relidar::fuzz {
 namespace {

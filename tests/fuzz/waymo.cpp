@@ -5,9 +5,9 @@
 
 #include <cstdlib>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 
-#include "dataset/waymo_segment.hpp"
+#include "log/readers/waymo/waymo_segment.hpp"
 
 namespace relidar::fuzz {
 namespace {

@@ -4,26 +4,26 @@
 #include <concepts>
 #include <type_traits>
 
-#include <relidar/stages/gpu.hpp>
+#include <relidar/gpu/stream.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/kernel.hpp"
-#include "shared/accel.h"
-#include "shared/backward.h"
-#include "shared/bvh_build.h"
-#include "shared/densify.h"
-#include "shared/gpu.h"
-#include "shared/loss.h"
-#include "shared/optimizer.h"
-#include "shared/refine.h"
-#include "shared/train.h"
+#include "diff/shared/accel.h"
+#include "diff/shared/backward.h"
+#include "diff/shared/bvh_build.h"
+#include "diff/shared/densify.h"
+#include "gpu/shared/gpu.h"
+#include "diff/shared/loss.h"
+#include "diff/shared/optimizer.h"
+#include "diff/shared/refine.h"
+#include "train/shared/train.h"
 
 namespace relidar {
 namespace {
 
 static_assert(name_of_struct<shared::ImageLossParams>() == "ImageLossParams");
-static_assert(params_of_kernel("loss/image_loss") == "ImageLossParams", "as its shader declares");
-static_assert(params_of_kernel("loss/surfel_loss") != "ImageLossParams", "so Kernel<ImageLossParams> of it does not compile");
+static_assert(params_of_kernel("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
+static_assert(params_of_kernel("diff/loss/surfel_loss") != "ImageLossParams", "so Kernel<ImageLossParams> of it does not compile");
 static_assert(params_of_kernel("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <numeric>
 
-#include <relidar/error.hpp>
-#include <relidar/stages/gpu.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/stream.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/context.hpp"

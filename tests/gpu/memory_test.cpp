@@ -5,7 +5,7 @@
 #include <map>
 #include <random>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/context.hpp"

@@ -14,7 +14,7 @@
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
-#include "shared/scene.h"
+#include "scene/shared/scene.h"
 
 namespace relidar {
 namespace {

@@ -6,14 +6,14 @@
 
 #include <stdlib.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 #include "../support/device.hpp"
 #include "gpu/copy_rate.hpp"
 #include "gpu/forced.hpp"
 #include "gpu/kernel.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
-#include "shared/gpu.h"
+#include "gpu/shared/gpu.h"
 
 namespace relidar {
 namespace {

@@ -9,8 +9,8 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
-#include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/device.hpp>
 
 #include "gpu/kernel.hpp"
 #include "train/compile_pipelines.hpp"
@@ -28,7 +28,7 @@ std::string family() {
 /// hit.
 int least_waves(const PipelineStatistics& p) {
     const bool gcn = family().starts_with("vega");
-    const bool sums_harmonics = p.kernel.starts_with("backward/gather@") && p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
+    const bool sums_harmonics = p.kernel.starts_with("diff/backward/gather@") && p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
     return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
 }
 
@@ -84,9 +84,9 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
     for (const PipelineStatistics& p : pipelines_) compiled.insert(p.kernel);
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::string text(kernel.name);
-        if (text.starts_with("traversal/collect_hits") || text.find("@brute_force") != std::string::npos) continue;   // of the tests
+        if (text.starts_with("diff/traversal/collect_hits") || text.find("@brute_force") != std::string::npos) continue;   // of the tests
         if (text == "gpu/copy") continue;   // of `relidar-dev bench`
-        if (text == "accel/model_radii" && !suffixes_.count("@ray_query")) continue;   // of ray query alone
+        if (text == "diff/accel/model_radii" && !suffixes_.count("@ray_query")) continue;   // of ray query alone
         const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
                            (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
                            (text.ends_with("_atomics") && !suffixes_.count("_atomics")) ||

@@ -5,7 +5,7 @@
 #include <cstdio>
 #include <string>
 
-#include <relidar/export.hpp>
+#include <relidar/base/arrays.hpp>
 
 #include "../support/pixel_gradients.hpp"
 #include "../support/placed.hpp"

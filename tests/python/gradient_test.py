@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""forward() and backward() against the double reference, by the measure and the tolerances of the C++ test (tests/backward, tests/support):
+"""forward() and backward() against the double reference, by the measure and the tolerances of the C++ test (tests/diff/backward, tests/support):
 a row is one parameter of one surfel; its error is |actual - expected| over the row's norm, small rows over a share of the largest."""
 import os
 import re

@@ -11,9 +11,9 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include <relidar/export.hpp>
+#include <relidar/base/arrays.hpp>
 #include "scene/benchmark_street.hpp"
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "../support/surfels.hpp"
 #include "../support/tolerances.hpp"

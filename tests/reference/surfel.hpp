@@ -12,8 +12,8 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/scene.hpp>
-#include <relidar/math.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace relidar::reference {
 

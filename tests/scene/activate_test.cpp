@@ -8,11 +8,11 @@
 #include <random>
 #include <tuple>
 
-#include <relidar/error.hpp>
-#include <relidar/stages/scene.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 #include "gpu/stream.hpp"
-#include "shared/scene.h"
+#include "scene/shared/scene.h"
 
 #include "../support/device.hpp"
 #include "../support/floats.hpp"
@@ -79,7 +79,7 @@ protected:
 INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
                          testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool(), testing::Bool()));
 
-/// The 16 floats of a record in double, as shaders/shared/scene.h orders them.
+/// The 16 floats of a record in double, as shaders/scene/shared/scene.h orders them.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(s);
     const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), sh_degree);

@@ -5,10 +5,10 @@
 #include <cmath>
 
 #include "gpu/forced.hpp"
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/stages/forward.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/diff/forward.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "../support/device.hpp"
 

@@ -4,9 +4,9 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/reader.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/log/clouds.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace relidar {
 namespace {

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <set>
 
-#include <relidar/dataset.hpp>
-#include <relidar/stages/forward.hpp>
+#include <relidar/diff/forward.hpp>
+#include <relidar/log/dataset.hpp>
 
-#include "core/random.hpp"
+#include "base/random.hpp"
 #include "scene/gait.hpp"
 
 #include "../support/device.hpp"

@@ -11,9 +11,9 @@
 #include <numeric>
 #include <random>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "../support/rig_street.hpp"
 

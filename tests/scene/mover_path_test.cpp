@@ -5,9 +5,9 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/math.hpp>
+#include <relidar/base/math.hpp>
 
-#include "core/random.hpp"
+#include "base/random.hpp"
 #include "scene/mover_path.hpp"
 
 namespace relidar {

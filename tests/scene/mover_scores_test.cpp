@@ -10,10 +10,10 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/scene/scene.hpp>
 
-#include "core/random.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 namespace {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Classes as datasets spell them.
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include <gtest/gtest.h>
 

@@ -8,7 +8,7 @@
 
 #include <gtest/gtest.h>
 
-#include "core/random.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 namespace {

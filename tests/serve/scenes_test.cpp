@@ -2,12 +2,12 @@
 // Several runs within a memory budget: which go, that they come back the same, and what is said of one that never fits.
 #include <gmock/gmock.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 #include "gpu/forced.hpp"
 
 #include "asset_shelf.hpp"
 #include "scenes.hpp"
-#include "../export/temporary_folder.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {

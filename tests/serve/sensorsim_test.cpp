@@ -4,7 +4,7 @@
 
 #include <gmock/gmock.h>
 
-#include <relidar/sensor_files.hpp>
+#include <relidar/log/sensor_files.hpp>
 
 #include "sensorsim/sensorsim.grpc.pb.h"
 #include "small_service.hpp"

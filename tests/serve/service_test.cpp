@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
-#include <relidar/render.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "../../tools/network/loopback.hpp"
 #include "../support/drop_networks.hpp"

@@ -13,7 +13,7 @@
 
 #include <stdlib.h>
 
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
 
 #include "../support/device.hpp"
 #include "client.hpp"

@@ -5,14 +5,14 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
-#include <relidar/edit.hpp>
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/edit.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "asset_shelf.hpp"
 #include "refusal.hpp"
 #include "scenes.hpp"
-#include "../export/temporary_folder.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {

@@ -17,7 +17,7 @@ const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/r
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 150;
     if (path.starts_with("include/relidar/")) return 300;
-    if (path.starts_with("shaders/shared/")) return 150;
+    if (path.starts_with("shaders/") && has_extension(path, {".h"})) return 150;
     if (has_extension(path, {".comp"})) return 200;
     if (has_extension(path, {".cpp", ".hpp", ".h", ".glsl", ".cmake"})) return 500;
     return 0;

@@ -2,8 +2,8 @@
 // What exchange_test.cpp must find, and must not: threads of a workgroup hand values on through a buffer.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "relidar/shared/lang.h"
-#include "../../shaders/common/kernel.glsl"
+#include "relidar/base/lang.h"
+#include "../../shaders/base/kernel.glsl"
 struct ExchangeParams {
     Uints keys;      // in place
     Uints source;    // read alone

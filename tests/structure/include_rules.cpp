@@ -2,118 +2,104 @@
 #include "rules.hpp"
 
 #include <algorithm>
+#include <regex>
 #include <set>
 #include <utility>
 
 namespace relidar::structure {
 namespace {
 
-using Stages = std::set<std::string>;
+using Names = std::set<std::string>;
 
-/// Which other stages a stage may include; core is open to all and not listed.
-const std::map<std::string, Stages>& layer_table() {
-    static const std::map<std::string, Stages> table = {
-        {"core", {}},
-        {"channels", {}},
-        {"gpu", {}},
-        {"sensor", {}},
-        {"sequence", {"sensor"}},
-        {"scatter", {}},
-        {"weather", {}},
-        {"coverage", {"sequence", "sensor"}},
-        {"reader", {"sequence", "sensor"}},                                       // what all readers of datasets share
-        {"dataset", {"reader", "sensor_files", "export", "sequence", "sensor"}},  // export: npz
-        {"registration", {"sequence", "sensor"}},
-        {"scene", {"sequence", "sensor", "gpu"}},
-        {"edit", {"run", "scene", "sequence", "sensor"}},
-        {"accel", {"scene", "gpu"}},
-        {"optimizer", {"scene", "gpu"}},
-        {"loss", {"traversal", "scene", "gpu"}},
-        {"metrics", {"sequence", "sensor", "gpu"}},
-        {"refine", {"optimizer", "gpu"}},
-        {"export", {"channels", "metrics", "scene", "sequence", "sensor"}},  // metrics: the rows a report shows
-        {"forward", {"traversal", "accel", "scene", "sequence", "sensor", "gpu"}},
-        {"densify", {"optimizer", "scene", "gpu"}},
-        {"checkpoint", {"export", "scene", "optimizer", "refine", "gpu"}},  // export: safetensors
-        {"traversal", {"accel", "scene", "gpu"}},                           // rays and hits: what forward and backward share
-        {"backward", {"traversal", "forward", "accel", "scene", "gpu"}},
-        {"differentiable_renderer", {"backward", "forward", "traversal", "accel", "scene", "gpu"}},
-        // options of all of them
-        {"config",
-         {"channels", "traversal", "accel", "forward", "backward", "loss", "optimizer", "densify", "refine", "scene", "sequence", "sensor",
-          "gpu"}},
-        {"run", {"config", "coverage", "export", "refine", "scatter", "scene", "sequence", "sensor"}},  // export: safetensors
-        {"sensor_files", {"sensor", "export"}},                                  // export: npz
-        {"render",
-         {"channels", "sensor_files", "config", "coverage", "run", "forward", "traversal", "refine", "accel", "metrics", "scatter",
-          "weather", "scene", "sequence", "sensor", "gpu"}},
-        {"assets", {"render", "run", "edit", "export", "config", "scene", "sequence", "sensor", "gpu"}},   // export: write_text
-        {"scan_files", {"channels", "render", "run", "export", "config", "metrics", "scene", "sequence", "sensor", "weather"}},
-        {"evaluation", {"render", "run", "config", "export", "metrics", "scene", "sequence", "sensor", "gpu"}},  // export: weights of LPIPS
-        {"blocks", {"run", "config", "coverage", "scene", "sequence", "sensor"}},
-        {"train", {"channels",   "config",   "run",       "render",    "differentiable_renderer",
-                   "backward",   "forward",  "traversal", "densify",
-                   "checkpoint", "accel",    "optimizer", "loss",
-                   "metrics",    "refine",   "dataset",   "registration",
-                   "scene",      "sequence", "sensor",    "gpu",       "coverage",
-                   "scatter"}},
-    };
-    return table;
+/// The rooms of src/, include/relidar/ and shaders/. A room includes only itself and the rooms before it.
+const std::vector<std::string> kRooms = {"base", "gpu", "log", "scene", "diff", "run", "simulate", "score", "train"};
+
+/// Folders whose private headers other rooms include directly. Everything else is reached through the public headers.
+const std::vector<std::string> kOpenFolders = {"src/base/", "src/gpu/", "src/diff/traversal/"};
+
+/// Headers of other libraries, and the folders that may include them. Headers that are not listed are open to all.
+const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries = {
+    {"volk", {"src/gpu/"}},
+    {"vulkan/", {"src/gpu/"}},
+    {"Imf", {"src/base/codecs/"}},
+    {"png.h", {"src/base/codecs/"}},
+    {"lz4frame.h", {"src/base/codecs/"}},
+    {"flatbuffers/", {"src/base/codecs/"}},
+    {"sqlite3.h", {"src/log/readers/bag/"}},
+    {"bzlib.h", {"src/log/readers/bag/"}},
+    {"pcap/", {"src/log/readers/bag/"}},
+    {"simdjson.h", {"src/log/readers/"}},
+    {"protozero/", {"src/log/readers/", "src/simulate/scan_files/"}},
+    {"pugixml.hpp", {"src/log/", "src/run/"}},
+    {"toml++/", {"src/log/", "src/run/"}},
+    {"nlohmann/", {"src/base/", "src/log/", "src/run/", "src/simulate/"}},
+    {"nanoflann.hpp", {"src/base/", "src/scene/", "src/score/"}},
+    {"Eigen/", {"src/base/", "src/log/", "src/scene/", "src/score/"}},
+};
+
+const std::string kPublic = "include/relidar/", kUmbrella = kPublic + "relidar.hpp", kReaders = "src/log/readers/";
+
+/// Public headers for people who build their own trainer. <relidar/relidar.hpp> does not include them.
+const Names kTrainerHeaders = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp", "run/stage_options.hpp",
+                               "run/checkpoint.hpp"};
+/// Headers of diff/ that hold options and are part of <relidar/relidar.hpp>.
+const Names kOptionHeaders = {"diff/densify_options.hpp", "diff/loss_options.hpp", "diff/loss_terms.h", "diff/network.hpp"};
+
+bool is_library(const std::string& path) {
+    return path.starts_with("src/") || path.starts_with("shaders/") || path.starts_with(kPublic);
 }
 
-const std::string kFaces = "include/relidar/", kUmbrella = kFaces + "relidar.hpp";
-const Stages kCoreFaces = {"error", "math", "progress", "process_group", "version"};
-const Stages kOpenFolders = {"core", "gpu", "traversal", "shared"};   // infrastructure: its headers are included directly
+/// Index of a file's room in kRooms, or the number of rooms if it has none.
+std::size_t room_of(const std::string& path) {
+    const std::string name = folder(path, path.starts_with(kPublic) ? 2 : 1);
+    return std::size_t(std::ranges::find(kRooms, name) - kRooms.begin());
+}
 
-/// Layer of a file: a stage; "shared"; "shaders/<folder>"; "tools/<name>"; "tests/<folder>"; or empty for others.
-std::string layer_of(const std::string& path) {
-    const std::string top = folder(path, 0), second = folder(path, 1);
-    if (path.starts_with(kFaces + "shared/")) return "shared";
-    if (path.starts_with(kFaces)) return kCoreFaces.contains(stem(path)) ? "core" : stem(path);
-    if (top == "src") return second;
-    if (top == "shaders") return second == "shared" ? "shared" : "shaders/" + second;
-    if (top == "tools" || top == "tests") return top + "/" + second;
+/// Reader of a file below src/log/readers/, or nothing for the registry, which includes all of them.
+std::string reader_of(const std::string& path) {
+    return path.starts_with(kReaders) && path.find('/', kReaders.size()) != std::string::npos ? folder(path, 3) : "";
+}
+
+bool starts_with_any(const std::string& text, const std::vector<std::string>& prefixes) {
+    return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
+}
+
+/// Says what is wrong with an include between two files of the library, or returns nothing.
+std::string judge_library(const std::string& from, const std::string& to) {
+    const std::size_t from_room = room_of(from), to_room = room_of(to);
+    if (from == kUmbrella) return "";
+    if (from_room == kRooms.size()) return from + " is in none of the nine rooms";
+    if (to_room > from_room)
+        return kRooms[from_room] + " may not include " + (to_room < kRooms.size() ? kRooms[to_room] : folder(to, 1));
+    const bool is_shared = to.find("/shared/") != std::string::npos;
+    if (from.starts_with(kPublic) && !to.starts_with(kPublic)) return "a public header includes only public headers";
+    if (from.starts_with("shaders/") && !to.starts_with("shaders/") && !to.ends_with(".h")) return "shaders include no C++";
+    if (!reader_of(from).empty() && !reader_of(to).empty() && reader_of(from) != reader_of(to))
+        return "readers do not include each other";
+    if (from_room != to_room && to.starts_with("src/") && !starts_with_any(to, kOpenFolders))
+        return "another room is reached only through its public headers, <relidar/" + kRooms[to_room] + "/...>";
+    if (from.starts_with("src/") && to.starts_with("shaders/") && !is_shared) return "C++ includes only shaders/*/shared";
     return "";
 }
 
-/// May a shader of layer `from` include one of layer `to`? Kernels see the common folders and their own, never another stage's.
-bool shader_may_include(const std::string& from, const std::string& to) {
-    static const std::vector<std::string> order = {"shared", "shaders/common", "shaders/gaussian", "shaders/traversal"};
-    const auto from_at = std::ranges::find(order, from), to_at = std::ranges::find(order, to);
-    return to_at != order.end() && to_at <= from_at;
-}
-
-bool stage_may_include(const std::string& from, const std::string& to) {
-    const Stages& allowed = layer_table().at(from);
-    if (to == "shared") return from == "gpu" || allowed.contains("gpu");
-    return to == "core" || allowed.contains(to);
-}
-
-/// What is wrong with an include, or nothing.
-std::string judge(const std::string& from_path, const std::string& to_path) {
-    const std::string from = layer_of(from_path), to = layer_of(to_path);
-    const bool to_face = to_path.starts_with(kFaces);
-    if (from == to) return "";
-    if (from_path == kUmbrella)
-        return to_path.starts_with(kFaces + "stages/") ? "the umbrella holds what users need" : "";
-    if (from_path.starts_with("shaders/")) return shader_may_include(from, to) ? "" : from + " may not include " + to;
-    if (from == "tools/relidar" && (to == "tools/view" || to == "tools/serve")) return "";   // commands on top of their servers
-    if (from == "tools/relidar_dev" && (to == "tools/relidar" || to == "tools/serve")) return "";
-    // programs that measure relidar include private headers, and one scene is shared with relidar bench
-    if ((from == "tools/relidar_dev" || from == "tools/bench") && to_path.starts_with("src/")) return "";
-    if (from == "tools/relidar" && to_path == "src/scene/benchmark_street.hpp") return "";
-    if (from.starts_with("tools/") && to == "tools/network") return "";   // what servers share
-    if (from.starts_with("tools/")) return to_face ? "" : "tools see only include/relidar";
-    const bool is_test = stem(from_path).ends_with("_test");
-    if (from == "tests/reference" && is_test && (to == "tests/support" || to_path == "src/scene/benchmark_street.hpp")) return "";
-    if (from == "tests/reference")
-        return to_face && to != "shared" ? "" : "the reference includes nothing of src/, shaders/ or other tests";
-    if (from.empty() || from.starts_with("tests/")) return "";
-    if (!layer_table().contains(from)) return "'" + from + "' is no stage of the layer table";
-    if (from_path.starts_with(kFaces) && !to_face) return "a face includes only other faces";
-    if (!stage_may_include(from, to)) return from + " may not include " + to;
-    if (!to_face && !kOpenFolders.contains(to))
-        return "another stage is reached only through its faces, <relidar/" + to + ".hpp> or <relidar/stages/" + to + ".hpp>";
+/// Says what is wrong with an include, or returns nothing.
+std::string judge(const std::string& from, const std::string& to) {
+    const bool is_public = to.starts_with(kPublic);
+    if (is_library(from)) return is_library(to) ? judge_library(from, to) : "the library includes nothing of " + folder(to, 0);
+    const std::string top = folder(from, 0), part = folder(from, 1), to_part = folder(to, 0) + "/" + folder(to, 1);
+    const bool is_benchmark_street = to == "src/scene/benchmark_street.hpp";   // one scene for all benchmarks
+    if (top == "tools") {
+        const bool is_command = part == "relidar" && (to_part == "tools/view" || to_part == "tools/serve" || is_benchmark_street);
+        const bool is_measurement = (part == "relidar_dev" && (to_part == "tools/relidar" || to_part == "tools/serve")) ||
+                                    ((part == "relidar_dev" || part == "bench") && folder(to, 0) == "src");
+        const bool is_sibling = to_part == "tools/" + part || to_part == "tools/network";
+        return is_public || is_sibling || is_command || is_measurement ? "" : "tools see only include/relidar";
+    }
+    if (top == "tests" && part == "reference") {
+        const bool is_test = stem(from).ends_with("_test");
+        if (to_part == "tests/reference" || (is_test && (to_part == "tests/support" || is_benchmark_street))) return "";
+        return is_public && !to.ends_with(".h") ? "" : "the reference includes nothing of src/, shaders/ or other tests";
+    }
     return "";
 }
 
@@ -151,23 +137,21 @@ private:
 
 bool is_code(const std::string& path) { return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"}); }
 
-bool reaches(const std::string& from, const std::string& goal, Stages& seen) {
-    for (const std::string& next : layer_table().at(from)) {
-        if (next == goal) return true;
-        if (seen.insert(next).second && reaches(next, goal, seen)) return true;
-    }
-    return false;
-}
-
 }  // namespace
 
-bool is_stage(const std::string& name) { return layer_table().contains(name); }
-
-Violations check_layer_table() {
+Violations check_library_headers(const SourceTree& tree) {
+    static const std::regex pattern(R"(^\s*#\s*include\s*<([^>]+)>)");
     Violations violations;
-    for (const auto& [name, allowed] : layer_table()) {
-        Stages seen;
-        if (reaches(name, name, seen)) violations.push_back("stage " + name + " may reach itself through the layer table");
+    for (const auto& [path, file] : tree) {
+        if (!is_code(path) || !(path.starts_with("src/") || path.starts_with(kPublic))) continue;
+        for (std::size_t i = 0; i < file.lines.size(); ++i) {
+            std::smatch match;
+            if (!std::regex_search(file.lines[i], match, pattern)) continue;
+            const std::string header = match[1];
+            for (const auto& [library, folders] : kLibraries)
+                if (header.starts_with(library) && !starts_with_any(path, folders))
+                    violations.push_back(path + ":" + std::to_string(i + 1) + ": <" + header + "> is not allowed here");
+        }
     }
     return violations;
 }
@@ -186,9 +170,12 @@ Violations check_include_edges(const SourceTree& tree) {
 }
 
 Violations check_umbrella(const SourceTree& tree) {
-    const Stages lists{kFaces + "shared/loss_terms.h", kFaces + "shared/primitives.h"};   // settings are made of these
+    const auto is_deep = [](const std::string& name) {
+        return kTrainerHeaders.contains(name) || (name.starts_with("diff/") && !kOptionHeaders.contains(name)) ||
+               (name.ends_with(".h") && !name.starts_with("scene/primitives") && !kOptionHeaders.contains(name));
+    };
     Violations violations;
-    Stages seen{kUmbrella};
+    Names visited{kUmbrella};
     std::vector<std::string> open{kUmbrella};
     while (!open.empty()) {
         const std::string path = std::exchange(open.back(), {});
@@ -197,12 +184,10 @@ Violations check_umbrella(const SourceTree& tree) {
         if (file == tree.end()) continue;
         for (const Include& include : includes_of(tree, file->second)) {
             const std::string& to = include.target;
-            const bool is_deep = to.starts_with(kFaces + "stages/") ||
-                                 (to.starts_with(kFaces + "shared/") && !lists.contains(to));
-            if (is_deep)
+            if (to.starts_with(kPublic) && is_deep(to.substr(kPublic.size())))
                 violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + to +
-                                     ", which <relidar/relidar.hpp> must not bring");
-            else if (seen.insert(to).second) open.push_back(to);
+                                     ", which <relidar/relidar.hpp> must not include");
+            else if (visited.insert(to).second) open.push_back(to);
         }
     }
     return violations;

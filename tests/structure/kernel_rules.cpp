@@ -28,19 +28,15 @@ Violations check_kernels(const SourceTree& tree) {
     const auto readme = tree.find("shaders/README.md");
     for (const auto& [path, file] : tree) {
         if (folder(path, 0) != "shaders" || !has_extension(path, {".comp"})) continue;
-        const std::string stage = folder(path, 1), word = stem(path);
-        // A kernel outside the stages (a harness in shaders/gaussian) may be bound in tests/.
-        const bool own_stage = is_stage(stage);
-        if (!any_file(tree, own_stage ? "src/" + stage + "/" : "tests/", {".cpp"}, word)) {
-            violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of " + (own_stage ? "src/" + stage : "tests"));
-        }
-        const bool own_tests = has_folder(tree, "tests/" + stage + "/");
-        if (!any_file(tree, own_tests ? "tests/" + stage + "/" : "tests/", {".cpp"}, word)) {
-            violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" + (own_tests ? "/" + stage : ""));
-        }
-        if (readme == tree.end() || !contains_word(readme->second.text, stage + "/" + word)) {
-            violations.push_back(path + ":1: no row '" + stage + "/" + word + "' in shaders/README.md");
-        }
+        const std::string name = path.substr(8, path.size() - 8 - 5), word = stem(path);   // shaders/ and .comp
+        const std::string place = name.substr(0, name.rfind('/'));
+        if (!any_file(tree, "src/" + place + "/", {".cpp"}, word))
+            violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of src/" + place);
+        const bool has_tests = has_folder(tree, "tests/" + place + "/");
+        if (!any_file(tree, has_tests ? "tests/" + place + "/" : "tests/", {".cpp"}, word))
+            violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" + (has_tests ? "/" + place : ""));
+        if (readme == tree.end() || !contains_word(readme->second.text, name))
+            violations.push_back(path + ":1: no row '" + name + "' in shaders/README.md");
     }
     return violations;
 }
@@ -49,7 +45,7 @@ Violations check_bare_pointers(const SourceTree& tree) {
     static const std::regex begin(R"(struct (\w+) \{.*)"), member(R"(    (Floats|Uints|U?[Vv]ec\ds) (\w+);.*)");
     Violations violations;
     for (const auto& [path, file] : tree) {
-        if (!path.starts_with("shaders/shared/") && !path.starts_with("include/relidar/shared/")) continue;
+        if (!has_extension(path, {".h"}) || !(path.starts_with("shaders/") || path.starts_with("include/relidar/"))) continue;
         std::map<std::string, std::string> first_of;   // kind -> the struct's first pointer of it
         std::string owner;
         for (std::size_t i = 0; i < file.lines.size(); ++i) {

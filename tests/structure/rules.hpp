@@ -11,32 +11,31 @@ namespace relidar::structure {
 
 using Violations = std::vector<std::string>;
 
-/// A stage includes only what its row of the table in include_rules.cpp names, and another stage only by its face.
+/// A file includes only its own room and the rooms before it, other rooms through public headers,
+/// and a reader no other reader. The list of rooms is in include_rules.cpp.
 Violations check_include_edges(const SourceTree& tree);
+/// Headers of other libraries are included only in the folders that may use the library.
+Violations check_library_headers(const SourceTree& tree);
 /// No file includes itself, directly or through others; no path of includes is longer than 8 files (from a test: 10).
 Violations check_include_chains(const SourceTree& tree);
-/// What <relidar/relidar.hpp> brings, all its includes followed: faces of users alone, no <relidar/stages/...>, and of what devices hold no
-/// more than the list of loss terms.
+/// <relidar/relidar.hpp> includes, directly or through others, no header for builders of trainers.
 Violations check_umbrella(const SourceTree& tree);
-/// The table of check_include_edges has no cycle: names of stages that reach themselves.
-Violations check_layer_table();
-/// Whether the table has a stage of this name.
-bool is_stage(const std::string& name);
 
-/// Each kernel shaders/<stage>/<stem>.comp has a binding in src/<stage>, a test, and a row in shaders/README.md.
+/// Each kernel shaders/<folder>/<stem>.comp has a binding in src/<folder>, a test in tests/<folder>,
+/// and a row in shaders/README.md.
 Violations check_kernels(const SourceTree& tree);
 
 /// No struct that C++ and shaders share has two pointers of one bare kind (Floats, Uints, ...): RELIDAR_OF says what each holds.
 Violations check_bare_pointers(const SourceTree& tree);
 
-/// No source of the library or its tools asks which primitive something is: what differs is a column of relidar/shared/primitives.h, so
+/// No source of the library or its tools asks which primitive something is: what differs is a column of relidar/scene/primitives.h, so
 /// that a new row changes no question.
 Violations check_primitive_questions(const SourceTree& tree);
 
 /// Lengths of files, functions and lines, numbers of arguments.
 Violations check_budgets(const SourceTree& tree);
 
-/// Vulkan's names occur in src/gpu and src/accel only.
+/// Vulkan's names occur in src/gpu and src/diff/accel only.
 Violations check_vulkan_names(const SourceTree& tree);
 /// Functions declared in include/relidar say what they do.
 Violations check_face_comments(const SourceTree& tree);

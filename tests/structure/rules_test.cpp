@@ -61,45 +61,52 @@ TEST(Reader, FindsFunctions) {
 }
 
 TEST(Rules, IncludeUpwardsIsFound) {
-    const SourceTree tree =
-        make_tree({{"include/relidar/sensor.hpp", "#include <relidar/scene.hpp>\n"}, {"include/relidar/scene.hpp", ""}});
-    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("sensor may not include scene")));
+    const SourceTree tree = make_tree({{"include/relidar/log/sensor.hpp", "#include <relidar/scene/scene.hpp>\n"},
+                                       {"include/relidar/scene/scene.hpp", ""},
+                                       {"shaders/gpu/a.glsl", "#include \"../diff/b.glsl\"\n"},
+                                       {"shaders/diff/b.glsl", ""},
+                                       {"src/other/c.cpp", "#include <relidar/log/sensor.hpp>\n"}});
+    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("log may not include scene"), HasSubstr("gpu may not include diff"),
+                                                       HasSubstr("none of the nine rooms")));
 }
 
-TEST(Rules, IncludePastAFaceIsFound) {
-    const SourceTree tree = make_tree({{"src/forward/a.cpp", "#include \"scene/sorted.hpp\"\n"}, {"src/scene/sorted.hpp", ""}});
-    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("only through its faces, <relidar/scene.hpp>")));
+TEST(Rules, IncludePastPublicHeadersIsFound) {
+    const SourceTree tree = make_tree({{"src/diff/forward/a.cpp", "#include \"scene/sorted.hpp\"\n"},
+                                       {"src/scene/sorted.hpp", ""},
+                                       {"include/relidar/diff/a.hpp", "#include \"scene/sorted.hpp\"\n"}});
+    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("a public header includes only public headers"),
+                                                       HasSubstr("public headers, <relidar/scene/...>")));
+}
+
+TEST(Rules, IncludeBetweenReadersIsFound) {
+    const SourceTree tree = make_tree({{"src/log/readers/once/a.cpp", "#include \"log/readers/bag/b.hpp\"\n"},
+                                       {"src/log/readers/bag/b.hpp", ""},
+                                       {"src/log/readers/registry.cpp", "#include \"log/readers/bag/b.hpp\"\n"}});
+    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("once/a.cpp:1")));
 }
 
 TEST(Rules, InfrastructureMayBeIncludedDirectly) {
-    const SourceTree tree = make_tree({{"src/forward/a.cpp", "#include \"gpu/stream.hpp\"\n#include \"shared/forward.h\"\n"},
+    const SourceTree tree = make_tree({{"src/diff/forward/a.cpp", "#include \"gpu/stream.hpp\"\n#include \"diff/shared/forward.h\"\n"},
                                        {"src/gpu/stream.hpp", ""},
-                                       {"shaders/shared/forward.h", ""}});
+                                       {"shaders/diff/shared/forward.h", ""}});
     EXPECT_THAT(check_include_edges(tree), IsEmpty());
 }
 
-TEST(Rules, FacesAndShadersShareStructsButNotParameters) {
-    const SourceTree tree = make_tree({{"include/relidar/stages/forward.hpp", "#include <relidar/shared/rays.h>\n"},
-                                       {"shaders/shared/trace.h", "#include \"relidar/shared/rays.h\"\n"},
-                                       {"shaders/forward/a.comp", "#include \"../shared/trace.h\"\n"},
-                                       {"include/relidar/shared/rays.h", ""}});
-    EXPECT_THAT(check_include_edges(tree), IsEmpty());
-    const SourceTree wrong = make_tree({{"include/relidar/stages/forward.hpp", "#include \"shared/trace.h\"\n"},
-                                        {"tests/reference/a.cpp", "#include <relidar/shared/rays.h>\n"},
-                                        {"include/relidar/shared/rays.h", "#include <relidar/error.hpp>\n"},
-                                        {"include/relidar/error.hpp", ""},
-                                        {"shaders/shared/trace.h", ""}});
-    EXPECT_EQ(check_include_edges(wrong).size(), 3u);
+TEST(Rules, LibraryOutsideItsFolderIsFound) {
+    const SourceTree tree = make_tree({{"src/base/codecs/a.cpp", "#include <png.h>\n"}, {"src/simulate/b.cpp", "#include <png.h>\n"}});
+    EXPECT_THAT(check_library_headers(tree), ElementsAre(HasSubstr("src/simulate/b.cpp:1: <png.h>")));
 }
 
 TEST(Rules, ReferenceAndShadersAndToolsKeepApart) {
-    const SourceTree tree = make_tree({{"tests/reference/a.cpp", "#include \"shared/forward.h\"\n"},
-                                       {"shaders/loss/a.comp", "#include \"../forward/b.glsl\"\n"},
-                                       {"tools/relidar/a.cpp", "#include \"../../src/core/log.hpp\"\n"},
-                                       {"shaders/forward/b.glsl", ""},
-                                       {"shaders/shared/forward.h", ""},
-                                       {"src/core/log.hpp", ""}});
-    EXPECT_EQ(check_include_edges(tree).size(), 3u);
+    const SourceTree tree = make_tree({{"tests/reference/a.cpp", "#include \"diff/shared/forward.h\"\n"},
+                                       {"tests/reference/b.cpp", "#include <relidar/diff/rays.h>\n"},
+                                       {"tools/relidar/a.cpp", "#include \"../../src/base/log.hpp\"\n"},
+                                       {"src/base/c.cpp", "#include \"support/d.hpp\"\n"},
+                                       {"tests/support/d.hpp", ""},
+                                       {"include/relidar/diff/rays.h", ""},
+                                       {"shaders/diff/shared/forward.h", ""},
+                                       {"src/base/log.hpp", ""}});
+    EXPECT_EQ(check_include_edges(tree).size(), 4u);
 }
 
 TEST(Rules, ReferenceTestsMayUseTestSupport) {
@@ -124,15 +131,15 @@ TEST(Rules, KernelWithoutCompanyIsFound) {
     EXPECT_EQ(check_kernels(make_tree({{"shaders/loss/bce.comp", ""}})).size(), 3u);
     const SourceTree bound_elsewhere = make_tree({{"shaders/loss/bce.comp", ""}, {"src/forward/a.cpp", "bce"}, {"tests/a.cpp", "bce"}});
     EXPECT_THAT(check_kernels(bound_elsewhere), ElementsAre(HasSubstr("no binding"), HasSubstr("no row")));
-    const SourceTree complete = make_tree({{"shaders/loss/bce.comp", ""},
-                                           {"shaders/README.md", "| loss/bce | cross-entropy |"},
-                                           {"src/loss/loss.cpp", "run(bce)"},
-                                           {"tests/loss/bce_test.cpp", ""}});
+    const SourceTree complete = make_tree({{"shaders/diff/loss/bce.comp", ""},
+                                           {"shaders/README.md", "| diff/loss/bce | cross-entropy |"},
+                                           {"src/diff/loss/loss.cpp", "run(bce)"},
+                                           {"tests/diff/loss/bce_test.cpp", ""}});
     EXPECT_THAT(check_kernels(complete), IsEmpty());
 }
 
 TEST(Rules, TwoBarePointersOfOneKindAreFound) {
-    const SourceTree tree = make_tree({{"shaders/shared/a.h", "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
+    const SourceTree tree = make_tree({{"shaders/diff/shared/a.h", "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
                                                               "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
     EXPECT_THAT(check_bare_pointers(tree), ElementsAre(HasSubstr("a.h:4: P::y takes what x is given")));
 }
@@ -189,8 +196,8 @@ Violations wrong_in(const std::string& document) {
     return check_documents(make_tree({{"docs/a.md", document},
                                       {"docs/b.md", "# Two words, and `code`\n"},
                                       {"README.md", ""},
-                                      {"src/config/fields.hpp", "f(\"train.iterations\", c.n);"},
-                                      {"include/relidar/shared/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
+                                      {"src/run/config/fields.hpp", "f(\"train.iterations\", c.n);"},
+                                      {"include/relidar/diff/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
                                       {"shaders/loss/bce.comp", ""},
                                       {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
                                       {"tools/relidar/train.cpp",
@@ -199,9 +206,9 @@ Violations wrong_in(const std::string& document) {
 }
 
 TEST(Documents, NamesThatExistAreRight) {
-    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and `src/config/fields.{hpp,h}`\n").size(), 1u);
+    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and `src/run/config/fields.{hpp,h}`\n").size(), 1u);
     EXPECT_THAT(wrong_in("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, `config.train.iterations`\n"), IsEmpty());
-    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, `<relidar/shared/loss_terms.h>`\n"),
+    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, `<relidar/diff/loss_terms.h>`\n"),
                 IsEmpty());
     EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like this\nRELIDAR_X=1 cmake --build x\n```\n"),
                 IsEmpty());
@@ -229,14 +236,14 @@ TEST(Documents, NamesThatDoNotExistAreFound) {
                 ElementsAre(HasSubstr("src/a.cpp:2: no file b.md"), HasSubstr("settings or commands were not found")));
 }
 
-TEST(Umbrella, BringsNoStageThroughOtherFaces) {
-    const SourceTree tree = make_tree({{"include/relidar/relidar.hpp", "#include <relidar/config.hpp>\n"},
-                                       {"include/relidar/config.hpp", "#include <relidar/loss.hpp>\n"},
-                                       {"include/relidar/loss.hpp",
-                                        "#include <relidar/shared/loss_terms.h>\n#include <relidar/stages/gpu.hpp>\n"},
-                                       {"include/relidar/shared/loss_terms.h", ""},
-                                       {"include/relidar/stages/gpu.hpp", ""}});
-    EXPECT_THAT(check_umbrella(tree), ElementsAre(HasSubstr("loss.hpp:2: includes include/relidar/stages/gpu.hpp")));
+TEST(Umbrella, IncludesNoTrainerHeaderThroughOthers) {
+    const SourceTree tree = make_tree({{"include/relidar/relidar.hpp", "#include <relidar/run/config.hpp>\n"},
+                                       {"include/relidar/run/config.hpp", "#include <relidar/diff/loss_options.hpp>\n"},
+                                       {"include/relidar/diff/loss_options.hpp",
+                                        "#include <relidar/diff/loss_terms.h>\n#include <relidar/gpu/stream.hpp>\n"},
+                                       {"include/relidar/diff/loss_terms.h", ""},
+                                       {"include/relidar/gpu/stream.hpp", ""}});
+    EXPECT_THAT(check_umbrella(tree), ElementsAre(HasSubstr("loss_options.hpp:2: includes include/relidar/gpu/stream.hpp")));
 }
 
 TEST(InstalledNames, OfSourcesAreFound) {

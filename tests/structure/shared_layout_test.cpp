@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct of include/relidar/shared and shaders/shared, in every kernel that uses it. And no
+// Host and shaders see the same bytes: every struct that they share, in every kernel that uses it. And no
 // kernel needs what not every device has.
 #include <algorithm>
 #include <cstddef>
@@ -47,7 +47,7 @@ TEST(Kernels, HaveNo64BitIntegers) {
     ASSERT_FALSE(embedded_kernels().empty());
     for (const EmbeddedKernel& kernel : embedded_kernels())
         EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64))
-            << kernel.name << ": see RELIDAR_POINTER in relidar/shared/lang.h";
+            << kernel.name << ": see RELIDAR_POINTER in relidar/base/lang.h";
 }
 
 /// What a module does with addresses.

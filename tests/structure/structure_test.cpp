@@ -16,10 +16,10 @@ void expect_none(const Violations& violations) {
     for (const std::string& violation : violations) ADD_FAILURE() << violation;
 }
 
-TEST(Structure, LayerTableHasNoCycle) { expect_none(check_layer_table()); }
-TEST(Structure, IncludesFollowTheLayers) { expect_none(check_include_edges(checkout())); }
+TEST(Structure, IncludesFollowTheRooms) { expect_none(check_include_edges(checkout())); }
 TEST(Structure, IncludeChainsAreShortAndAcyclic) { expect_none(check_include_chains(checkout())); }
-TEST(Structure, TheUmbrellaBringsNoStages) { expect_none(check_umbrella(checkout())); }
+TEST(Structure, LibrariesAreUsedInTheirFolders) { expect_none(check_library_headers(checkout())); }
+TEST(Structure, TheUmbrellaIncludesNoTrainerHeaders) { expect_none(check_umbrella(checkout())); }
 TEST(Structure, InstalledHeadersNameInstalledFiles) { expect_none(check_installed_names(checkout())); }
 TEST(Structure, KernelsHaveBindingTestAndRow) { expect_none(check_kernels(checkout())); }
 TEST(Structure, PointersSayWhatTheyHold) { expect_none(check_bare_pointers(checkout())); }
@@ -34,8 +34,8 @@ TEST(Structure, WhatDocumentsNameExists) { expect_none(check_documents(checkout(
 
 TEST(Structure, CheckoutWasRead) {
     EXPECT_TRUE(checkout().contains("LICENSE"));
-    EXPECT_TRUE(checkout().contains("include/relidar/sensor.hpp"));
-    EXPECT_FALSE(functions_of(checkout().at("include/relidar/sensor.hpp")).empty());
+    EXPECT_TRUE(checkout().contains("include/relidar/log/sensor.hpp"));
+    EXPECT_FALSE(functions_of(checkout().at("include/relidar/log/sensor.hpp")).empty());
 }
 
 }  // namespace

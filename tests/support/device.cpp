@@ -6,7 +6,7 @@
 #include <memory>
 #include <string>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 #include "gpu/forced.hpp"
 
 namespace relidar::test {

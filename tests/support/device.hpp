@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 namespace relidar::test {
 

@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <cstdint>
 
-#include <relidar/refine.hpp>
+#include <relidar/diff/network.hpp>
 
-#include "refine/drop_network.hpp"
-#include "refine/unet.hpp"
+#include "diff/network/drop_network.hpp"
+#include "diff/network/unet.hpp"
 
 namespace relidar::test {
 

@@ -7,7 +7,7 @@
 #include <numeric>
 
 #include "gpu/stream.hpp"
-#include "shared/accel.h"
+#include "diff/shared/accel.h"
 
 namespace relidar::test {
 namespace {
@@ -124,7 +124,7 @@ std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     const std::vector<Constant> constants{{ConstantId::BOXES, 1u},
                                           {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
-    const Kernel<shared::ProxyParams> proxies(device, "accel/proxies", constants);
+    const Kernel<shared::ProxyParams> proxies(device, "diff/accel/proxies", constants);
     const Array<float, shared::SurfelBoxes> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
     run(stream, proxies, scene.size(),

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // A two-level tree in the layout of shared/bvh.h, built on the host by recursive object median: tests of the traversal alone, which
-// must not depend on the device's builder. Boxes are the device's own (accel/proxies).
+// must not depend on the device's builder. Boxes are the device's own (diff/accel/proxies).
 #pragma once
 
 #include <memory>
 
-#include <relidar/stages/accel.hpp>
-#include <relidar/stages/scene.hpp>
+#include <relidar/diff/accel.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 namespace relidar::test {
 

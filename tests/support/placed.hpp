@@ -2,7 +2,7 @@
 // Between the oracle's worlds and the library's scenes: one model a range of surfels that some instance places.
 #pragma once
 
-#include <relidar/stages/traversal.hpp>
+#include <relidar/diff/traversal.hpp>
 
 #include "surfels.hpp"
 

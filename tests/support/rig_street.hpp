@@ -7,7 +7,7 @@
 #include <fstream>
 #include <string>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 
 namespace relidar::test {
 

@@ -5,8 +5,8 @@
 
 #include <vector>
 
-#include <relidar/stages/traversal.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/diff/traversal.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "../reference/traversal.hpp"
 

@@ -3,8 +3,8 @@
 // and tilted.
 #pragma once
 
-#include <relidar/dataset.hpp>
-#include <relidar/reader.hpp>
+#include <relidar/log/clouds.hpp>
+#include <relidar/log/dataset.hpp>
 
 namespace relidar::test {
 

@@ -43,7 +43,7 @@ printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
 check "no run to measure" "$program" train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
     --set train.iterations=6 --set dataset.test_every=5 --no-eval --quiet
 good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
-for kernel in scene/activate accel/build accel/refit forward/trace backward/trace optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
+for kernel in scene/activate accel/build accel/refit diff/forward/trace diff/backward/trace diff/optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
 says "^floors    bytes that must move once, at the [0-9.]+ GB/s of a copy"
 says "^forward +[0-9.]+ Mrays/s, 0\.[0-9]+ blended hits a ray"
 exists numbers/bench.json
@@ -66,7 +66,7 @@ check "bench --quiet prints" test ! -s out -a ! -s err
 check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' render.json
 check "bench --no-backward has a backward pass" grep -q '"backward_mrays_per_s": null' render.json
 good bench --run run --steps 2 --json steps.json
-says "^forward/trace +1 +[0-9.]+ +[0-9.]+%$"
+says "^diff/forward/trace +1 +[0-9.]+ +[0-9.]+%$"
 says "^between kernels +-?[0-9.]+ +-?[0-9.]+%$"
 says "^step, wall time +[0-9.]+ +100.0%$"
 check "steps.json: other batches than the run's" grep -q '"rays": 768' steps.json
@@ -77,7 +77,7 @@ says "^ +3 +one +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
 says "^ +3 +own +3000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
 check "moving actors rebuilds bottom levels" test "$(grep -c '"bottom_levels_rebuilt": 0' actors.json)" = 4
 absent lost.json
-good pipelines --traversal software --kernel optimizer/adam --tsv
+good pipelines --traversal software --kernel diff/optimizer/adam --tsv
 says "^kernel	constants	workgroup"
-says "^optimizer/adam	"
+says "^diff/optimizer/adam	"
 finish_checks

@@ -48,7 +48,7 @@ def straight(t, times):
 
 def sweep(number):
     """Sensor points (x right, y forward) and their times: a clockwise head, times from -0.05 s to 0.05 s about the sweep's."""
-    with open(SOURCE / "src/sensor/tables/Pandar64.csv") as file:
+    with open(SOURCE / "src/log/sensor/tables/Pandar64.csv") as file:
         beams = list(csv.DictReader(line for line in file if not line.startswith("#")))
     elevation = np.radians([float(b["elevation_deg"]) for b in beams])[:, None]
     offset = np.radians([float(b["azimuth_offset_deg"]) for b in beams])[:, None]

@@ -7,9 +7,9 @@
 
 #include <gmock/gmock.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "../export/temporary_folder.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "train/frames/frame_data.hpp"
 

@@ -3,8 +3,8 @@
 // no frame sees keeps the picture.
 #include <map>
 
-#include <relidar/dataset.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 

@@ -2,9 +2,9 @@
 // Training keeps as many hits of a ray as almost all rays have, and what is kept changes nothing of what is learnt.
 #include <algorithm>
 
-#include <relidar/dataset.hpp>
-#include <relidar/train.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 #include "train/train_loop.hpp"

@@ -5,13 +5,13 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
-#include "core/random.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 namespace {

@@ -2,8 +2,8 @@
 // Every loss term in a training: each has a value in the log under its name, with batches that are images and with single rays.
 #include <cmath>
 
-#include <relidar/dataset.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 

@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <limits>
 
-#include <relidar/dataset.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 
-#include "../export/temporary_folder.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "gpu/context.hpp"
 #include "train/readback_lag.hpp"

@@ -4,9 +4,9 @@
 #include <map>
 #include <utility>
 
-#include <relidar/dataset.hpp>
-#include <relidar/render.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 

@@ -2,9 +2,9 @@
 // Held-out scans placed on a trained street, whose exact poses are known.
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 

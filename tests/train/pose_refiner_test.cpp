@@ -9,11 +9,11 @@
 
 #include <gmock/gmock.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 
-#include "../registration/street_poses.hpp"
+#include "../log/registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "train/poses/moved_rays.hpp"
 #include "train/poses/pose_refiner.hpp"

@@ -10,9 +10,9 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/process_group.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/process_group.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar {
 namespace {

@@ -10,14 +10,15 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/evaluation.hpp>
-#include <relidar/export.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/score/evaluation.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 

@@ -8,14 +8,14 @@
 #include <optional>
 #include <regex>
 
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
-#include "../export/temporary_folder.hpp"
-#include "../registration/street_poses.hpp"
+#include "../base/codecs/temporary_folder.hpp"
+#include "../log/registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "../support/file_size_limit.hpp"
 #include "train/train_loop.hpp"

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Four LiDARs of a rig train one scene; held-out sweeps of each against the street itself, cast along the same rays.
-#include <relidar/render.hpp>
-#include <relidar/sensor_files.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include <algorithm>
 #include <cmath>

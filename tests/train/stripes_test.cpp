@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 
 namespace relidar {
 namespace {

@@ -9,10 +9,10 @@
 
 #include <gmock/gmock.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 

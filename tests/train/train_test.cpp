@@ -5,10 +5,10 @@
 #include <cmath>
 #include <map>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 #include "train/frames/frame_data.hpp"

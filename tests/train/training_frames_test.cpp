@@ -8,13 +8,13 @@
 #include <map>
 #include <numeric>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 
-#include "../export/temporary_folder.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
-#include "core/random.hpp"
+#include "base/random.hpp"
 #include "train/frames/grid_frame.hpp"
 
 namespace relidar {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Training on a log of two LiDARs: the loss falls, and a held-out frame of each comes closer to what it measured.
-#include <relidar/render.hpp>
-#include <relidar/train.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "../support/device.hpp"
 #include "../support/two_lidars.hpp"

@@ -5,7 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::view {
 namespace {

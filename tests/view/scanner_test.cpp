@@ -11,9 +11,9 @@
 
 #include "../support/device.hpp"
 #include "../support/drop_networks.hpp"
-#include <relidar/dataset.hpp>
-#include <relidar/edit.hpp>
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/edit.hpp>
 
 namespace relidar::view {
 namespace {

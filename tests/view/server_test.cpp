@@ -9,7 +9,7 @@
 
 #include "../../tools/view/server.hpp"
 #include "raw_client.hpp"
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::view {
 namespace {

@@ -8,8 +8,8 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include "refine/measured_network.hpp"
+#include <relidar/base/error.hpp>
+#include "diff/network/measured_network.hpp"
 
 #include "timing.hpp"
 

@@ -21,8 +21,8 @@
 #include <fmt/format.h>
 
 #include "scene/benchmark_street.hpp"
-#include <relidar/scene.hpp>
-#include <relidar/sensor.hpp>
+#include <relidar/log/sensor.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace {
 
@@ -92,7 +92,7 @@ void on_candidate(const RTCFilterFunctionNArguments* args) {
     args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;   // accepted: the ray ends here
 }
 
-/// Real spherical harmonics of degree 3 (shaders/gaussian/sh.glsl).
+/// Real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
 void sh_basis(const glm::vec3& d, float* b) {
     const float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,

@@ -9,12 +9,12 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "street_of.hpp"
 

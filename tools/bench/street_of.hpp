@@ -4,8 +4,8 @@
 
 #include <string>
 
-#include <relidar/dataset.hpp>
-#include <relidar/run.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/run.hpp>
 
 namespace relidar {
 

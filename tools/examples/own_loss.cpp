@@ -3,9 +3,9 @@
 #include <cmath>
 #include <cstdio>
 
+#include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/diff/optimizer.hpp>
 #include <relidar/relidar.hpp>
-#include <relidar/stages/differentiable_renderer.hpp>
-#include <relidar/stages/optimizer.hpp>
 
 using namespace relidar;
 

@@ -9,7 +9,7 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
-#include <relidar/export.hpp>
+#include <relidar/base/arrays.hpp>
 
 namespace relidar::python {
 

@@ -10,7 +10,7 @@
 #include <pybind11/functional.h>
 #include <pybind11/stl.h>
 
-#include <relidar/progress.hpp>
+#include <relidar/base/progress.hpp>
 
 namespace relidar::python {
 

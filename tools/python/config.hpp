@@ -6,7 +6,7 @@
 
 #include <pybind11/pybind11.h>
 
-#include <relidar/config.hpp>
+#include <relidar/run/config.hpp>
 
 namespace relidar::python {
 

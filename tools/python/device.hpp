@@ -10,7 +10,7 @@
 
 #include <pybind11/pybind11.h>
 
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 namespace relidar::python {
 

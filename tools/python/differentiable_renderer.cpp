@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/stages/differentiable_renderer.hpp>
+#include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
 #include <optional>
@@ -8,8 +8,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/stages/config.hpp>
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/stage_options.hpp>
 #include "device.hpp"
 #include "module.hpp"
 #include "poses.hpp"

@@ -8,8 +8,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/edit.hpp>
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/edit.hpp>
 #include "config.hpp"
 #include "module.hpp"
 #include "poses.hpp"

@@ -2,7 +2,7 @@
 // The library's failures as Python exceptions, one to one. Each is also the built-in exception that a caller would expect.
 #include <string>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 #include "module.hpp"
 
 namespace relidar::python {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/error.hpp>
-#include <relidar/evaluation.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/score/evaluation.hpp>
+#include <relidar/train/train.hpp>
 #include "calls.hpp"
 #include "module.hpp"
 #include "run.hpp"

@@ -3,10 +3,10 @@
 
 #include <pybind11/stl/filesystem.h>
 
-#include <relidar/error.hpp>
-#include <relidar/export.hpp>
-#include <relidar/render.hpp>
-#include <relidar/scan_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
 #include "arrays.hpp"
 #include "module.hpp"
 

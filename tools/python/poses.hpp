@@ -4,8 +4,8 @@
 
 #include <string>
 
-#include <relidar/math.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/log/sequence.hpp>
 #include "arrays.hpp"
 
 namespace relidar::python {

@@ -10,8 +10,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/scan_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/simulate/scan_files.hpp>
 #include "arrays.hpp"
 #include "config.hpp"
 #include "module.hpp"

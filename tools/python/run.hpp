@@ -4,8 +4,8 @@
 
 #include <optional>
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 #include "device.hpp"
 
 namespace relidar::python {

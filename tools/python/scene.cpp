@@ -7,8 +7,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/stages/scene.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/scene/device_scene.hpp>
 #include "arrays.hpp"
 #include "module.hpp"
 

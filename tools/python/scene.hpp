@@ -4,7 +4,7 @@
 
 #include <pybind11/pybind11.h>
 
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace relidar::python {
 

@@ -7,8 +7,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/sensor_files.hpp>
 #include "arrays.hpp"
 #include "module.hpp"
 

@@ -4,8 +4,8 @@
 
 #include <pybind11/pybind11.h>
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::python {
 

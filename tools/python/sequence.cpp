@@ -9,15 +9,15 @@
 
 #include <fmt/format.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/train/train.hpp>
 #include "arrays.hpp"
 #include "calls.hpp"
 #include "module.hpp"
 #include "poses.hpp"
 #include "sensors.hpp"
-#include <relidar/stages/config.hpp>
+#include <relidar/run/stage_options.hpp>
 
 namespace relidar::python {
 namespace {

@@ -4,8 +4,8 @@
 
 #include <pybind11/pybind11.h>
 
-#include <relidar/config.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/run/config.hpp>
 
 namespace relidar::python {
 

@@ -5,9 +5,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/train/train.hpp>
 #include "calls.hpp"
 #include "module.hpp"
 #include "run.hpp"

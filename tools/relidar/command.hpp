@@ -6,7 +6,7 @@
 #include <functional>
 #include <string>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace CLI {
 class App;

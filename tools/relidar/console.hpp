@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/progress.hpp>
+#include <relidar/base/progress.hpp>
 
 namespace relidar::cli {
 

@@ -15,9 +15,9 @@
 #include "evaluate/pictures.hpp"
 #include "evaluate/run_report.hpp"
 #include "train/training.hpp"
-#include <relidar/run.hpp>
-#include <relidar/stages/config.hpp>
-#include <relidar/scan_files.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -7,7 +7,7 @@
 #include <csignal>
 #include <ctime>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::cli {
 namespace {

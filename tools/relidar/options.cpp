@@ -10,9 +10,9 @@
 #include <fmt/ranges.h>
 
 #include "console.hpp"
-#include <relidar/channels.hpp>
-#include <relidar/error.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/channels.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar::cli {
 namespace {

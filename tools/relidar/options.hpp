@@ -8,9 +8,9 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/config.hpp>
-#include <relidar/dataset.hpp>
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/config.hpp>
 
 namespace CLI {
 class App;

@@ -17,13 +17,13 @@
 
 #include <fmt/format.h>
 
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/config.hpp>
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/export.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/config.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -12,9 +12,9 @@
 #include <mpi.h>
 
 #include "launched_by_mpi.hpp"
-#include <relidar/error.hpp>
-#include <relidar/gpu.hpp>
-#include <relidar/sensor.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/log/sensor.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/process_group.hpp>
+#include <relidar/base/process_group.hpp>
 
 #include "options.hpp"
 

@@ -3,7 +3,7 @@
 #include "ranks.hpp"
 
 #include "launched_by_mpi.hpp"
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::cli {
 

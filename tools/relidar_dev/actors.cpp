@@ -12,10 +12,10 @@
 #include "measure.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
-#include <relidar/error.hpp>
-#include <relidar/stages/accel.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/diff/accel.hpp>
 #include "scene/benchmark_street.hpp"
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -20,7 +20,7 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include <relidar/export.hpp>
+#include <relidar/base/files.hpp>
 #include "gpu/copy_rate.hpp"
 
 namespace relidar::cli {
@@ -201,7 +201,7 @@ void add_dev_bench(CLI::App& app, Call& call) {
     command->footer(
         "A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, loss, backward, Adam with\n"
         "learning rate 0, so that the scene stays); one instance moved (top level). Times are device timestamps; a kernel launched\n"
-        "several times in an iteration counts in full. Mrays/s: of forward/* and of backward/trace, median. A floor is the bytes that a\n"
+        "several times in an iteration counts in full. Mrays/s: of forward and backward tracing, median. A floor is the bytes that a\n"
         "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no arithmetic.\n"
         "Examples:\n"
         "  relidar-dev bench --json bench.json\n"

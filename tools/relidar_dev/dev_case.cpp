@@ -10,11 +10,11 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 #include "scene/benchmark_street.hpp"
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "console.hpp"
 #include "options.hpp"

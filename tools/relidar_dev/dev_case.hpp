@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include <relidar/stages/accel.hpp>
+#include <relidar/diff/accel.hpp>
 
 #include "bench/case.hpp"
 

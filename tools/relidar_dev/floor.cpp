@@ -13,7 +13,7 @@ constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay
                  kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
 constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
-constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/traversal/software_bvh.glsl
+constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/diff/traversal/software_bvh.glsl
 
 double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
 double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
@@ -58,27 +58,27 @@ struct Row {
 /// One row a kernel. Surfels met are those with a gradient: others need not be loaded.
 constexpr Row kFloorRows[] = {
     {"scene/activate", When::always, [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
-    {"accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
+    {"diff/accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
     {"accel/build", When::software, build},
     {"accel/refit", When::software, refit},
-    {"forward/append", When::lists, [](const FloorSizes& s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
-    {"forward/sort_hits", When::lists, [](const FloorSizes& s) { return 2 * s.n_hits * kHit; }},
-    {"forward/blend", When::lists,
+    {"diff/forward/append", When::lists, [](const FloorSizes& s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
+    {"diff/forward/sort_hits", When::lists, [](const FloorSizes& s) { return 2 * s.n_hits * kHit; }},
+    {"diff/forward/blend", When::lists,
      [](const FloorSizes& s) {
          return s.n_rays * kRendered + s.n_hits * kHit + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
      }},
-    {"forward/trace", When::chunks,
+    {"diff/forward/trace", When::chunks,
      [](const FloorSizes& s) {
          return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
      }},
-    {"loss/image_loss", When::training, [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
+    {"diff/loss/image_loss", When::training, [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
     {"fill", When::training, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
-    {"backward/trace", When::training, backward_trace},
+    {"diff/backward/trace", When::training, backward_trace},
     {"backward/sort", When::gather, [](const FloorSizes& s) { return s.n_hits * digits(s.n_surfels) * (kRow + 2 * (kRow + kIndex)); }},
-    {"backward/gather", When::gather,
+    {"diff/backward/gather", When::gather,
      [](const FloorSizes& s) { return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s)); }},
     {"scene/activate_vjp", When::training, activate_vjp},
-    {"optimizer/adam", When::training, adam},
+    {"diff/optimizer/adam", When::training, adam},
 };
 
 bool runs(const Row& row, const FloorSizes& s) {
@@ -102,15 +102,15 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
     const double search = s.nodes_opened * kNode + s.surfels_tested * kRecord;
     const double shading = s.n_hits * (kRecord + sh_along_ray(s));
     if (s.lists) {
-        bytes["forward/append"] = search + s.n_hits * kHit;
-        bytes["forward/blend"] = shading + s.n_hits * kHit;
+        bytes["diff/forward/append"] = search + s.n_hits * kHit;
+        bytes["diff/forward/blend"] = shading + s.n_hits * kHit;
     } else {
-        bytes["forward/trace"] = search + shading;
+        bytes["diff/forward/trace"] = search + shading;
     }
     if (!s.training) return bytes;
     const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;   // share of the hits
     const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);          // 16 float atomics a hit
-    bytes["backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
+    bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
     return bytes;
 }
 

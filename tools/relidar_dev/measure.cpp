@@ -17,12 +17,12 @@
 #include "dev_case.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
-#include <relidar/error.hpp>
-#include "forward/count_visits.hpp"
-#include <relidar/stages/differentiable_renderer.hpp>
-#include <relidar/stages/loss.hpp>
-#include <relidar/stages/optimizer.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/error.hpp>
+#include "diff/forward/count_visits.hpp"
+#include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/diff/loss.hpp>
+#include <relidar/diff/optimizer.hpp>
+#include <relidar/run/stage_options.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -33,16 +33,16 @@ using Samples = std::map<std::string, std::vector<double>>;
 /// Kernels are compiled in the first moments, and a GPU raises its clocks.
 double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
-constexpr const char* kOrder[] = {"scene/activate",     "accel/proxies",  "accel/build",     "accel/refit",
-                                  "accel/top_level",    "forward/append", "forward/sort_hits", "forward/blend",
-                                  "forward/trace",      "loss/image_loss", "fill",
-                                  "backward/sort",      "backward/trace", "backward/gather", "backward/gather_heads",
-                                  "scene/activate_vjp", "optimizer/adam"};
+constexpr const char* kOrder[] = {"scene/activate",     "diff/accel/proxies",  "accel/build",     "accel/refit",
+                                  "accel/top_level",    "diff/forward/append", "diff/forward/sort_hits", "diff/forward/blend",
+                                  "diff/forward/trace",      "diff/loss/image_loss", "fill",
+                                  "backward/sort",      "diff/backward/trace", "diff/backward/gather", "diff/backward/gather_heads",
+                                  "scene/activate_vjp", "diff/optimizer/adam"};
 
 /// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and
 /// sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
-    if (kernel == "accel/bvh_top") return "accel/top_level";
+    if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
     if (kernel.starts_with("gpu/")) return phase == "rebuild" ? "accel/build" : "backward/sort";
     return kernel;
@@ -157,7 +157,7 @@ public:
         const Clock::time_point start = Clock::now();
         r.record_forward(batch());
         r.stream().finish();
-        kernels_["forward/trace"].push_back(ms_since(start));
+        kernels_["diff/forward/trace"].push_back(ms_since(start));
     }
 
     void forget_times() {
@@ -227,7 +227,7 @@ BenchResult Bench::result() {
     double forward_ms = 0.0;
     for (const BenchRow& row : result.kernels) {
         if (row.name.starts_with("forward/")) forward_ms += row.ms.median;
-        if (row.name == "backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
+        if (row.name == "diff/backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.forward_mrays_per_s = krays / forward_ms;
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
@@ -250,8 +250,8 @@ FloorSizes Bench::sizes(const BenchResult& result) {
     s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
     s.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
     s.training = training_ != nullptr;
-    s.lists = kernels_.contains("forward/append");
-    s.gather = kernels_.contains("backward/gather");
+    s.lists = kernels_.contains("diff/forward/append");
+    s.gather = kernels_.contains("diff/backward/gather");
     s.only_touched = case_.config.train.only_touched;
     s.boxes = renderer().accel().proxy() == Proxy::boxes;
     s.software = device_.traversal() == Traversal::software;

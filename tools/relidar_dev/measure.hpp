@@ -56,8 +56,8 @@ struct BenchResult {
     std::string proxy;
     std::vector<BenchRow> kernels;       ///< in the order of an iteration
     std::vector<BenchRow> phases;        ///< rebuild, iteration, iteration_wall, move
-    double forward_mrays_per_s = 0.0;                ///< median of forward/trace
-    std::optional<double> backward_mrays_per_s;      ///< median of backward/trace
+    double forward_mrays_per_s = 0.0;                ///< median of diff/forward/trace
+    std::optional<double> backward_mrays_per_s;      ///< median of diff/backward/trace
     double hits_per_ray = 0.0;           ///< blended
     std::uint32_t kept_hits = 0;         ///< of a ray, for the backward pass
     std::optional<BenchVisits> visits;   ///< software traversal alone

@@ -8,7 +8,7 @@
 
 #include "commands.hpp"
 #include "console.hpp"
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 #include "train/compile_pipelines.hpp"
 
 namespace relidar::cli {

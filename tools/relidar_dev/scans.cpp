@@ -11,10 +11,10 @@
 
 #include "measure.hpp"
 #include "interrupt.hpp"
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::cli {
 namespace {

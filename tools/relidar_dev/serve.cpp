@@ -6,7 +6,7 @@
 #include "../network/host_port.hpp"
 #include "../serve/latency.hpp"
 #include "console.hpp"
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::cli {
 namespace {

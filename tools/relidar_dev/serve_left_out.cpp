@@ -2,7 +2,7 @@
 // Replaces serve.cpp in a build without gRPC.
 #include "serve.hpp"
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::cli {
 

@@ -10,7 +10,7 @@
 
 #include "interrupt.hpp"
 #include "options.hpp"
-#include <relidar/evaluation.hpp>
+#include <relidar/score/evaluation.hpp>
 
 namespace relidar::cli {
 

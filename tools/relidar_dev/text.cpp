@@ -10,7 +10,7 @@
 #include "dev_case.hpp"
 #include "measure.hpp"
 #include "console.hpp"
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -59,7 +59,7 @@ std::map<std::string, double> floors_ms(const BenchResult& result) {
     double iteration = 0.0;
     for (const auto& [kernel, ms] : floors) iteration += kernel == "accel/build" ? 0.0 : ms;
     floors["iteration"] = floors["iteration_wall"] = iteration;
-    if (floors.contains("accel/build")) floors["rebuild"] = floors["accel/proxies"] + floors["accel/build"];
+    if (floors.contains("accel/build")) floors["rebuild"] = floors["diff/accel/proxies"] + floors["accel/build"];
     return floors;
 }
 
@@ -74,7 +74,7 @@ std::string floor_text(const BenchResult& result) {
                             milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
         text += fmt::format("search    about {:.3f} G operations in {}\n", search_operations(result.sizes) * 1e-9,
-                            result.sizes.lists ? "forward/append" : "forward/trace");
+                            result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
     return text;
 }
 

@@ -19,7 +19,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "../network/host_port.hpp"
 

@@ -2,8 +2,8 @@
 // Scans and scenes as messages.
 #pragma once
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "relidar/v1/render.pb.h"
 #include "request_messages.hpp"

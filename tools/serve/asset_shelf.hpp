@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/assets.hpp>
+#include <relidar/simulate/assets.hpp>
 
 namespace relidar::serve {
 

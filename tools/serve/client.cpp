@@ -6,7 +6,7 @@
 #include <grpcpp/security/credentials.h>
 #include <grpcpp/support/channel_arguments.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::serve {
 

@@ -6,7 +6,7 @@
 
 #include <google/protobuf/repeated_ptr_field.h>
 
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
 
 #include "relidar/v1/render.pb.h"
 

@@ -12,7 +12,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "client.hpp"
 

@@ -5,7 +5,7 @@
 #include <chrono>
 #include <utility>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 namespace relidar::serve {
 namespace {

@@ -10,7 +10,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "asset_shelf.hpp"
 #include "geometry_messages.hpp"

@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "relidar/v1/render.pb.h"
 #include "scene_source.hpp"

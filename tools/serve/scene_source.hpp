@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/weather.hpp>
+#include <relidar/simulate/weather.hpp>
 
 namespace relidar {
 struct Run;

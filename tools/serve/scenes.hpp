@@ -8,8 +8,8 @@
 #include <optional>
 #include <vector>
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "scene_source.hpp"
 #include "spawned.hpp"

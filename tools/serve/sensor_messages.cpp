@@ -7,9 +7,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/run/run.hpp>
 
 #include "geometry_messages.hpp"
 #include "refusal.hpp"

@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include <relidar/render.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "relidar/v1/render.pb.h"
 

@@ -5,7 +5,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/render.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::serve {
 

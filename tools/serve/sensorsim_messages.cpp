@@ -7,7 +7,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/sensor_files.hpp>
+#include <relidar/log/sensor_files.hpp>
 
 #include "answer_messages.hpp"
 #include "geometry_messages.hpp"

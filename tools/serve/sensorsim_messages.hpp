@@ -6,8 +6,8 @@
 #include <memory>
 #include <string>
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "request_messages.hpp"
 #include "sensor_shelf.hpp"

@@ -14,7 +14,7 @@
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/resource_quota.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "acceptor.hpp"
 #include "asset_shelf.hpp"

@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/gpu.hpp>
-#include <relidar/weather.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/simulate/weather.hpp>
 
 namespace relidar::serve {
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "spawn_messages.hpp"
 
-#include <relidar/edit.hpp>
+#include <relidar/run/edit.hpp>
 
 namespace relidar::serve {
 namespace {

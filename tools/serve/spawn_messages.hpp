@@ -4,8 +4,8 @@
 
 #include <span>
 
-#include <relidar/assets.hpp>
-#include <relidar/render.hpp>
+#include <relidar/simulate/assets.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "relidar/v1/render.pb.h"
 #include "request_messages.hpp"

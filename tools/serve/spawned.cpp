@@ -6,7 +6,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "asset_shelf.hpp"
 #include "refusal.hpp"

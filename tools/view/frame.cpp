@@ -9,8 +9,8 @@
 
 #include <nlohmann/json.hpp>
 
-#include <relidar/render.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::view {
 namespace {

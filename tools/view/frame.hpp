@@ -13,8 +13,8 @@
 #include <glm/glm.hpp>
 #include <nlohmann/json_fwd.hpp>
 
-#include <relidar/channels.hpp>
-#include <relidar/math.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/log/channels.hpp>
 
 namespace relidar {
 struct RayTable;

@@ -3,10 +3,10 @@
 
 #include <numeric>
 
-#include <relidar/error.hpp>
-#include <relidar/evaluation.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/score/evaluation.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar::view {
 namespace {

@@ -18,8 +18,8 @@
 #include <variant>
 #include <vector>
 
-#include <relidar/math.hpp>
-#include <relidar/weather.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/simulate/weather.hpp>
 
 namespace relidar::view {
 

@@ -10,8 +10,8 @@
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
-#include <relidar/error.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/sensor_files.hpp>
 
 #include "frame.hpp"
 

@@ -11,9 +11,9 @@
 
 #include <nlohmann/json_fwd.hpp>
 
-#include <relidar/gpu.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/gpu/device.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "real_scans.hpp"
 #include "request.hpp"

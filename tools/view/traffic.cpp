@@ -7,10 +7,10 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/assets.hpp>
-#include <relidar/edit.hpp>
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/edit.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/assets.hpp>
 
 #include "frame.hpp"
 

@@ -8,7 +8,7 @@
 
 #include <nlohmann/json_fwd.hpp>
 
-#include <relidar/scene.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "request.hpp"
 
@@ -31,7 +31,7 @@ ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const G
 /// The traffic of a run after some edits. It looks at tracks and instances alone, never at a surfel.
 class Traffic {
 public:
-    /// @throws UsageError for a track that is not there, as the functions of <relidar/edit.hpp>
+    /// @throws UsageError for a track that is not there, as the functions of <relidar/run/edit.hpp>
     Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
     const ActorEdits& edits() const { return edits_; }

@@ -9,8 +9,8 @@
 #include <map>
 #include <string>
 
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/train.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar {
 

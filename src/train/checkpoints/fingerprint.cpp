@@ -7,11 +7,11 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
 
-#include "core/files.hpp"
-#include "core/random.hpp"
+#include "base/files.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 namespace {

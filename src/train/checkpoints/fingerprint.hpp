@@ -8,10 +8,10 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/config.hpp>
-#include <relidar/scene.hpp>
-#include <relidar/sequence.hpp>
-#include <relidar/stages/checkpoint.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/config.hpp>
+#include <relidar/scene/scene.hpp>
 
 namespace relidar {
 

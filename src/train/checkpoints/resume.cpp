@@ -8,8 +8,8 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
 
 #include "train/checkpoints/fingerprint.hpp"
 

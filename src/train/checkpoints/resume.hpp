@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/train.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/train/train.hpp>
 
 #include "train/iteration_reports.hpp"
 

@@ -8,10 +8,10 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/train/train.hpp>
 
 #include "train/drops/refine_keeper.hpp"
 #include "train/drops/stripes.hpp"

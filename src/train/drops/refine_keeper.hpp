@@ -8,9 +8,9 @@
 #include <map>
 #include <string>
 
-#include <relidar/refine.hpp>
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/diff/network.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 
 #include "train/checkpoints/checkpoint_keeper.hpp"
 

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <atomic>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 
 namespace relidar {
 namespace {

@@ -6,7 +6,7 @@
 #include <cstddef>
 #include <vector>
 
-#include <relidar/sensor.hpp>
+#include <relidar/log/sensor.hpp>
 
 namespace relidar {
 

@@ -6,10 +6,10 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "gpu/stream.hpp"
-#include "shared/train.h"
+#include "train/shared/train.h"
 #include "train/frames/frame_data.hpp"
 
 namespace relidar {

@@ -5,10 +5,10 @@
 #include <memory>
 #include <vector>
 
-#include <relidar/stages/loss.hpp>
-#include <relidar/stages/traversal.hpp>
+#include <relidar/diff/loss.hpp>
+#include <relidar/diff/traversal.hpp>
 
-#include "core/random.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 

@@ -4,9 +4,9 @@
 
 #include <algorithm>
 
-#include <relidar/stages/scene.hpp>
+#include <relidar/scene/device_scene.hpp>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 #include "train/poses/placed_box.hpp"
 #include "train/drops/sensor_drop.hpp"
 

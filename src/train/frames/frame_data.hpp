@@ -7,13 +7,13 @@
 #include <span>
 #include <vector>
 
-#include <relidar/config.hpp>
-#include <relidar/stages/gpu.hpp>
-#include <relidar/stages/loss.hpp>
-#include <relidar/sequence.hpp>
-#include <relidar/stages/traversal.hpp>
+#include <relidar/diff/loss.hpp>
+#include <relidar/diff/traversal.hpp>
+#include <relidar/gpu/stream.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/run/config.hpp>
 
-#include "shared/train.h"
+#include "train/shared/train.h"
 
 namespace relidar {
 

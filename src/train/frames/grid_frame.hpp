@@ -2,8 +2,8 @@
 // A sweep as published results train on it: an image of cells of elevation and azimuth (train.grid), instead of the rays that were fired.
 #pragma once
 
-#include <relidar/sensor.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/log/sensor.hpp>
+#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 

@@ -4,10 +4,10 @@
 
 #include <vector>
 
-#include <relidar/config.hpp>
-#include <relidar/render.hpp>
-#include <relidar/scene.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/run/config.hpp>
+#include <relidar/scene/scene.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "train/frames/frame_data.hpp"
 

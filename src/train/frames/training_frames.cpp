@@ -8,9 +8,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
-#include "core/parallel.hpp"
+#include "base/parallel.hpp"
 #include "gpu/stream.hpp"
 #include "train/frames/grid_frame.hpp"
 

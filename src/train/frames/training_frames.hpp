@@ -9,7 +9,7 @@
 #include <optional>
 #include <vector>
 
-#include <relidar/stages/gpu.hpp>
+#include <relidar/gpu/stream.hpp>
 
 #include "train/frames/frame_data.hpp"
 

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "core/assert.hpp"
+#include "base/assert.hpp"
 #include "gpu/stream.hpp"
 
 namespace relidar {

@@ -6,11 +6,11 @@
 #include <span>
 #include <vector>
 
-#include <relidar/stages/gpu.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/gpu/stream.hpp>
+#include <relidar/log/sequence.hpp>
 
 #include "gpu/kernel.hpp"
-#include "shared/train.h"
+#include "train/shared/train.h"
 #include "train/frames/batch.hpp"
 #include "train/frames/frame_data.hpp"
 #include "train/poses/track_correction.hpp"

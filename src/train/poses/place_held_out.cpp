@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Held-out scans placed on the scene that was trained without them: six numbers of each are found from its own returns, so that scores are
 // of the scene, not of where a scan was thought to be.
-#include <relidar/train.hpp>
+#include <relidar/train/train.hpp>
 
 #include <algorithm>
 #include <set>
 
-#include <relidar/channels.hpp>
-#include <relidar/registration.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/log/channels.hpp>
+#include <relidar/log/registration.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "train/poses/register_options.hpp"
 

@@ -4,8 +4,8 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/math.hpp>
-#include <relidar/sequence.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 

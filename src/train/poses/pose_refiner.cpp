@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cstring>
 
-#include <relidar/stages/backward.hpp>
-#include <relidar/stages/optimizer.hpp>
-#include <relidar/train.hpp>
+#include <relidar/diff/backward.hpp>
+#include <relidar/diff/optimizer.hpp>
+#include <relidar/train/train.hpp>
 
 #include "train/poses/moved_rays.hpp"
 #include "train/readback_lag.hpp"

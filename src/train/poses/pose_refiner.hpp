@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/stages/gpu.hpp>
-#include <relidar/scene.hpp>
+#include <relidar/gpu/stream.hpp>
+#include <relidar/scene/scene.hpp>
 
 #include "train/poses/track_correction.hpp"
 

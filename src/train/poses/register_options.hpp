@@ -2,8 +2,8 @@
 // What the settings say of registration. Private to train.
 #pragma once
 
-#include <relidar/config.hpp>
-#include <relidar/registration.hpp>
+#include <relidar/log/registration.hpp>
+#include <relidar/run/config.hpp>
 
 namespace relidar {
 

@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <vector>
 
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 

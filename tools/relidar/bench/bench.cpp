@@ -10,9 +10,9 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/export.hpp>
-#include <relidar/render.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "bench/case.hpp"
 #include "bench/training_step.hpp"

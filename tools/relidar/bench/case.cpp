@@ -3,9 +3,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "scene/benchmark_street.hpp"
 

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/run.hpp>
-#include <relidar/stages/traversal.hpp>
+#include <relidar/diff/traversal.hpp>
+#include <relidar/run/run.hpp>
 
 namespace relidar::cli {
 

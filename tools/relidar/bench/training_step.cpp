@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <random>
 
-#include <relidar/stages/config.hpp>
+#include <relidar/run/stage_options.hpp>
 
 #include "bench/case.hpp"
 

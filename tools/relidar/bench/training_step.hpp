@@ -5,9 +5,9 @@
 #include <optional>
 #include <vector>
 
-#include <relidar/stages/differentiable_renderer.hpp>
-#include <relidar/stages/loss.hpp>
-#include <relidar/stages/optimizer.hpp>
+#include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/diff/loss.hpp>
+#include <relidar/diff/optimizer.hpp>
 
 namespace relidar::cli {
 

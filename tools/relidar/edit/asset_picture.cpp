@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include <relidar/render.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::cli {
 namespace {

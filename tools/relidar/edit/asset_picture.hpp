@@ -2,8 +2,8 @@
 // What an asset looks like from all sides.
 #pragma once
 
-#include <relidar/assets.hpp>
-#include <relidar/export.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/simulate/assets.hpp>
 
 namespace relidar::cli {
 

@@ -12,8 +12,9 @@
 #include "command.hpp"
 #include "console.hpp"
 #include "options.hpp"
-#include <relidar/assets.hpp>
-#include <relidar/export.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/simulate/assets.hpp>
 
 namespace relidar::cli {
 namespace {

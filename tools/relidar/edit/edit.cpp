@@ -13,8 +13,8 @@
 #include "edit/edit_text.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include <relidar/export.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/scene/surfel_ply.hpp>
 
 namespace relidar::cli {
 namespace {

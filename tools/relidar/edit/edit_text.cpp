@@ -14,9 +14,9 @@
 #include <fmt/ranges.h>
 
 #include "options.hpp"
-#include <relidar/assets.hpp>
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/assets.hpp>
 
 namespace relidar::cli {
 namespace {

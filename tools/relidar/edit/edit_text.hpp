@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits as they are typed: "--move 0:0,3.5,0" to a function of <relidar/edit.hpp>.
+// Edits as they are typed: "--move 0:0,3.5,0" to a function of <relidar/run/edit.hpp>.
 #pragma once
 
 #include <string>
 #include <vector>
 
-#include <relidar/edit.hpp>
+#include <relidar/run/edit.hpp>
 
 namespace relidar::cli {
 

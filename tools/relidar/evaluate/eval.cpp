@@ -22,9 +22,10 @@
 #include "render/recast.hpp"
 #include "evaluate/run_report.hpp"
 #include "evaluate/score_table.hpp"
-#include <relidar/export.hpp>
-#include <relidar/run.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/score/report.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluations (<relidar/evaluation.hpp>) for people and for files.
+// Evaluations (<relidar/score/evaluation.hpp>) for people and for files.
 #pragma once
 
 #include <string>
 
 #include <nlohmann/json_fwd.hpp>
 
-#include <relidar/evaluation.hpp>
+#include <relidar/score/evaluation.hpp>
 
 namespace relidar::cli {
 

@@ -8,9 +8,9 @@
 #include <fmt/format.h>
 
 #include "evaluate/evaluation.hpp"
-#include <relidar/math.hpp>
-#include <relidar/scan_files.hpp>
-#include <relidar/sensor.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/log/sensor.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {

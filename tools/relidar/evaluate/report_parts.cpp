@@ -7,7 +7,7 @@
 #include <fmt/format.h>
 
 #include "evaluate/evaluation.hpp"
-#include <relidar/render.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::cli {
 

@@ -5,7 +5,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/export.hpp>
+#include <relidar/score/metrics.hpp>
+#include <relidar/score/report.hpp>
 
 namespace relidar {
 struct Config;

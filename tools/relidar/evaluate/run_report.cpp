@@ -7,8 +7,8 @@
 #include "evaluate/evaluation.hpp"
 #include "evaluate/pictures.hpp"
 #include "evaluate/report_parts.hpp"
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include <relidar/export.hpp>
+#include <relidar/score/report.hpp>
 
 namespace relidar {
 struct Run;

@@ -13,9 +13,10 @@
 #include "console.hpp"
 #include "output_folder.hpp"
 #include "train/training.hpp"
-#include <relidar/error.hpp>
-#include <relidar/export.hpp>
-#include <relidar/metrics.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/score/metrics.hpp>
+#include <relidar/score/report.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -7,10 +7,10 @@
 
 #include <fmt/format.h>
 
-#include <relidar/evaluation.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/sensor.hpp>
+#include <relidar/log/sensor.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/score/evaluation.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -4,7 +4,7 @@
 
 #include <optional>
 
-#include <relidar/export.hpp>
+#include <relidar/score/report.hpp>
 
 namespace relidar {
 class Device;

@@ -8,7 +8,7 @@
 
 #include "inspect/list.hpp"
 #include "console.hpp"
-#include <relidar/gpu.hpp>
+#include <relidar/gpu/device.hpp>
 
 namespace relidar::cli {
 namespace {

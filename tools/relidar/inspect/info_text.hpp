@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
 
 namespace relidar::cli {
 

@@ -7,8 +7,8 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include <relidar/export.hpp>
-#include <relidar/sensor_files.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/log/sensor_files.hpp>
 #include "inspect/list.hpp"
 #include "console.hpp"
 #include "evaluate/pictures.hpp"

@@ -5,7 +5,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
+#include <relidar/base/error.hpp>
 
 #include "console.hpp"
 #include "options.hpp"

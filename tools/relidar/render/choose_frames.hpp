@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
 
 namespace relidar::cli {
 

@@ -5,7 +5,7 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/dataset.hpp>
+#include <relidar/log/dataset.hpp>
 
 #include "command.hpp"
 #include "console.hpp"

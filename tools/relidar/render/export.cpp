@@ -13,8 +13,9 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "render/choose_frames.hpp"
-#include <relidar/export.hpp>
-#include <relidar/run.hpp>
+#include <relidar/log/trajectory_csv.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/scene/surfel_ply.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -7,9 +7,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/dataset.hpp>
-#include <relidar/error.hpp>
-#include <relidar/render.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -4,8 +4,9 @@
 
 #include <vector>
 
-#include <relidar/metrics.hpp>
-#include <relidar/run.hpp>
+#include <relidar/log/range_image.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/score/metrics.hpp>
 
 namespace relidar::cli {
 

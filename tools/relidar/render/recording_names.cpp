@@ -6,8 +6,8 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
-#include <relidar/error.hpp>
-#include <relidar/scan_files.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -19,12 +19,12 @@
 #include "render/render_notes.hpp"
 #include "render/recording_names.hpp"
 #include "render/trajectory.hpp"
-#include <relidar/edit.hpp>
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
-#include <relidar/scan_files.hpp>
-#include <relidar/sensor_files.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/run/edit.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {

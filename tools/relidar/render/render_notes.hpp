@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/render.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
 
 namespace relidar::cli {
 

@@ -8,8 +8,8 @@
 
 #include "console.hpp"
 #include "options.hpp"
-#include <relidar/error.hpp>
-#include <relidar/run.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/sequence.hpp>
+#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 struct Run;

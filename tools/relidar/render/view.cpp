@@ -20,8 +20,8 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include <relidar/error.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/stage_options.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -13,9 +13,9 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "train/training.hpp"
-#include <relidar/export.hpp>
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/stages/config.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/stage_options.hpp>
 
 namespace relidar::cli {
 namespace {

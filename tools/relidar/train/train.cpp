@@ -19,9 +19,9 @@
 #include "evaluate/walking_strip.hpp"
 #include "train/train_blocks.hpp"
 #include "train/training.hpp"
-#include <relidar/stages/checkpoint.hpp>
-#include <relidar/stages/config.hpp>
-#include <relidar/run.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
 
 namespace relidar::cli {
 namespace {

@@ -13,9 +13,9 @@
 #include "interrupt.hpp"
 #include "output_folder.hpp"
 #include "train/training.hpp"
-#include <relidar/blocks.hpp>
-#include <relidar/error.hpp>
-#include <relidar/stages/checkpoint.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/blocks.hpp>
+#include <relidar/run/checkpoint.hpp>
 
 namespace relidar::cli {
 namespace {

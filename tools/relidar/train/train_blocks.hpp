@@ -4,8 +4,8 @@
 
 #include <string>
 
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 
 #include "ranks.hpp"
 

@@ -11,8 +11,8 @@
 #include "console.hpp"
 #include "freed_memory.hpp"
 #include "interrupt.hpp"
-#include <relidar/error.hpp>
-#include <relidar/export.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
 
 namespace relidar::cli {
 namespace {

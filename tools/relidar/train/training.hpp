@@ -5,8 +5,8 @@
 #include <filesystem>
 #include <string>
 
-#include <relidar/run.hpp>
-#include <relidar/train.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 
 namespace relidar::cli {
 

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bounds of the box centres of each model, over the surfels that can be hit: where Morton codes are counted from. Workgroups of 256
+// threads, 16 surfels a thread. Input: boxes, models. Accumulated: bounds. Floor: 24 B a surfel read.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../../scene/find_model.glsl"
+#include "../shared/bvh_build.h"
+#include "../../base/workgroup_scan.glsl"
+#include "bvh_forest.glsl"
+#extension GL_KHR_shader_subgroup_vote : require
+RELIDAR_PARAMS(BvhBoundsParams);
+
+void add_to_model(uint model, vec3 low, vec3 high) {
+    for (uint c = 0u; c < 3u; ++c) {
+        atomicMin(params.bounds.at[6 * model + c], ordered_bits(low[c]));
+        atomicMin(params.bounds.at[6 * model + 3 + c], ordered_bits(-high[c]));
+    }
+}
+
+void main() {
+    uint base = workgroup_index() * RELIDAR_BVH_TILE + scan_thread();
+    uint model = 0u;
+    Box bounds = empty_box();
+    for (uint i = base; i < min(base - scan_thread() + RELIDAR_BVH_TILE, params.n_surfels); i += RELIDAR_BVH_WORKGROUP) {
+        Box b = load_box(params.boxes, i);
+        if (is_empty(b)) continue;
+        uint first_surfel = params.models.at[model].first_surfel;
+        if (i - first_surfel >= params.models.at[model].n_surfels) {   // wraps where the surfel lies before
+            if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
+            bounds = empty_box();
+            model = find_model(params.models, params.n_models, i);
+        }
+        vec3 centre = 0.5 * b.low + 0.5 * b.high;
+        bounds = joined(bounds, Box(centre, centre));
+    }
+    if (subgroupAllEqual(model)) {
+        bounds.low = subgroupMin(bounds.low);
+        bounds.high = subgroupMax(bounds.high);
+        if (!subgroupElect()) return;
+    }
+    if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
+}

@@ -1,0 +1,185 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binary trees by agglomeration (Benthin et al., "H-PLOC: Hierarchical Parallel Locally-Ordered Clustering", 2024): the radix tree over
+// the sorted keys (after Apetrei 2014, ends of ranges exchanged at splits) says which ranges come together; where two do, their at
+// most 32 clusters are merged to at most 16, each with its nearest of the 8 on either side where that is mutual. Costs of wide nodes are
+// found with each merge. One thread a sorted position; the second to reach a split goes on, and its subgroup works on one range together,
+// as hardly any two of its threads get so far. A workgroup is one subgroup: on lavapipe a subgroup's barrier holds up all of them. Input:
+// boxes, keys, surfels, models. Output: tree, roots. Nodes take the numbers of positions, not of a counter, so that a build is repeatable.
+// Floor: 36 B a surfel read, 68 B written and read again a node; 500 box
+// unions a surfel.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../../scene/find_model.glsl"
+#include "../shared/bvh_build.h"
+#include "bvh_forest.glsl"
+#include "bvh_binary.glsl"
+#include "bvh_merge.glsl"
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+RELIDAR_PARAMS(BvhClusterParams);
+
+const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
+struct Cluster {
+    Box box;
+    uint root;    // node or leaf
+    uint spare;   // position of its subtree that numbers no node yet
+};
+// Clusters by fields: lanes that read the same field of neighbours then read other banks.
+shared vec3 low_of[ROOM], high_of[ROOM];
+shared uint root_of[ROOM], spare_of[ROOM];
+shared uint nearest[ROOM];
+shared ivec4 task;   // first position, last of the left range, last position; model that is whole with it, or -1
+
+/// All that the subgroup has written to shared memory becomes visible to it.
+void synchronise() {
+    subgroupMemoryBarrierShared();
+    subgroupBarrier();
+}
+
+/// Length of the common prefix of the keys at a position and the next; -1 at the ends of the model.
+int common_prefix(int i, int first, int last) {
+    if (i < first || i >= last) return -1;
+    uvec2 a = params.keys.at[i], b = params.keys.at[i + 1];
+    if (a.y != b.y) return 31 - findMSB(a.y ^ b.y);
+    if (a.x != b.x) return 63 - findMSB(a.x ^ b.x);
+    return 95 - findMSB(uint(i ^ (i + 1)));
+}
+
+Box box_of(uint i) { return Box(low_of[i], high_of[i]); }
+
+Cluster cluster_of(uint i) { return Cluster(box_of(i), root_of[i], spare_of[i]); }
+
+void put_cluster(uint i, Cluster c) {
+    low_of[i] = c.box.low;
+    high_of[i] = c.box.high;
+    root_of[i] = c.root;
+    spare_of[i] = c.spare;
+}
+
+Cluster load_cluster(uint root) {
+    if (is_leaf(root)) {
+        uint position = root & ~RELIDAR_BVH_LEAF;
+        return Cluster(load_box(params.boxes, params.surfels.at[position]), root, position);
+    }
+    return Cluster(load_shared_box(params.tree.boxes, root), root, SharedUints(uvec2(params.tree.spares)).at[root]);
+}
+
+/// Appends the clusters of a range to `n`. @return how many there are then
+uint load_clusters(int from, int to, uint n) {
+    SharedUints roots = SharedUints(uvec2(params.clusters));
+    uint n_range = min(uint(to - from) + 1u, KEPT);
+    for (uint start = 0u; start < n_range; start += gl_SubgroupSize) {
+        uint k = start + gl_SubgroupInvocationID;
+        uint root = k < n_range ? roots.at[from + k] : RELIDAR_BVH_NO_NODE;
+        uint end = subgroupMin(root == RELIDAR_BVH_NO_NODE ? k : n_range);
+        if (k < end) put_cluster(n + k, load_cluster(root));
+        if (end < start + gl_SubgroupSize) return n + min(end, n_range);
+    }
+    return n + n_range;
+}
+
+/// The one of a cluster's neighbours with which it has the smallest box; of equal pairs the first, so that one pair is mutual.
+uint nearest_to(uint i, uint n) {
+    Box own = box_of(i);
+    float least = BOX_HUGE;
+    uint found = i;
+    for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
+        float area = half_area(joined(own, box_of(j)));
+        if (j == i || !(area < least)) continue;
+        least = area;
+        found = j;
+    }
+    return found;
+}
+
+/// A node above two clusters.
+Cluster merged(Cluster a, Cluster b) {
+    uint node = b.spare;
+    Box box = joined(a.box, b.box);
+    store_shared_box(params.tree.boxes, node, box);
+    SharedUints(uvec2(params.tree.spares)).at[node] = a.spare;
+    params.tree.children.at[node] = uvec2(a.root, b.root);
+    write_costs(params.tree, node, Subtree(a.root, half_area(a.box)), Subtree(b.root, half_area(b.box)), half_area(box));
+    return Cluster(box, node, a.spare);
+}
+
+/// Merges once. @return clusters left
+uint merge_mutual(uint n) {
+    for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[i] = nearest_to(i, n);
+    synchronise();
+    uint n_kept = 0u;
+    for (uint start = 0u; start < n; start += gl_SubgroupSize) {
+        uint i = start + gl_SubgroupInvocationID;
+        uint j = i < n ? nearest[i] : 0u;
+        bool mutual = i < n && nearest[j] == i, kept = i < n && !(mutual && j < i);
+        Cluster c;
+        if (kept) c = cluster_of(i);
+        if (kept && mutual) c = merged(c, cluster_of(j));
+        synchronise();
+        uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
+        if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);   // at or before i: read already
+        n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
+    }
+    memoryBarrierBuffer();   // nodes are read by merges above
+    synchronise();
+    return n_kept;
+}
+
+/// The subgroup joins the two ranges of its task.
+void join_ranges() {
+    uint n = load_clusters(task.x, task.y, 0u);
+    n = load_clusters(task.y + 1, task.z, n);
+    synchronise();
+    bool whole = task.w >= 0;
+    while (n > (whole ? 1u : KEPT)) n = merge_mutual(n);
+    if (whole) {
+        if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = root_of[0];
+        return;
+    }
+    SharedUints roots = SharedUints(uvec2(params.clusters));
+    for (uint k = gl_SubgroupInvocationID; k < n; k += gl_SubgroupSize) roots.at[task.x + k] = root_of[k];
+    if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
+}
+
+/// Brings a range to the split it shares with its neighbour. @return whether the neighbour was there: then the range is grown by it
+bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
+    bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
+    split = leftward ? from - 1 : to;
+    uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split], uint(leftward ? to : from));
+    if (other == RELIDAR_BVH_NO_NODE) return false;
+    if (leftward) from = int(other);
+    else to = int(other);
+    return true;
+}
+
+void main() {
+    uint position = thread_index();
+    bool climbing = position < params.n_surfels;
+    int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
+    int first = int(params.models.at[model].first_surfel), last = first + int(params.models.at[model].n_surfels) - 1;
+    int from = int(position), to = from, split = from;
+    if (climbing) SharedUints(uvec2(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
+    if (climbing && first == last) {
+        params.roots.at[model] = position | RELIDAR_BVH_LEAF;
+        climbing = false;
+    }
+    while (subgroupAny(climbing)) {
+        memoryBarrierBuffer();
+        if (climbing) climbing = meet_neighbour(from, to, split, first, last);
+        memoryBarrierBuffer();
+        bool whole = from == first && to == last, waiting = climbing && (whole || to - from >= int(KEPT));
+        while (subgroupAny(waiting)) {
+            uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
+            bool next = gl_SubgroupInvocationID == first_lane;
+            if (next) task = ivec4(from, split, to, whole ? model : -1);
+            synchronise();
+            join_ranges();
+            synchronise();
+            if (next) waiting = false;
+        }
+        if (whole) climbing = false;
+    }
+}

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// Surface-area cost of the trees of all models, the number a rebuild is decided by: half areas of all nodes, and of all leaf slots times
+// the tests of their surfels, since a ray that meets a box pays for what is in it. One thread a wide node, one sum a workgroup of 256.
+// Input: wide. Output: partial sums. Floor: 104 B a wide node read.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/bvh_build.h"
+#include "../../base/workgroup_scan.glsl"
+#include "bvh_forest.glsl"
+RELIDAR_PARAMS(BvhCostParams);
+shared float sums[64];   // of subgroups
+
+float leaf_cost(uint node, uint first_surfel) {
+    uint first_leaf = params.wide.nodes.at[node].first_leaf;
+    uint leaves[2] = params.wide.nodes.at[node].leaves;
+    float cost = 0.0;
+    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
+        uint leaf = (leaves[s / 4u] >> (8u * (s % 4u))) & 255u, count = leaf >> 5;
+        Box b = empty_box();
+        for (uint k = 0u; k < count; ++k)
+            b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
+        cost += half_area(b) * SURFEL_COST * float(count);
+    }
+    return cost;
+}
+
+void main() {
+    uint group = workgroup_index(), node = group * RELIDAR_BVH_WORKGROUP + scan_thread();
+    float cost = 0.0;
+    if (node < min(params.bound, params.wide.count.at[0]))
+        cost = half_area(load_box(params.wide.boxes, node)) + leaf_cost(node, params.wide.links.at[node].y);
+    cost = subgroupAdd(cost);
+    if (subgroupElect()) sums[gl_SubgroupID] = cost;
+    barrier();
+    if (scan_thread() != 0u) return;
+    for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += sums[s];
+    if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.partial.at[group] = cost;
+}

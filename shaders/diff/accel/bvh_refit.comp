@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved; on demand those of some
+// models alone. The lanes of a subgroup take a node by eights, a lane a child (by fours, two children a lane, where subgroups have no
+// more), for nodes differ in what they hold, and those that wait for their children in how far they get. Each eight looks at every n-th
+// wide node. Those without inner children start, and the last child to reach a node goes on. Input: boxes, topology of wide. Output:
+// origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read, 28 B read and 104 B written a wide node.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/bvh_build.h"
+#include "bvh_forest.glsl"
+#include "bvh_node.glsl"
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+RELIDAR_CONSTANT(uint, LANES, 8u);
+RELIDAR_PARAMS(BvhRefitParams);
+
+const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;   // lanes
+const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                             // children: 1 or 2
+uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
+uint slot_of(uint k) { return k * OF_NODE + lane(); }
+
+/// What all lanes of a node hold together. Every lane of the subgroup must call these.
+Box joined_over_node(Box b) {
+    for (uint step = 1u; step < OF_NODE; step *= 2u)
+        b = joined(b, Box(subgroupShuffleXor(b.low, step), subgroupShuffleXor(b.high, step)));
+    return b;
+}
+uvec3 joined_over_word(uvec3 bytes) {
+    for (uint step = 1u; step < 4u; step *= 2u) bytes |= subgroupShuffleXor(bytes, step);
+    return bytes;
+}
+bool from_first_lane(bool value) { return subgroupShuffle(value, gl_SubgroupInvocationID - lane()); }
+
+Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
+    if ((inner_mask >> slot & 1u) != 0u)
+        return load_shared_box(params.wide.boxes, params.wide.nodes.at[node].first_child + bitCount(inner_mask & ((1u << slot) - 1u)));
+    uint leaf = params.wide.nodes.at[node].leaves[slot / 4u] >> (8u * (slot % 4u)) & 255u;
+    Box b = empty_box();
+    uint first = params.wide.nodes.at[node].first_leaf + (leaf & 31u);
+    for (uint k = 0u; k < leaf >> 5; ++k) b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first + k]));
+    return b;
+}
+
+/// Fits a node of each eight lanes that have one.
+void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
+    Box children[2], whole = empty_box();
+    for (uint k = 0u; k < OF_LANE; ++k) {
+        children[k] = empty_box();
+        if (has_node) children[k] = child_box(node, slot_of(k), first_surfel, inner_mask);
+        whole = joined(whole, children[k]);
+    }
+    whole = joined_over_node(whole);
+    NodeGrid grid = grid_of(whole);
+    for (uint k = 0u; k < OF_LANE; ++k) {
+        uint slot = slot_of(k);
+        uvec3 steps = steps_of(grid, children[k]);
+        uvec3 low = joined_over_word((steps & 255u) << (8u * (slot % 4u))), high = joined_over_word((steps >> 8) << (8u * (slot % 4u)));
+        if (has_node && slot % 4u == 0u) store_word(params.wide.nodes, node, slot / 4u, low, high);
+    }
+    if (!has_node || lane() != 0u) return;
+    store_grid(params.wide.nodes, node, grid, inner_mask);
+    store_shared_box(params.wide.boxes, node, whole);
+}
+
+/// Counts the arrival of a child at each node that is expected by one, after everything written before has become visible.
+/// @return whether it is the last: then everything that the others wrote is visible
+bool arrives_last(bool arrives, uint node, uint expected) {
+    bool last = false;
+    memoryBarrierBuffer();
+    if (arrives && lane() == 0u) last = atomicAdd(SharedUints(uvec2(params.wide.arrivals)).at[node], 1u) + 1u == expected;
+    memoryBarrierBuffer();
+    return from_first_lane(last);
+}
+
+/// Refits a node without inner children, and every node above whose children are then all refitted.
+void refit_upwards(bool has_node, uint node) {
+    uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
+    uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
+    has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;   // other models stay as they are
+    while (subgroupAny(has_node)) {
+        refit_node(has_node, node, link.y, inner_mask);
+        has_node = has_node && link.x != RELIDAR_BVH_NO_NODE;
+        if (has_node) {
+            node = link.x;
+            inner_mask = params.wide.nodes.at[node].exponents >> 24;
+        }
+        has_node = arrives_last(has_node, node, bitCount(inner_mask));
+        if (has_node) {
+            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;   // for the next launch
+            link = params.wide.links.at[node];
+        }
+    }
+}
+
+void main() {
+    uint n_nodes = min(params.bound, params.wide.count.at[0]), together = LANES / OF_NODE;
+    uint subgroup = workgroup_index() * gl_NumSubgroups + gl_SubgroupID, n_subgroups = thread_count() / LANES;
+    for (uint first = subgroup * together; first < n_nodes; first += n_subgroups * together) {
+        uint node = first + gl_SubgroupInvocationID / OF_NODE;
+        refit_upwards(node < n_nodes, node);
+    }
+}

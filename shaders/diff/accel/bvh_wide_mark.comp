@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// Collapse, first of five kernels: from the roots down, the slots of each wide node to be, and its wide children into a queue. A launch
+// a level; the last launch is a single workgroup that goes on until nothing is left. The order of the queue is any; what is found
+// in it is not. One thread a queue entry. Input: tree. Output: queue, slots, level_sizes, demands.
+// A wide child that fits is opened into its parent even where rounding made that look no cheaper: so a child and its parent have at least
+// 10 slots together, a wide node without wide children at least 5 surfels, and n surfels make at most n / 4 wide nodes besides the root.
+// Floor: 12 B a binary node read, 40 B a wide node written.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/bvh_build.h"
+#include "bvh_binary.glsl"
+RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
+RELIDAR_PARAMS(BvhWideParams);
+layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
+
+/// Opens a wide child that fits. @return whether there was one
+bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
+    for (uint s = 0u; s < n_slots; ++s) {
+        if (!is_inner_slot(params.tree, slots[s])) continue;
+        uint below[RELIDAR_BVH_WIDTH];
+        uint n_below = collect_slots(params.tree, slots[s], below);
+        if (n_slots - 1u + n_below > RELIDAR_BVH_WIDTH) continue;
+        slots[s] = below[0];
+        for (uint k = 1u; k < n_below; ++k) slots[n_slots++] = below[k];
+        return true;
+    }
+    return false;
+}
+
+uint level_end;   // in the queue: the next level starts there
+
+void mark(uint entry) {
+    uint node = SharedUints(uvec2(params.queue)).at[entry];
+    if (node == RELIDAR_BVH_NO_NODE) return;   // a model without surfels
+    uint slots[RELIDAR_BVH_WIDTH];
+    uint n_slots = collect_slots(params.tree, node, slots);
+    while (n_slots < RELIDAR_BVH_WIDTH && open_child(slots, n_slots)) {}
+    uint n_inner = 0u, n_surfels = 0u;
+    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
+        params.slots.at[8u * entry + s] = s < n_slots ? slots[s] : RELIDAR_BVH_NO_NODE;
+        if (s >= n_slots) continue;
+        uint n = count_surfels(params.tree, slots[s]);
+        if (n > RELIDAR_BVH_LEAF_SIZE) ++n_inner;
+        else n_surfels += n;
+    }
+    params.demands.at[node & ~RELIDAR_BVH_LEAF] = n_inner | n_surfels << 8;
+    if (n_inner == 0u) return;
+    uint at = level_end + atomicAdd(SharedUints(uvec2(params.level_sizes)).at[params.level + 1u], n_inner);
+    for (uint s = 0u; s < n_slots; ++s)
+        if (is_inner_slot(params.tree, slots[s]) && at < params.bound) SharedUints(uvec2(params.queue)).at[at++] = slots[s];
+}
+
+/// This workgroup works through the level and all below it.
+void mark_rest(uint begin) {
+    for (uint end = level_end; begin < end;) {
+        for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x) mark(entry);
+        memoryBarrierBuffer();
+        barrier();
+        begin = end;
+        end = level_end + SharedUints(uvec2(params.level_sizes)).at[params.level + 1u];
+        barrier();
+    }
+}
+
+void main() {
+    uint begin = 0u;
+    level_end = params.n_models;
+    for (uint k = 1u; k <= params.level; ++k) {
+        begin = level_end;
+        level_end += params.level_sizes.at[k];
+    }
+    if (UNTIL_DONE != 0u) mark_rest(begin);
+    else if (begin + thread_index() < level_end) mark(begin + thread_index());
+}

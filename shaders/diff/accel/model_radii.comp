@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// Radius of each model about its origin, which holds all that can be hit: a ray query looks for a moving model only where a ray comes so
+// near. One thread for RELIDAR_RADIUS_STRETCH surfels of a range. Input: records, models. Maximum: radii.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../../scene/find_model.glsl"
+#include "../shared/accel.h"
+#include "../../scene/gaussian/kinds.glsl"
+RELIDAR_PARAMS(ModelRadiiParams);
+
+/// Standard deviation along a record axis a / s; 0 where it is not finite: such a surfel is never hit.
+float scale_of(vec3 axis) {
+    float s = 1.0 / length(axis);
+    return isnan(s) || isinf(s) ? 0.0 : s;
+}
+
+/// Distance from the model's origin behind which a surfel is not hit; 0 where it is never hit.
+float radius_of(SurfelRecord s) {
+    if (!(s.opacity > params.alpha_min)) return 0.0;
+    float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
+    float u = scale_of(s.axis_u), v = scale_of(s.axis_v), w = has_third_scale() ? scale_of(s.normal) : 0.0;
+    float radius = (length(s.mean) + k * max(max(u, v), w)) * params.margin_scale + params.margin_m;
+    return isnan(radius) || isinf(radius) ? 3.4e38 : radius;
+}
+
+void add_to_model(uint model, float radius) {
+    if (radius > 0.0) atomicMax(params.radii.at[model], floatBitsToUint(radius));
+}
+
+void main() {
+    uint first = thread_index() * RELIDAR_RADIUS_STRETCH;
+    if (first >= params.n_surfels) return;
+    uint model = find_model(params.models, params.n_models, params.first_surfel + first);
+    float radius = 0.0;
+    for (uint k = first; k < min(first + RELIDAR_RADIUS_STRETCH, params.n_surfels); ++k) {
+        uint surfel = params.first_surfel + k;
+        if (surfel - params.models.at[model].first_surfel >= params.models.at[model].n_surfels) {
+            add_to_model(model, radius);
+            radius = 0.0;
+            model = find_model(params.models, params.n_models, surfel);
+        }
+        radius = max(radius, radius_of(params.records.at[surfel]));
+    }
+    add_to_model(model, radius);
+}

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Proxy geometry of every surfel (M3, Fig. 3): corners of the rectangle, or of the icosahedron for 3D Gaussians, that holds
+// sigma G >= alpha_min, or its box. One thread a surfel of a range. Input: records. Maximum: reach.
+// Output: vertices (two co-planar triangles share four corners; twenty share twelve) or boxes, model frame.
+// Surfels that cannot be hit get a proxy of no area at their mean; never a NaN, which would poison its neighbours in the tree. The boxes
+// of the software structure are empty there (low above high), and grow by the last digits of a mean far from the origin.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/accel.h"
+#include "../../scene/gaussian/kinds.glsl"
+RELIDAR_CONSTANT(uint, BOXES, 0u);
+RELIDAR_PARAMS(ProxyParams);
+
+const float kPhi = 1.618033988749895;               // corners of an icosahedron: even permutations of (0, +-1, +-phi)
+const float kCircumscribed = 0.66158453824961;          // makes the radius of its inner sphere 1: sqrt(3) / phi^2
+const float kOuterRadius = 1.25840857236482;        // of the outer one then: sqrt(1 + phi^2) times that
+
+/// Half axis of the proxy along a record axis a / s: direction a, length k s grown by the margin.
+vec3 half_axis(vec3 axis, float k) {
+    float inverse_scale = length(axis);
+    float half_size = k / inverse_scale * params.margin_scale + params.margin_m;
+    vec3 half_vector = axis / inverse_scale * half_size;
+    return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
+}
+
+/// Corners in the order that src/diff/accel/hardware.cpp joins into faces.
+void write_icosahedron(uint i, vec3 mean, vec3 u, vec3 v, vec3 w) {
+    for (uint k = 0u; k < 12u; ++k) {
+        float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
+        vec3 at = k < 4u ? vec3(0.0, one, phi) : k < 8u ? vec3(one, phi, 0.0) : vec3(phi, 0.0, one);
+        vec3 corner = mean + kCircumscribed * (at.x * u + at.y * v + at.z * w);
+        for (uint c = 0u; c < 3u; ++c) params.vertices.at[36u * i + 3u * k + c] = corner[c];
+    }
+    float reach = (1.0 + kOuterRadius) * sqrt(max(max(dot(u, u), dot(v, v)), dot(w, w)));
+    if (reach > 0.0) atomicMax(params.reach.at[0], floatBitsToUint(reach));
+}
+
+void main() {
+    uint i = params.first_surfel + thread_index();
+    if (thread_index() >= params.n_surfels) return;
+    SurfelRecord s = params.records.at[i];
+    vec3 u = vec3(0.0), v = vec3(0.0), w = vec3(0.0);
+    bool visible = s.opacity > params.alpha_min;
+    if (visible) {
+        float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
+        u = half_axis(s.axis_u, k);
+        v = half_axis(s.axis_v, k);
+        if (has_third_scale()) w = half_axis(s.normal, k);
+    }
+    if (BOXES != 0u) {
+        // The box of the ellipse or ellipsoid, not of the rectangle: half size along x is |(u.x, v.x, w.x)|, the tightest there is.
+        vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
+        if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);
+        bool empty = BOXES == 2u && !visible;
+        for (uint c = 0u; c < 3u; ++c) {
+            params.boxes.at[6 * i + c] = empty ? 3.4e38 : s.mean[c] - half_size[c];
+            params.boxes.at[6 * i + 3 + c] = empty ? -3.4e38 : s.mean[c] + half_size[c];
+        }
+        return;
+    }
+    if (proxy_triangles() == kProxy_icosahedron) {
+        write_icosahedron(i, s.mean, u, v, w);
+        return;
+    }
+    vec3 corner[4] = vec3[](s.mean - u - v, s.mean + u - v, s.mean + u + v, s.mean - u + v);
+    for (uint k = 0u; k < 4u; ++k)
+        for (uint c = 0u; c < 3u; ++c) params.vertices.at[12 * i + 3 * k + c] = corner[k][c];
+}

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the same in every run. Hits come sorted by row; a
+// thread takes a block of 32 and adds the sum of each row that lies in it. What it has of a row that began earlier or goes on is left in
+// `parts`, for backward/gather_heads.
+// Input: scene, upstream, rendered, d_geometry, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../traversal/includes.glsl"
+#include "../../base/atomic_add.glsl"
+#include "../shared/backward.h"
+#include "hit_gradient.glsl"
+RELIDAR_PARAMS(GatherParams);
+#include "gather.glsl"
+
+/// @return the instance of the hit
+uint sum_hit(TraceScene scene, uint i, uint row) {
+    HitRecord h = params.hits.at[params.slots.at[i]];
+    InstanceEntry m = scene.instances.at[h.instance];
+    DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
+    entered_instance = kNoInstance;   // another ray
+    ray_basis_instance = kNoInstance;
+    if (WITH_GEOMETRY) take_ray(scene, h.ray, params.d_geometry.at[h.ray], params.rendered.at[h.ray].transmittance);
+    HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
+                                 row - m.first_row + m.first_surfel, h.w, h.d_alpha);
+    for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
+    if (SH_PER_SURFEL == 0u)
+        for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
+            sh_sums[k] += d.d_channel[k / RELIDAR_SH_COEFFICIENTS] * ray_basis[k % RELIDAR_SH_COEFFICIENTS];
+    return h.instance;
+}
+
+/// Adds what a block has of a row, or leaves it to backward/gather_heads, which adds the whole row at once: rows of two placements of a
+/// model add to the same coefficients, and two sums added to 0 are the same bits in either order, four are not.
+void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
+    if (begins_here && !goes_on) {
+        add_to_row(row, instance);
+        return;
+    }
+    uint part = begins_here ? tail_of(block) : head_of(block);
+    for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
+    for (uint k = 16u; k < part_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
+}
+
+void main() {
+    uint block = thread_index(), first = block * RELIDAR_GATHER_BLOCK;
+    if (block == 0u) params.most_hits.at[0] = max(params.most_hits.at[0], params.n_hits.at[0]);
+    uint end = block_end(block);
+    if (first >= end) return;
+    uint row = params.rows.at[first], instance = 0u;
+    bool begins_here = first == 0u || params.rows.at[first - 1u] != row;
+    clear_sums();
+    for (uint i = first; i < end; ++i) {
+        uint next = params.rows.at[i];
+        if (next >= params.n_rows) break;   // empty slots, behind all others
+        if (next != row) {
+            finish_row(block, row, instance, begins_here, false);
+            clear_sums();
+            row = next;
+            begins_here = true;
+        }
+        instance = sum_hit(params.scene, i, row);
+    }
+    if (row < params.n_rows) finish_row(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
+}

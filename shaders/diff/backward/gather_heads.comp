@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// Adds each row that began in a block and goes on behind it: what this block and the later ones hold of it, in their order. One thread a
+// block. Input: scene, hits, rows, slots, n_hits, parts. Accumulated: d_records, d_sh.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../traversal/includes.glsl"
+#include "../../base/atomic_add.glsl"
+#include "../shared/backward.h"
+RELIDAR_PARAMS(GatherParams);
+#include "gather.glsl"
+
+bool begins_in(uint block, uint row) {
+    uint first = block * RELIDAR_GATHER_BLOCK;
+    return params.rows.at[first] != row || first == 0u || params.rows.at[first - 1u] != row;
+}
+
+void take_part(uint part) {
+    for (uint k = 0u; k < 16u; ++k) sums[k] += params.parts.at[part + k];
+    for (uint k = 16u; k < part_width(); ++k) sh_sums[k - 16u] += params.parts.at[part + k];
+}
+
+void main() {
+    uint block = thread_index(), n = n_sorted();
+    uint end = block_end(block);
+    if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;   // nothing behind
+    uint row = params.rows.at[end - 1u];
+    if (row >= params.n_rows || params.rows.at[end] != row || !begins_in(block, row)) return;
+    clear_sums();
+    take_part(tail_of(block));
+    for (uint later = block + 1u; end < n && params.rows.at[end] == row; ++later) {
+        take_part(head_of(later));
+        end = block_end(later);
+    }
+    add_to_row(row, params.hits.at[params.slots.at[block_end(block) - 1u]].instance);
+}

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Gradient of the sensor's pose: moving all rays as one body about the sensor's position is the same as moving everything else the
+// other way, so it is minus the sum of the gradients of all instances, torques taken about the sensor. One thread.
+// Input: instances, d_poses. Output: d_sensor.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/backward.h"
+RELIDAR_PARAMS(SensorPoseParams);
+
+vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
+
+void main() {
+    if (thread_index() > 0u) return;
+    vec3 force = vec3(0.0), torque = vec3(0.0);
+    for (uint i = 0u; i < params.n_instances; ++i) {
+        InstanceEntry m = params.instances.at[i];
+        vec3 origin = -(mat3(m.row0.xyz, m.row1.xyz, m.row2.xyz) * vec3(m.row0.w, m.row1.w, m.row2.w));
+        vec3 f = load3(params.d_poses, 6u * i);
+        force += f;
+        torque += load3(params.d_poses, 6u * i + 3u) + cross(origin - params.view_origin, f);
+    }
+    for (uint k = 0u; k < 3u; ++k) {
+        params.d_sensor.at[k] = -force[k];
+        params.d_sensor.at[3u + k] = -torque[k];
+    }
+}

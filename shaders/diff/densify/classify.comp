@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large or outside
+// its actor's box; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
+// One thread a surfel of any model. Input: surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../../scene/find_model.glsl"
+#include "../../base/random.glsl"
+#include "../shared/densify.h"
+#include "../../scene/gaussian/quaternion.glsl"
+RELIDAR_PARAMS(ClassifyParams);
+
+void count(uint model, uint counter, uint amount) { atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount); }
+
+/// Sum of magnitudes of n floats: not finite where any of them is not.
+float magnitude(Floats array, uint first, uint n) {
+    float sum = 0.0;
+    for (uint k = 0u; k < n; ++k) sum += abs(array.at[first + k]);
+    return sum;
+}
+
+bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
+
+/// @param scale  the third is a 3D Gaussian's; 1 for surfels
+bool is_surfel(uint i, vec4 q, vec3 scale) {
+    float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
+    sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
+    float q_length2 = dot(q, q);
+    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec3(1e-6))) &&
+           all(lessThan(scale, vec3(1e6)));
+}
+
+/// Whether two random points of the surfel both lie outside the model's box.
+bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
+    if (params.bounded == 0u || !(half_size.x > 0.0)) return false;
+    vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1], params.surfels.mean.at[3 * i + 2]);
+    mat3 r = rotation_matrix(q);
+    for (uint draw = 0u; draw < 2u; ++draw) {
+        vec2 z = scale.xy * random_normal2(params.key, i, draw);
+        vec3 p = mean + z.x * r[0] + z.y * r[1];
+        if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];   // 2 and 3 are spawn's
+        if (!any(greaterThan(abs(p), half_size))) return false;
+    }
+    return true;
+}
+
+/// Clone, split or keep, by the mean norm of the gradient.
+uint grow_by_gradient(uint i, float max_scale, float extent_m) {
+    uint n_seen = params.n_seen.at[i];
+    if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen))) return RELIDAR_DENSIFY_KEEP;
+    return max_scale < params.clone_extent_share * extent_m ? RELIDAR_DENSIFY_CLONE : RELIDAR_DENSIFY_SPLIT;
+}
+
+/// Counter of why a surfel is dropped, or of those kept.
+uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_scale) {
+    if (!is_surfel(i, q, scale)) return RELIDAR_DENSIFY_INVALID;
+    if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
+    if (max_scale > params.max_extent_share * params.extents.at[model]) return RELIDAR_DENSIFY_LARGE;
+    if (is_outside(i, q, scale, params.models.at[model].half_size)) return RELIDAR_DENSIFY_OUTSIDE;
+    return RELIDAR_DENSIFY_KEPT;
+}
+
+void main() {
+    uint i = thread_index();
+    if (i >= params.n_surfels) return;
+    uint model = find_model(params.models, params.n_models, i);
+    vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1], params.surfels.rotation.at[4 * i + 2],
+                  params.surfels.rotation.at[4 * i + 3]);
+    vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1],
+                          has_third_scale() ? params.surfels.log_scale_w.at[i] : 0.0));
+    float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
+    float max_scale = max(scale.x, scale.y);
+    if (has_third_scale()) max_scale = max(max_scale, scale.z);
+    bool by_gradient = params.growth == RELIDAR_DENSIFY_BY_GRADIENT;
+    uint action = by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
+    if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;   // its halves are judged, as if the split came first
+    uint why = verdict(i, model, q, scale, opacity, max_scale);
+    uint weight = 0u;
+    if (why != RELIDAR_DENSIFY_KEPT) {
+        action = RELIDAR_DENSIFY_DROP;
+    } else if (action != RELIDAR_DENSIFY_KEEP) {
+        weight = 1u;
+        count(model, action == RELIDAR_DENSIFY_CLONE ? RELIDAR_DENSIFY_CLONES : RELIDAR_DENSIFY_SPLITS, 1u);
+    } else if (params.growth == RELIDAR_DENSIFY_BY_OPACITY) {
+        action = RELIDAR_DENSIFY_SHARE;
+        weight = max(uint(opacity * 255.0 + 0.5), 1u);
+    }
+    params.action.at[i] = action;
+    params.weight.at[i] = weight;
+    count(model, why, 1u);
+    if (weight != 0u) count(model, RELIDAR_DENSIFY_WEIGHT, weight);
+}

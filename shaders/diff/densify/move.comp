@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rows of one array (a parameter group, a moment, a statistic) into the new order: survivors keep their order, copies follow their
+// original, so that neighbours in space stay neighbours in memory. Values are moved as bits. One thread a surfel.
+// Input: from, action, n_rows, starts. Output: to.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/densify.h"
+RELIDAR_PARAMS(MoveParams);
+
+void main() {
+    uint i = thread_index();
+    if (i >= params.n_surfels) return;
+    uint action = params.action.at[i];
+    bool changed = action == RELIDAR_DENSIFY_SPLIT || action == RELIDAR_DENSIFY_SHARE;
+    for (uint row = 0u; row < params.n_rows.at[i]; ++row) {
+        bool zero = params.fresh != 0u && (changed || row > 0u);
+        uint target = (params.starts.at[i] + row) * params.stride;
+        for (uint k = 0u; k < params.stride; ++k) params.to.at[target + k] = zero ? 0u : params.from.at[i * params.stride + k];
+    }
+}

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+// Forward pass: blends the hits of sorted lists (blend.glsl). One thread a ray. Leaves a ray to forward/trace where its list is unfit: too
+// short, or closed too early by hits that were reported twice.
+// Input: scene (records, instances, sh, targets; rays where SH are evaluated a hit or there is geometry), lists. Output: rendered, kept,
+// geometry, lists.lengths. Accumulated: n_overfull.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/trace.h"
+#include "../../scene/gaussian/primitive.glsl"
+#include "../../scene/gaussian/sh.glsl"
+#include "../traversal/keys.glsl"
+#include "../traversal/ray.glsl"
+#include "../traversal/shading.glsl"
+#include "../traversal/facing_normal.glsl"
+#include "../traversal/likelihood.glsl"
+#include "../../base/compensated.glsl"
+#include "surfaces.glsl"
+RELIDAR_PARAMS(ForwardParams);
+#include "blend.glsl"
+
+/// Hit k of a list, or its last one.
+Hit listed_hit(uint list, uint k, uint n) { return params.lists.hits.at[list_entry(params.lists.room, list, min(k, n - 1u))]; }
+
+/// Blends the n > 0 hits of a list. Where one is comes from the list, and where its channels are from the hit: so that no load waits for
+/// another, the hit two ahead and the channels one ahead are on their way while one is blended. @return whether the ray has ended
+bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
+    Hit next = listed_hit(list, 0u, n), after_next = listed_hit(list, 1u, n);
+    vec3 next_channels = channels_of(params.scene, ray, next);
+    Key last = Key(-1.0, 0u, 0u);
+    for (uint k = 0u; k < n; ++k) {
+        Hit hit = next;
+        vec3 channels = next_channels;
+        next = after_next;
+        after_next = listed_hit(list, k + 2u, n);
+        next_channels = channels_of(params.scene, ray, next);
+        Key key = Key(hit.t, hit.instance, hit.surfel);
+        if (key == last) continue;   // reported twice
+        last = key;
+        if (ends_before(params.scene, hit, b.ray.transmittance)) return true;
+        if (params.kept_in_lists == 0u || b.ray.n_hits != k) keep_hit(b.ray.n_hits, hit);
+        blend_hit(params.scene, ray, hit, channels, b);
+    }
+    return false;
+}
+
+void main() {
+    uint list = thread_index(), i = traced_ray(params.scene);
+    if (i >= params.scene.n_rays) return;
+    uint length = params.lists.lengths.at[list];
+    if (length == RELIDAR_LIST_UNFIT) return;
+    DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
+    Ray ray = ray_of(entry);
+    Blended b = start_blending(params.scene, i);
+    uint n = length & ~RELIDAR_LIST_CLOSED;
+    bool ended = n > 0u && blend_list(list, n, ray, b);
+    if ((length & RELIDAR_LIST_CLOSED) != 0u && !ended) params.lists.lengths.at[list] = RELIDAR_LIST_UNFIT;
+    else finish_blending(i, b);
+}

@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: Apache-2.0
+// Forward pass: collects hits chunk by chunk, nearest first, and blends them (blend.glsl). One thread a ray; after forward/blend, of the
+// rays whose lists are unfit alone.
+// Input: scene (rays, records, instances, sh, acceleration structure, targets), lists.lengths. Output: rendered, kept, geometry.
+// Accumulated: scene.pass_cap_count, n_overfull.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../traversal/includes.glsl"
+#include "../traversal/facing_normal.glsl"
+#include "../traversal/likelihood.glsl"
+#include "../../base/compensated.glsl"
+#include "surfaces.glsl"
+RELIDAR_PARAMS(ForwardParams);
+#include "blend.glsl"
+
+void render(TraceScene scene, Ray ray, uint ray_index) {
+    Blended b = start_blending(scene, ray_index);
+    Key after = first_key(scene);
+    bool ended = false;
+    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
+        next_hits(scene, ray, after, least_of_rest(scene, b.ray.transmittance));
+        for (uint i = 0u; i < n_hits; ++i) {
+            Hit hit = hit_at(i);
+            ended = ends_before(scene, hit, b.ray.transmittance);
+            if (ended) break;
+            keep_hit(b.ray.n_hits, hit);
+            blend_hit(scene, ray, hit, channels_of(scene, ray, hit), b);
+        }
+        if (!hits_closed) ended = true;
+        else after = hit_key(n_hits - 1u);
+    }
+    if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
+    finish_blending(ray_index, b);
+}
+
+void main() {
+    uint i = traced_ray(params.scene);
+    if (i >= params.scene.n_rays) return;
+    if (!is_null(params.lists.lengths) && params.lists.lengths.at[thread_index()] != RELIDAR_LIST_UNFIT) return;
+    DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
+    render(params.scene, ray_of(entry), i);
+}

@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// Chamfer distance (Eq. 11) from the nearest points both ways, and the part of its derivative that simulated points get for being
+// found by measured ones: dL/dr_a += 2 (a - b) . d_a, in fixed point, so that many finders add up the same in any order. One thread a ray.
+// Input: rays, points, nearest, counts. Accumulated: d_found, terms.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../../base/kernel.glsl"
+#include "../shared/loss.h"
+#include "../../base/atomic_add.glsl"
+#include "../../base/reduce.glsl"
+#include "../../base/fixed_point.glsl"
+RELIDAR_PARAMS(ChamferParams);
+
+void main() {
+    uint k = thread_index();
+    float squares_m2 = 0.0;
+    if (k < params.n_rays) {
+        uint b = params.nearest_measured.at[k], a = params.nearest_simulated.at[k];
+        if (b != RELIDAR_NO_INDEX) {
+            vec3 difference = params.simulated.at[k] - params.measured.at[b];
+            squares_m2 += dot(difference, difference);
+        }
+        if (a != RELIDAR_NO_INDEX) {
+            vec3 difference = params.simulated.at[a] - params.measured.at[k];
+            squares_m2 += dot(difference, difference);
+            add_fixed(params.d_found, a, 2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
+        }
+    }
+    float weight = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0);
+    add_to_sum(params.terms, kTerm_chamfer, weight * squares_m2);
+}

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// The simulated and the measured point of each ray, from where the ray starts (rolling shutter). One thread a ray.
+// Input: rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../../base/kernel.glsl"
+#include "../shared/loss.h"
+#include "../../base/atomic_add.glsl"
+#include "../../base/reduce.glsl"
+RELIDAR_PARAMS(ChamferPointsParams);
+
+const float kLeastWeight = 0.1;   // below, D / W is the range of hardly anything
+
+/// @return range of the simulated point, 0 where there is none (a NaN is none)
+float simulated_range(RenderedRay r) {
+    if (!(r.weight > kLeastWeight) || !(r.drop_logit < r.hit_logit)) return 0.0;
+    return params.normalised_depth != 0u ? r.depth / r.weight : r.depth;
+}
+
+void main() {
+    uint k = thread_index();
+    vec2 is_point = vec2(0.0);
+    if (k < params.n_rays) {
+        uint i = params.first_ray + k * params.ray_stride;
+        DeviceTarget target = params.targets.at[i];
+        DeviceRay ray = params.rays.at[i];
+        vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;   // small numbers keep their digits
+        vec2 range = target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
+        if (range.x > 0.0) is_point.x = 1.0;
+        if (range.y > 0.0) is_point.y = 1.0;
+        params.simulated.at[k] = is_point.x > 0.0 ? origin + range.x * ray.direction : vec3(RELIDAR_NO_POINT);
+        params.measured.at[k] = is_point.y > 0.0 ? origin + range.y * ray.direction : vec3(RELIDAR_NO_POINT);
+    }
+    add_to_sum(params.counts, 0u, is_point.x);
+    add_to_sum(params.counts, 1u, is_point.y);
+}

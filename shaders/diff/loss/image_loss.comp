@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 or Huber on returned rays, ray-drop cross-entropy of the softmax
+// of the two blended logits (M6) on all known rays. One thread a ray.
+// Input: rendered, targets. Output: upstream. Accumulated: terms.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../../base/kernel.glsl"
+#include "../shared/loss.h"
+#include "../../base/atomic_add.glsl"
+#include "../../base/reduce.glsl"
+RELIDAR_PARAMS(ImageLossParams);
+
+/// Depth L1 of D or D / W. @return the term
+float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
+    float weight = max(r.weight, 1e-3);
+    float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
+    float error = r.depth * scale - range_m;
+    float d_error = params.depth_weight * sign(error);
+    g.depth += d_error * scale;
+    if (params.normalised_depth != 0u && r.weight > 1e-3) g.weight -= d_error * r.depth * scale * scale;
+    return params.depth_weight * abs(error);
+}
+
+/// Huber loss, e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 where delta is 0. @return the term
+float intensity_term(float error, inout RayGradient g) {
+    float delta = params.intensity_delta, size = abs(error);
+    bool squared = size < delta;
+    g.intensity += params.intensity_weight * (squared ? error / delta : sign(error));
+    return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
+}
+
+/// -log of the probability of what happened; log(1 + exp(x)) without overflow. @return the term
+float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
+    float x = r.drop_logit - r.hit_logit;
+    float probability = 1.0 / (1.0 + exp(-x));
+    float d_x = params.drop_weight * (probability - (dropped ? 1.0 : 0.0));
+    g.drop_logit += d_x;
+    g.hit_logit -= d_x;
+    float z = dropped ? -x : x;
+    return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
+}
+
+/// All terms of a known ray: depth, intensity, drop, opacity.
+vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
+    vec4 terms = vec4(0.0);
+    bool dropped = !(target.range_m > 0.0);
+    if (!dropped) {
+        terms.x = depth_term(r, target.range_m, g);
+        terms.y = intensity_term(r.intensity - target.intensity, g);
+        float missing = 1.0 - r.weight;
+        g.weight -= 2.0 * params.opacity_weight * missing;
+        terms.w = params.opacity_weight * missing * missing;
+    }
+    terms.z = drop_term(r, dropped, g);
+    return terms;
+}
+
+void main() {
+    uint i = thread_index();
+    vec4 terms = vec4(0.0);
+    if (i < params.n_rays) {
+        DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
+        RayGradient g = RayGradient(0.0, 0.0, 0.0, 0.0, 0.0);
+        if (target.weight > 0.0) terms = ray_terms(params.rendered.at[i], target, g);
+        params.upstream.at[i] = g;
+    }
+    add_to_sum(params.terms, kTerm_depth, terms.x);
+    add_to_sum(params.terms, kTerm_intensity, terms.y);
+    add_to_sum(params.terms, kTerm_drop, terms.z);
+    add_to_sum(params.terms, kTerm_opacity, terms.w);
+}

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Structural similarity of rendered (x) and measured (y) intensity around each returned pixel, constants of Wang et al. 2004 for
+// values 0..1, and its derivative by the window's mean, variance and covariance. One thread a pixel.
+//   S = (2 mx my + C1) (2 cov + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2)),   term = weight (1 - S)
+// Input: rendered, targets. Output: statistics. Accumulated: terms.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../../base/kernel.glsl"
+#include "../shared/loss.h"
+#include "../../base/atomic_add.glsl"
+#include "../../base/reduce.glsl"
+RELIDAR_PARAMS(SsimParams);
+#include "ssim.glsl"
+
+const float kC1 = 1e-4;   // (0.01)^2
+const float kC2 = 9e-4;   // (0.03)^2
+
+struct Window {
+    float sum;          // of weights
+    vec2 mean;          // of x, y
+    vec2 variance;
+    float covariance;
+};
+
+/// Moments about the centre's own values first: the plain ones would cancel in flat regions.
+Window window_around(uint i) {
+    vec2 centre = vec2(params.rendered.at[i].intensity, target_of(i).intensity);
+    float sum = 0.0, products = 0.0;
+    vec2 values = vec2(0.0), squares = vec2(0.0);
+    for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
+        for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
+            uint j = window_pixel(i, row, column);
+            if (j == kNoPixel) continue;
+            DeviceTarget t = target_of(j);
+            if (!takes_part(t)) continue;
+            float w = window_weight(row, column);
+            vec2 v = vec2(params.rendered.at[j].intensity, t.intensity) - centre;
+            sum += w;
+            values += w * v;
+            squares += w * v * v;
+            products += w * v.x * v.y;
+        }
+    }
+    vec2 shifted = values / sum;
+    return Window(sum, centre + shifted, squares / sum - shifted * shifted, products / sum - shifted.x * shifted.y);
+}
+
+/// Writes the derivatives of the term of pixel i. @return the term
+float similarity_term(uint i) {
+    Window w = window_around(i);
+    float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;
+    float b1 = dot(w.mean, w.mean) + kC1, b2 = w.variance.x + w.variance.y + kC2;
+    float s = a1 * a2 / (b1 * b2);
+    float scale = -params.weight / w.sum;
+    uint at = i * RELIDAR_SSIM_FLOATS;
+    params.statistics.at[at] = scale * (2.0 * w.mean.y * a2 / (b1 * b2) - 2.0 * w.mean.x * s / b1);
+    params.statistics.at[at + 1u] = scale * -2.0 * s / b2;
+    params.statistics.at[at + 2u] = scale * 2.0 * a1 / (b1 * b2);
+    params.statistics.at[at + 3u] = w.mean.x;
+    params.statistics.at[at + 4u] = w.mean.y;
+    return params.weight * (1.0 - s);
+}
+
+void main() {
+    uint i = thread_index();
+    float term = i < params.rows * params.columns && takes_part(target_of(i)) ? similarity_term(i) : 0.0;
+    add_to_sum(params.terms, kTerm_ssim, term);
+}

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Derivative of structural similarity by rendered intensity: each pixel gathers from the windows it lies in. One thread a pixel.
+//   dL/dx_q = sum_p w_pq / sum_p' w ( dL/dm_p + 2 (x_q - mx_p) dL/dv_p + (y_q - my_p) dL/dcov_p )
+// Input: rendered, targets, statistics. Accumulated: upstream.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/loss.h"
+RELIDAR_PARAMS(SsimParams);
+#include "ssim.glsl"
+
+void main() {
+    uint q = thread_index();
+    if (q >= params.rows * params.columns || !takes_part(target_of(q))) return;
+    float x = params.rendered.at[q].intensity, y = target_of(q).intensity, sum = 0.0;
+    for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
+        for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
+            uint p = window_pixel(q, row, column);
+            if (p == kNoPixel || !takes_part(target_of(p))) continue;
+            uint at = p * RELIDAR_SSIM_FLOATS;
+            sum += window_weight(row, column) *
+                   (params.statistics.at[at] + (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
+                    (y - params.statistics.at[at + 4u]) * params.statistics.at[at + 2u]);
+        }
+    }
+    params.upstream.at[q].intensity += sum;
+}

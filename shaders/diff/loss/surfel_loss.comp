@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// A term of the parameters themselves, added to their gradients: actors' surfels outside their box or large against it. One thread a
+// surfel of any model.
+// Input: surfels, touched, models. Accumulated: d_surfels, terms.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../../base/kernel.glsl"
+#include "../../scene/find_model.glsl"
+#include "../shared/loss.h"
+#include "../../base/atomic_add.glsl"
+#include "../../base/reduce.glsl"
+RELIDAR_PARAMS(SurfelLossParams);
+
+/// @param largest_m  standard deviation beyond which there is a term
+float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m, bool write) {
+    float relative = exp(log_scale.at[at]) / largest_m;
+    if (!(relative > 1.0)) return 0.0;
+    if (write) d_log_scale.at[at] += params.box_weight * relative;
+    return relative - 1.0;
+}
+
+/// sum over x, y, z of max(0, |mean| / half size - 1), and the same for standard deviations. @return the term
+float box_term(uint i, ModelEntry model, bool write) {
+    if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;   // no box
+    float term = 0.0, largest_m = params.box_scale_share * model.half_diagonal;
+    for (uint axis = 0u; axis < 3u; ++axis) {
+        float mean = params.surfels.mean.at[3u * i + axis], outside = abs(mean) / model.half_size[axis] - 1.0;
+        if (!(outside > 0.0)) continue;
+        term += outside;
+        if (write) params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / model.half_size[axis];
+    }
+    Floats log_scale = params.surfels.log_scale, d_log_scale = params.d_surfels.log_scale;
+    for (uint axis = 0u; axis < 2u; ++axis) term += scale_term(log_scale, d_log_scale, 2u * i + axis, largest_m, write);
+    Floats third = params.surfels.log_scale_w;
+    if (!is_null(third)) term += scale_term(third, params.d_surfels.log_scale_w, i, largest_m, write);
+    return params.box_weight * term;
+}
+
+void main() {
+    uint k = thread_index(), i = params.first_surfel + k;
+    bool is_surfel = k < params.n_surfels;
+    bool write = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
+    float box = 0.0;
+    if (is_surfel) box = box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
+    add_to_sum(params.terms, kTerm_box, box);
+}

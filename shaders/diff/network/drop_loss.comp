@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sigmoid and cross-entropy of the drop logit (paper, Eq. 13), one subgroup a part of the pixels.
+//   probability = 1 / (1 + exp(-x)),   d_x = weight (probability - target),   x = logit + start
+// Input: logit, start, target. Output: d_logit, probability, partial.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "../../base/kernel.glsl"
+#include "../shared/refine.h"
+RELIDAR_CONSTANT(uint, LANES, 8u);
+RELIDAR_PARAMS(DropLossParams);
+
+/// Cross-entropy of a pixel, and whether the likelier answer is right.
+vec2 compare(uint i, float x, float probability) {
+    float target = is_null(params.target) ? -1.0 : params.target.at[i];
+    bool known = target >= 0.0;
+    if (!is_null(params.d_logit)) params.d_logit.at[i] = known ? params.weight * (probability - target) : 0.0;
+    float entropy = max(x, 0.0) - x * target + log(1.0 + exp(-abs(x)));   // without overflow
+    return known ? vec2(entropy, (x > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
+}
+
+void main() {
+    uint part = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
+    if (part >= params.n_parts) return;
+    uint begin = params.n / params.n_parts * part + min(part, params.n % params.n_parts);
+    uint end = begin + params.n / params.n_parts + (part < params.n % params.n_parts ? 1u : 0u);
+    vec2 sum = vec2(0.0);
+    for (uint i = begin + gl_SubgroupInvocationID; i < end; i += LANES) {
+        float x = params.logit.at[i];
+        if (!is_null(params.start)) x += params.start.at[i];
+        float probability = 1.0 / (1.0 + exp(-x));
+        if (!is_null(params.probability)) params.probability.at[i] = probability;
+        sum += compare(i, x, probability);
+    }
+    sum = subgroupAdd(sum);
+    if (gl_SubgroupInvocationID == 0u) {
+        params.partial.at[2u * part] = sum.x;
+        params.partial.at[2u * part + 1u] = sum.y;
+    }
+}

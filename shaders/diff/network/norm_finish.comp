@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// Batch normalisation (Ioffe and Szegedy), what every pixel of a channel has in common: moments of the batch from those of its parts
+// (Chan), or the running ones in evaluation; one thread a channel.
+// Input: partial, beta_gamma. In place: running. Output: moments, scale_shift.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/refine.h"
+RELIDAR_PARAMS(NormFinishParams);
+
+/// Mean and variance of the batch.
+vec2 batch_moments(uint channel) {
+    float n = 0.0, mean = 0.0, squares = 0.0;
+    uint of_image = params.n_parts / params.n_images;
+    for (uint part = 0u; part < params.n_parts; ++part) {
+        uint at = 2u * (part * params.n_channels + channel);
+        float size = float(params.n_pixels / of_image + (part % of_image < params.n_pixels % of_image ? 1u : 0u));
+        float off = params.partial.at[at] - mean, both = n + size;
+        mean += off * size / both;
+        squares += params.partial.at[at + 1u] + off * off * n * size / both;
+        n = both;
+    }
+    return vec2(mean, squares / n);
+}
+
+void main() {
+    uint channel = thread_index();
+    if (channel >= params.n_channels) return;
+    vec2 moments = params.running.at[channel];
+    if (params.training != 0u) {
+        vec2 batch = batch_moments(channel);
+        float n = float(params.n_images * params.n_pixels);
+        params.running.at[channel] = mix(moments, vec2(batch.x, batch.y * n / max(n - 1.0, 1.0)), params.momentum);
+        moments = batch;
+    }
+    float inverse = 1.0 / sqrt(moments.y + params.epsilon);
+    vec2 beta_gamma = params.beta_gamma.at[channel];
+    float scale = beta_gamma.y * inverse;
+    params.moments.at[channel] = vec2(moments.x, inverse);
+    params.scale_shift.at[channel] = vec2(scale, beta_gamma.x - scale * moments.x);
+}

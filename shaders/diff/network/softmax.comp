@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// Softmax of rows, or its derivative d_x = p (d_p - sum p d_p), one subgroup a row.
+// In place: values, d_values.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#include "../../base/kernel.glsl"
+#include "../shared/refine.h"
+RELIDAR_CONSTANT(uint, LANES, 8u);
+RELIDAR_PARAMS(SoftmaxParams);
+
+void softmax_row(uint first) {
+    float largest = -1e30, sum = 0.0;
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) largest = max(largest, params.values.at[first + k]);
+    largest = subgroupMax(largest);
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) sum += exp(params.values.at[first + k] - largest);
+    float scale = 1.0 / subgroupAdd(sum);
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
+        params.values.at[first + k] = exp(params.values.at[first + k] - largest) * scale;
+}
+
+void derive_row(uint first) {
+    float sum = 0.0;
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
+        sum += params.values.at[first + k] * params.d_values.at[first + k];
+    sum = subgroupAdd(sum);
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
+        params.d_values.at[first + k] = params.values.at[first + k] * (params.d_values.at[first + k] - sum);
+}
+
+void main() {
+    uint row = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
+    if (row >= params.n_rows) return;
+    if (is_null(params.d_values)) softmax_row(row * params.n);
+    else derive_row(row * params.n);
+}

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+// Derivative of the interpolation: each small pixel gathers the gradients of those that were mixed from it, one thread a value.
+// Input: from (large gradients). Output: to (small gradients).
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/refine.h"
+RELIDAR_PARAMS(ResampleParams);
+#include "resample.glsl"
+
+/// First large pixel that may be mixed from a small one, and how many from there on.
+void candidates(uint at, uint n_large, uint n_small, out int first, out int n) {
+    float step = float(n_large) / float(n_small);
+    first = int(floor((float(at) - 0.5) * step - 0.5)) - 1;
+    n = min(int(ceil(2.0 * step)) + 4, int(n_large));
+}
+
+float row_weight(int y, uint row) {
+    if (y < 0 || y >= int(params.rows)) return 0.0;
+    int above;
+    float share;
+    neighbours(y, params.rows, params.small_rows, above, share);
+    return (row_of(above) == row ? 1.0 - share : 0.0) + (row_of(above + 1) == row ? share : 0.0);
+}
+
+float column_weight(int x, uint column) {
+    int left;
+    float share;
+    neighbours(x, params.columns, params.small_columns, left, share);
+    return (column_of(left) == column ? 1.0 - share : 0.0) + (column_of(left + 1) == column ? share : 0.0);
+}
+
+void main() {
+    uint i = thread_index(), n_small = params.small_rows * params.small_columns;
+    if (i >= params.n_images * params.n_channels * n_small) return;
+    uint column = i % params.small_columns, row = i / params.small_columns % params.small_rows;
+    uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
+    int first_x, first_y, n_x, n_y;
+    candidates(column, params.columns, params.small_columns, first_x, n_x);
+    candidates(row, params.rows, params.small_rows, first_y, n_y);
+    first_y = clamp(first_y, 0, int(params.rows) - n_y);   // rows end: all that may be mixed from the first or last one are within
+    float sum = 0.0;
+    for (int y = first_y; y < first_y + n_y; ++y) {
+        float weight_y = row_weight(y, row);
+        if (weight_y == 0.0) continue;
+        for (int k = 0; k < n_x; ++k) {
+            int x = (first_x + k + 2 * int(params.columns)) % int(params.columns);
+            float weight = weight_y * column_weight(x, column);
+            if (weight == 0.0) continue;
+            uint at = large_at(params.from.channels, params.from.first, image, channel, uint(y), uint(x));
+            sum += weight * params.from.values.at[at];
+        }
+    }
+    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, row, column)] = sum;
+}

@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+// Images of the ray-drop network: [n_images, channels, rows, columns], columns fastest.
+#ifndef RELIDAR_INCLUDED_SHARED_IMAGES_H
+#define RELIDAR_INCLUDED_SHARED_IMAGES_H
+#include "relidar/base/lang.h"
+
+RELIDAR_SHARED_BEGIN
+
+// Some consecutive channels of images.
+struct ImageSlice {
+    Floats values;
+    uint channels;         // of the images
+    uint first;            // that belongs to the slice
+};
+
+RELIDAR_SHARED_END
+#endif

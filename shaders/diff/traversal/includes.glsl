@@ -1,0 +1,12 @@
+// SPDX-License-Identifier: Apache-2.0
+// Everything a tracing kernel needs, in the order it must be read.
+#ifndef RELIDAR_INCLUDED_TRAVERSAL_INCLUDES_GLSL
+#define RELIDAR_INCLUDED_TRAVERSAL_INCLUDES_GLSL
+#extension GL_EXT_ray_query : enable
+#include "../../base/kernel.glsl"
+#include "../shared/trace.h"
+#include "../../scene/gaussian/primitive.glsl"
+#include "../../scene/gaussian/sh.glsl"
+#include "traversal.glsl"
+#include "shading.glsl"
+#endif

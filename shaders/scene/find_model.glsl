@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which model a surfel belongs to.
+#ifndef RELIDAR_INCLUDED_COMMON_FIND_MODEL_GLSL
+#define RELIDAR_INCLUDED_COMMON_FIND_MODEL_GLSL
+#include "shared/scene.h"
+
+/// The last model that starts at or before a surfel; models without surfels are never found.
+uint find_model(Models models, uint n_models, uint surfel) {
+    uint low = 0u, high = n_models;
+    while (high - low > 1u) {
+        uint middle = (low + high) / 2u;
+        if (models.at[middle].first_surfel <= surfel) low = middle;
+        else high = middle;
+    }
+    return low;
+}
+#endif

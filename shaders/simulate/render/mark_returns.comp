@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which rays of a scan return: they met something, and are not dropped more likely than the threshold says. A network brings nothing back
+// that the sensor cannot see (1 stays 1). One thread a ray.
+// Input: measured, drop_prob. Output: marks.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#include "../../base/kernel.glsl"
+#include "../shared/render.h"
+RELIDAR_PARAMS(MarkReturnsParams);
+
+void main() {
+    uint i = thread_index();
+    if (i >= params.n_rays) return;
+    MeasuredRay m = params.measured.at[i];
+    float drop_prob = params.refined != 0u && m.drop_prob < 1.0 ? params.drop_prob.at[i] : m.drop_prob;
+    float range_m = params.of_image != 0u ? m.range_m : m.median_range_m;
+    params.marks.at[i] = drop_prob < params.drop_threshold && range_m > 0.0 ? 1u : 0u;
+}

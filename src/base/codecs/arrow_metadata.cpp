@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tables of a flatbuffer are read by field number: field n stands in entry n of the table's vtable, after its two sizes.
+#include "base/codecs/arrow_metadata.hpp"
+
+#include <cstring>
+
+#include <flatbuffers/flatbuffers.h>
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar::arrow {
+namespace {
+
+constexpr flatbuffers::uoffset_t kMostTables = 10000;  // of a file: datasets have tens of columns
+constexpr std::size_t kLongestName = 200;
+
+// Numbers of Arrow's unions and enums.
+constexpr std::uint8_t kTypeInt = 2, kTypeFloat = 3, kTypeUtf8 = 5;
+constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
+constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
+
+[[noreturn]] void malformed(const char* what) {
+    throw DataError(fmt::format("malformed metadata ({}), expected an Arrow IPC file", what));
+}
+
+/// A flatbuffer in memory of its own: the verifier speaks of alignment within it.
+struct Bytes {
+    std::vector<std::uint64_t> words;
+    flatbuffers::Verifier verifier;
+
+    explicit Bytes(std::string_view bytes) : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), options()) {
+        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) malformed("too long");
+        std::memcpy(words.data(), bytes.data(), bytes.size());
+    }
+    const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
+
+private:
+    static flatbuffers::Verifier::Options options() {
+        flatbuffers::Verifier::Options limits;
+        limits.max_tables = kMostTables;
+        return limits;
+    }
+};
+
+/// A table, each field verified when it is read.
+class Table {
+public:
+    static Table root(Bytes& bytes) {
+        const auto offset = bytes.verifier.VerifyOffset(std::size_t(0));
+        if (offset == 0) malformed("root");
+        return {bytes, bytes.data() + offset};
+    }
+
+    template <class T>
+    T scalar(int field, T otherwise) const {
+        if (!table_->VerifyField<T>(bytes_->verifier, entry(field), sizeof(T))) malformed("number");
+        return table_->GetField<T>(entry(field), otherwise);
+    }
+    std::optional<Table> table(int field) const {
+        const std::uint8_t* at = pointer(field);
+        return at ? std::optional<Table>(Table(*bytes_, at)) : std::nullopt;
+    }
+    Table needed(int field, const char* what) const {
+        const std::optional<Table> found = table(field);
+        if (!found) malformed(what);
+        return *found;
+    }
+    std::string name(int field) const {
+        const auto* text = reinterpret_cast<const flatbuffers::String*>(pointer(field));
+        if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) malformed("name");
+        return text->str();
+    }
+    /// A vector of structs: 4 bytes of length, then the structs, which need not be aligned.
+    template <class Struct>
+    std::vector<Struct> structs(int field) const {
+        const std::uint8_t* vector = verified_vector(field, sizeof(Struct));
+        std::vector<Struct> values(vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0);
+        if (!values.empty()) std::memcpy(values.data(), vector + sizeof(flatbuffers::uoffset_t), values.size() * sizeof(Struct));
+        return values;
+    }
+    std::vector<Table> tables(int field) const {
+        const std::uint8_t* vector = verified_vector(field, sizeof(flatbuffers::uoffset_t));
+        std::vector<Table> all;
+        const std::size_t n = vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0;
+        for (std::size_t i = 0; i < n; ++i) {
+            const std::uint8_t* element = vector + (i + 1) * sizeof(flatbuffers::uoffset_t);
+            const auto offset = bytes_->verifier.VerifyOffset(std::size_t(element - bytes_->data()));
+            if (offset == 0) malformed("table");
+            all.push_back(Table(*bytes_, element + offset));
+        }
+        return all;
+    }
+
+private:
+    Table(Bytes& bytes, const std::uint8_t* at) : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
+        if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
+        bytes.verifier.EndTable();  // its depth is bounded by the code that reads it
+    }
+
+    static flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
+
+    const std::uint8_t* pointer(int field) const {
+        if (!table_->VerifyOffset(bytes_->verifier, entry(field))) malformed("offset");
+        return table_->GetPointer<const std::uint8_t*>(entry(field));
+    }
+    const std::uint8_t* verified_vector(int field, std::size_t element_bytes) const {
+        const std::uint8_t* vector = pointer(field);
+        if (vector && !bytes_->verifier.VerifyVectorOrString(vector, element_bytes)) malformed("vector");
+        return vector;
+    }
+
+    Bytes* bytes_;
+    const flatbuffers::Table* table_;
+};
+
+Field::Type integer_type(const Table& table) {
+    const auto bits = table.scalar<std::int32_t>(0, 0);
+    if (bits != 8 && bits != 16 && bits != 32 && bits != 64) malformed("width of integers");
+    return {Kind::integer, bits, table.scalar<std::uint8_t>(1, 0) != 0};
+}
+
+Field::Type floating_type(const Table& table) {
+    const auto precision = table.scalar<std::int16_t>(0, 0);
+    if (precision < 0 || precision > 2) malformed("precision");
+    return {Kind::floating, 16 << precision, true};
+}
+
+Field field_of(const Table& table) {
+    Field field;
+    field.name = table.name(0);
+    const auto type = table.scalar<std::uint8_t>(2, 0);
+    if (type == kTypeInt)
+        field.type = integer_type(table.needed(3, "type"));
+    else if (type == kTypeFloat)
+        field.type = floating_type(table.needed(3, "type"));
+    else if (type != kTypeUtf8)
+        throw DataError(
+            fmt::format("column '{}' is of Arrow's type {}, expected integers, floating point numbers or utf8 text", field.name, type));
+    if (const std::optional<Table> encoding = table.table(4)) {
+        const std::optional<Table> index = encoding->table(1);
+        field.dictionary = {encoding->scalar<std::int64_t>(0, 0), index ? integer_type(*index) : Field::Type{Kind::integer, 32, true}};
+    }
+    return field;
+}
+
+/// Bodies are compressed buffer by buffer, by one codec.
+Codec codec_of(const Table& batch) {
+    const std::optional<Table> compression = batch.table(3);
+    if (!compression) return Codec::none;
+    const auto codec = compression->scalar<std::int8_t>(0, kCodecLz4);
+    if (codec != kCodecLz4 && codec != kCodecZstd)
+        throw DataError(fmt::format("compressed by codec {}, expected lz4 frames or zstd", codec));
+    return codec == kCodecLz4 ? Codec::lz4_frame : Codec::zstd;
+}
+
+}  // namespace
+
+Footer parse_footer(std::string_view bytes) {
+    Bytes copy(bytes);
+    const Table footer = Table::root(copy), schema = footer.needed(1, "schema");
+    if (schema.scalar<std::int16_t>(0, 0) != 0) throw DataError("numbers are big-endian, expected little-endian");
+    Footer parsed;
+    for (const Table& field : schema.tables(1)) parsed.fields.push_back(field_of(field));
+    parsed.dictionaries = footer.structs<Block>(2);
+    parsed.batches = footer.structs<Block>(3);
+    return parsed;
+}
+
+RecordBatch parse_batch(std::string_view bytes) {
+    Bytes copy(bytes);
+    const Table message = Table::root(copy);
+    const auto type = message.scalar<std::uint8_t>(1, 0);
+    if (type != kHeaderDictionary && type != kHeaderRecords) malformed("kind of message");
+    const Table header = message.needed(2, "header");
+    RecordBatch batch;
+    if (type == kHeaderDictionary) batch.dictionary = header.scalar<std::int64_t>(0, 0);
+    const Table records = type == kHeaderDictionary ? header.needed(1, "dictionary") : header;
+    batch.length = records.scalar<std::int64_t>(0, 0);
+    batch.nodes = records.structs<Node>(1);
+    batch.buffers = records.structs<Buffer>(2);
+    batch.codec = codec_of(records);
+    return batch;
+}
+
+}  // namespace relidar::arrow

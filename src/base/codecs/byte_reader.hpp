@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// Records of recordings: little-endian numbers, and bytes behind their length.
+#pragma once
+
+#include <bit>
+#include <cstdint>
+#include <cstring>
+#include <string>
+#include <string_view>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar::bag {
+
+static_assert(std::endian::native == std::endian::little, "numbers are taken as they lie");
+
+/// Never reads beyond its bytes. @throws DataError where they end too early
+class ByteReader {
+public:
+    explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
+
+    template <class T>
+    T number() {
+        T value;
+        std::memcpy(&value, take(sizeof value).data(), sizeof value);
+        return value;
+    }
+    std::string_view take(std::uint64_t n) {
+        if (n > bytes_.size() - at_) throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
+        const std::string_view part = bytes_.substr(at_, std::size_t(n));
+        at_ += std::size_t(n);
+        return part;
+    }
+    /// Bytes behind their length of 4 bytes.
+    std::string_view sized() { return take(number<std::uint32_t>()); }
+    std::size_t at() const { return at_; }
+    std::size_t left() const { return bytes_.size() - at_; }
+    std::string_view rest() { return take(left()); }
+
+private:
+    std::string_view bytes_;
+    std::size_t at_ = 0;
+};
+
+}  // namespace relidar::bag

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// Common Data Representation, as ROS 2 serialises messages.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "base/bytes.hpp"
+
+namespace relidar::scan_files {
+
+/// Little-endian: every number at a multiple of its size, counted behind the first four bytes.
+class Cdr {
+public:
+    template <class T>
+    Cdr& add(T value) {
+        while ((bytes_.size() - kHead) % sizeof(T) != 0) bytes_ += '\0';
+        append(bytes_, value);
+        return *this;
+    }
+    Cdr& add_text(std::string_view text) {
+        add(std::uint32_t(text.size() + 1));
+        bytes_ += text;
+        bytes_ += '\0';
+        return *this;
+    }
+    Cdr& add_bytes(std::string_view bytes) {
+        add(std::uint32_t(bytes.size()));
+        bytes_ += bytes;
+        return *this;
+    }
+    std::string take() { return std::move(bytes_); }
+
+private:
+    static constexpr std::size_t kHead = 4;
+    std::string bytes_ = std::string("\0\1\0\0", kHead);
+};
+
+}  // namespace relidar::scan_files

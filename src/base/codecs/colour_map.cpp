@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scalar range images as pictures. Colours are interpolated linearly between the stops below. "turbo" is a rainbow of our
+// own in the manner of that map (dark indigo, blue, cyan, green, yellow, orange, dark red), near to far; "heat" is for errors.
+#include <relidar/base/images.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <span>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+using Colour = std::array<std::uint8_t, 3>;
+
+constexpr std::array<Colour, 16> kTurbo{{
+    {38, 24, 84},   {54, 50, 148},   {62, 84, 204},   {60, 120, 240}, {46, 156, 246}, {28, 190, 224}, {30, 216, 184}, {66, 234, 138},
+    {120, 246, 92}, {168, 246, 62},  {210, 232, 50},  {240, 202, 52}, {248, 162, 46}, {244, 114, 30}, {216, 64, 16},  {132, 12, 8},
+}};
+constexpr std::array<Colour, 2> kGray{{{0, 0, 0}, {255, 255, 255}}};
+constexpr std::array<Colour, 4> kHeat{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
+constexpr Colour kNoValue{44, 44, 48};        // dark gray: nothing there
+constexpr std::uint8_t kSeparator = 128;      // gray
+constexpr int kSeparatorRows = 2;
+
+std::span<const Colour> stops_of(const std::string& map) {
+    if (map == "turbo") return kTurbo;
+    if (map == "gray") return kGray;
+    if (map == "heat") return kHeat;
+    throw UsageError(fmt::format("colour map '{}', expected turbo, gray or heat", map));
+}
+
+/// @param t [0, 1]
+Colour interpolate(std::span<const Colour> stops, double t) {
+    const double position = t * double(stops.size() - 1);
+    const std::size_t low = std::min(std::size_t(position), stops.size() - 2);
+    const double share = position - double(low);
+    Colour colour;
+    for (std::size_t k = 0; k < 3; ++k)
+        colour[k] = std::uint8_t(std::lround((1.0 - share) * stops[low][k] + share * stops[low + 1][k]));
+    return colour;
+}
+
+void check_count(const char* name, std::size_t found, std::size_t expected) {
+    if (found != expected) throw DataError(fmt::format("colouring an image: {} values of {}, expected {}", found, name, expected));
+}
+
+}  // namespace
+
+Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high, const std::string& map,
+                 const std::vector<float>& mask) {
+    const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
+    check_count("the image", values.size(), n);
+    if (!mask.empty()) check_count("the mask", mask.size(), n);
+    if (!std::isfinite(low) || !std::isfinite(high))
+        throw DataError(fmt::format("colouring an image: range {} to {}, expected finite values", low, high));
+    const std::span<const Colour> stops = stops_of(map);
+    const double span = high > low ? double(high) - double(low) : 1.0;   // a constant image takes the lowest colour
+
+    Image image{rows, columns, {}};
+    image.rgb.reserve(n * 3);
+    for (std::size_t i = 0; i < n; ++i) {
+        const bool shown = !std::isnan(values[i]) && (mask.empty() || mask[i] != 0.0f);
+        const Colour colour = shown ? interpolate(stops, std::clamp((double(values[i]) - double(low)) / span, 0.0, 1.0)) : kNoValue;
+        image.rgb.insert(image.rgb.end(), colour.begin(), colour.end());
+    }
+    return image;
+}
+
+Image stack(const std::vector<Image>& images, int stretch) {
+    if (stretch < 1) throw UsageError(fmt::format("stacking images: stretch {}, expected at least 1", stretch));
+    Image result;
+    for (const Image& image : images) {
+        if (result.columns == 0) result.columns = image.columns;
+        if (image.columns != result.columns)
+            throw DataError(fmt::format("stacking images: widths {} and {}", result.columns, image.columns));
+        const std::size_t width = std::size_t(image.columns) * 3;
+        check_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
+        if (&image != &images.front()) {
+            result.rgb.insert(result.rgb.end(), width * kSeparatorRows, kSeparator);
+            result.rows += kSeparatorRows;
+        }
+        for (std::size_t row = 0; row < std::size_t(image.rows); ++row)
+            for (int copy = 0; copy < stretch; ++copy) {
+                const auto first = image.rgb.begin() + std::ptrdiff_t(row * width);
+                result.rgb.insert(result.rgb.end(), first, first + std::ptrdiff_t(width));
+            }
+        result.rows += image.rows * stretch;
+    }
+    return result;
+}
+
+}  // namespace relidar

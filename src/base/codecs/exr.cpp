@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// OpenEXR images of float channels, ZIP compressed. Encoded in memory: OpenEXR writes its line table in a destructor, which
+// cannot report a full disk, so the writing proper is left to our own file functions.
+#include <relidar/base/files.hpp>
+#include <relidar/base/images.hpp>
+
+#include <cstring>
+
+#include <ImfChannelList.h>
+#include <ImfFrameBuffer.h>
+#include <ImfHeader.h>
+#include <ImfIO.h>
+#include <ImfOutputFile.h>
+#include <ImfStringAttribute.h>
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "file_io.hpp"
+
+namespace relidar {
+namespace {
+
+/// What OpenEXR writes to instead of a file.
+class MemoryStream : public OPENEXR_IMF_NAMESPACE::OStream {
+public:
+    MemoryStream() : OStream("memory") {}
+
+    void write(const char bytes[], int n) override {
+        if (n <= 0) return;
+        const std::size_t end = position_ + std::size_t(n);
+        if (end > content.size()) content.resize(end);
+        std::memcpy(content.data() + position_, bytes, std::size_t(n));
+        position_ = end;
+    }
+    std::uint64_t tellp() override { return position_; }
+    void seekp(std::uint64_t position) override { position_ = position; }
+
+    std::string content;
+
+private:
+    std::size_t position_ = 0;
+};
+
+void check_image(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
+    if (rows <= 0 || columns <= 0 || channels.empty())
+        throw DataError(fmt::format("EXR image: {} x {} pixels, {} channels, expected some of each", rows, columns, channels.size()));
+    const std::size_t n = std::size_t(rows) * std::size_t(columns);
+    for (const auto& [name, values] : channels)
+        if (values.size() != n)
+            throw DataError(fmt::format("EXR image: channel '{}' has {} values, expected {}", name, values.size(), n));
+}
+
+}  // namespace
+
+void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels,
+               const FileNotes& notes) {
+    namespace imf = OPENEXR_IMF_NAMESPACE;
+    check_image(rows, columns, channels);
+    MemoryStream stream;
+    try {
+        imf::Header header(columns, rows);
+        header.compression() = imf::ZIP_COMPRESSION;
+        for (const auto& [name, text] : notes) header.insert(name, imf::StringAttribute(text));
+        imf::FrameBuffer buffer;
+        const std::size_t stride = sizeof(float);
+        for (const auto& [name, values] : channels) {
+            header.channels().insert(name, imf::Channel(imf::FLOAT));
+            char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));   // OpenEXR only reads from it
+            buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
+        }
+        imf::OutputFile file(stream, header);
+        file.setFrameBuffer(buffer);
+        file.writePixels(rows);
+    } catch (const std::exception& error) {
+        throw DataError(fmt::format("encoding '{}' as EXR: {}", path.string(), error.what()));
+    }
+    export_detail::write_file(path, stream.content);
+}
+
+}  // namespace relidar

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bytes to and from files; see file_io.hpp. C streams rather than C++ ones, because they report errno.
+#include "file_io.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cerrno>
+#include <memory>
+#include <system_error>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+
+namespace relidar::export_detail {
+
+std::string note_line(const std::pair<std::string, std::string>& note) {
+    std::string line = note.first + " " + note.second;
+    std::replace_if(line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+    return line;
+}
+
+std::string system_message(int error) { return std::generic_category().message(error); }
+
+OutputFile::OutputFile(const std::filesystem::path& path) : file_(std::fopen(path.c_str(), "wb")) {
+    if (!file_) throw DataError("creating a temporary file beside it: " + system_message(errno));
+}
+
+OutputFile::~OutputFile() {
+    if (file_) std::fclose(file_);
+}
+
+void OutputFile::write(const void* data, std::size_t n_bytes) {
+    if (n_bytes > 0 && std::fwrite(data, 1, n_bytes, file_) != n_bytes)
+        throw DataError(fmt::format("writing {} bytes: {}", n_bytes, system_message(errno)));
+}
+
+void OutputFile::close() {
+    const bool flushed = std::fflush(file_) == 0;
+    const int flush_error = errno;
+    const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
+    if (!flushed || !closed) throw DataError("writing the last bytes: " + system_message(flushed ? errno : flush_error));
+}
+
+void write_file(const std::filesystem::path& path, std::string_view bytes) {
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        OutputFile file(temporary);
+        file.write(bytes);
+        file.close();
+    });
+}
+
+std::vector<std::byte> read_file(const std::filesystem::path& path) {
+    const auto fail = [&](const std::string& why) { throw DataError(fmt::format("reading '{}': {}", path.string(), why)); };
+    std::error_code error;
+    const auto status = std::filesystem::status(path, error);
+    if (!std::filesystem::exists(status)) fail(system_message(error ? error.value() : ENOENT));
+    if (!std::filesystem::is_regular_file(status)) fail("not a regular file");
+    const auto size = std::filesystem::file_size(path, error);
+    if (error) fail(error.message());
+
+    std::FILE* file = std::fopen(path.c_str(), "rb");
+    if (!file) fail(system_message(errno));
+    const std::unique_ptr<std::FILE, int (*)(std::FILE*)> guard(file, std::fclose);
+    std::vector<std::byte> bytes(size);
+    if (size > 0 && std::fread(bytes.data(), 1, size, file) != size)
+        fail(std::ferror(file) ? system_message(errno) : "the file became shorter while it was read");
+    return bytes;
+}
+
+}  // namespace relidar::export_detail

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+// npz: a zip archive of deflated .npy files, as numpy.savez_compressed writes. Entries carry no time of writing (1980-01-01),
+// so that equal arrays make equal files. Plain zip only: entries and archive stay below 4 GiB, more is refused.
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/files.hpp>
+
+#include <limits>
+#include <set>
+
+#include <fmt/format.h>
+#include <zlib.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/bytes.hpp"
+#include "file_io.hpp"
+#include "named_array.hpp"
+#include "npy.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::uint32_t kLocalHeader = 0x04034b50, kCentralHeader = 0x02014b50, kEndRecord = 0x06054b50;
+constexpr std::uint16_t kVersion = 20;        // deflate
+constexpr std::uint16_t kUtf8Names = 1 << 11;
+constexpr std::uint16_t kDeflated = 8;
+constexpr std::uint16_t kDate = 0x0021;       // 1980-01-01, the earliest the format knows
+constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();   // this value itself means "see zip64"
+
+/// One file of the archive as the two directories describe it.
+struct Entry {
+    std::string name;
+    std::uint32_t crc = 0, packed_size = 0, size = 0, offset = 0;
+};
+
+/// Raw deflate (no zlib header) of consecutive pieces, with the checksum of what went in.
+class Deflater {
+public:
+    Deflater() {
+        if (deflateInit2(&stream_, Z_DEFAULT_COMPRESSION, Z_DEFLATED, -MAX_WBITS, 8, Z_DEFAULT_STRATEGY) != Z_OK)
+            throw std::bad_alloc();
+    }
+    ~Deflater() { deflateEnd(&stream_); }
+    Deflater(const Deflater&) = delete;
+    Deflater& operator=(const Deflater&) = delete;
+
+    /// @param n_bytes below 4 GiB
+    void add(const void* data, std::size_t n_bytes, bool last) {
+        const auto* bytes = static_cast<const Bytef*>(data);
+        if (n_bytes > 0) crc = std::uint32_t(::crc32(crc, bytes, uInt(n_bytes)));   // a null pointer would reset it
+        stream_.next_in = const_cast<Bytef*>(bytes);
+        stream_.avail_in = uInt(n_bytes);
+        do {
+            Bytef chunk[1 << 16];
+            stream_.next_out = chunk;
+            stream_.avail_out = sizeof chunk;
+            ::deflate(&stream_, last ? Z_FINISH : Z_NO_FLUSH);
+            packed.append(reinterpret_cast<const char*>(chunk), sizeof chunk - stream_.avail_out);
+        } while (stream_.avail_out == 0);
+    }
+
+    std::string packed;
+    std::uint32_t crc = 0;
+
+private:
+    z_stream stream_{};
+};
+
+/// The fields both directories share, from "version needed" to "name length".
+void append_common(std::string& bytes, const Entry& entry) {
+    append(bytes, kVersion);
+    append(bytes, kUtf8Names);
+    append(bytes, kDeflated);
+    append(bytes, std::uint16_t(0));   // time
+    append(bytes, kDate);
+    append(bytes, entry.crc);
+    append(bytes, entry.packed_size);
+    append(bytes, entry.size);
+    append(bytes, std::uint16_t(entry.name.size()));
+    append(bytes, std::uint16_t(0));   // extra field
+}
+
+std::string local_header(const Entry& entry) {
+    std::string bytes;
+    append(bytes, kLocalHeader);
+    append_common(bytes, entry);
+    return bytes + entry.name;
+}
+
+std::string central_header(const Entry& entry) {
+    std::string bytes;
+    append(bytes, kCentralHeader);
+    append(bytes, kVersion);           // made by
+    append_common(bytes, entry);
+    append(bytes, std::uint16_t(0));   // comment
+    append(bytes, std::uint16_t(0));   // disk
+    append(bytes, std::uint16_t(0));   // internal attributes
+    append(bytes, std::uint32_t(0));   // external attributes
+    append(bytes, entry.offset);
+    return bytes + entry.name;
+}
+
+std::string end_record(std::size_t n_entries, std::size_t directory_size, std::size_t directory_offset) {
+    std::string bytes;
+    append(bytes, kEndRecord);
+    append(bytes, std::uint32_t(0));   // disks
+    append(bytes, std::uint16_t(n_entries));
+    append(bytes, std::uint16_t(n_entries));
+    append(bytes, std::uint32_t(directory_size));
+    append(bytes, std::uint32_t(directory_offset));
+    append(bytes, std::uint16_t(0));   // comment
+    return bytes;
+}
+
+void check_size(const std::string& what, std::uint64_t n_bytes) {
+    if (n_bytes >= kLimit)
+        throw DataError(fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
+}
+
+/// Writes one array at `offset`. @return its directory entry
+Entry write_entry(export_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
+    const std::string header = export_detail::npy_header(array);
+    check_size(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
+    Deflater deflater;
+    deflater.add(header.data(), header.size(), false);
+    deflater.add(array.bytes.data(), array.bytes.size(), true);
+    check_size("the archive", offset + deflater.packed.size() + array.name.size() + 1024);
+    const Entry entry{array.name + ".npy", deflater.crc, std::uint32_t(deflater.packed.size()),
+                      std::uint32_t(header.size() + array.bytes.size()), std::uint32_t(offset)};
+    file.write(local_header(entry));
+    file.write(deflater.packed);
+    return entry;
+}
+
+void check(const std::vector<NamedArray>& arrays) {
+    std::set<std::string> names;
+    for (const NamedArray& array : arrays) {
+        export_detail::check_array(array);
+        if (array.name.size() > 0xFF00) throw DataError("an array name is too long");
+        if (!names.insert(array.name).second) throw DataError(fmt::format("array name '{}' is used twice", array.name));
+    }
+    if (arrays.size() >= 0xFFFF) throw DataError(fmt::format("{} arrays, npz files hold at most 65534", arrays.size()));
+}
+
+}  // namespace
+
+void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays) {
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        check(arrays);
+        export_detail::OutputFile file(temporary);
+        std::size_t offset = 0;
+        std::string directory;
+        for (const NamedArray& array : arrays) {
+            const Entry entry = write_entry(file, array, offset);
+            offset += local_header(entry).size() + entry.packed_size;
+            directory += central_header(entry);
+        }
+        check_size("the archive", offset + directory.size());
+        file.write(directory);
+        file.write(end_record(arrays.size(), directory.size(), offset));
+        file.close();
+    });
+}
+
+}  // namespace relidar

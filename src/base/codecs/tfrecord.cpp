@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+// Records of a TFRecord file. CRC-32C: reflected polynomial 0x82F63B78, start and end inverted.
+#include "base/codecs/tfrecord.hpp"
+
+#include <array>
+#include <cstring>
+#include <fstream>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include "base/files.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::uint64_t kHeader = 12, kFooter = 4;  // bytes around the data of a record
+
+constexpr std::array<std::uint32_t, 256> make_table() {
+    std::array<std::uint32_t, 256> table{};
+    for (std::uint32_t byte = 0; byte < 256; ++byte) {
+        std::uint32_t c = byte;
+        for (int bit = 0; bit < 8; ++bit) c = (c >> 1) ^ ((c & 1) != 0 ? 0x82F63B78u : 0u);
+        table[byte] = c;
+    }
+    return table;
+}
+
+template <class T>
+T number_at(const char* bytes) {
+    T value;
+    std::memcpy(&value, bytes, sizeof value);
+    return value;
+}
+
+}  // namespace
+
+std::uint32_t masked_crc32c(std::string_view bytes) {
+    static constexpr std::array<std::uint32_t, 256> kTable = make_table();
+    std::uint32_t c = ~0u;
+    for (const char byte : bytes) c = kTable[(c ^ static_cast<unsigned char>(byte)) & 0xFF] ^ (c >> 8);
+    c = ~c;
+    return ((c >> 15) | (c << 17)) + 0xa282ead8u;
+}
+
+TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
+    if (!path_exists(file_)) throw DataError(fmt::format("{}: no such file", file_.string()));
+    std::ifstream in(file_, std::ios::binary | std::ios::ate);
+    const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
+    if (end < 0) throw DataError(fmt::format("{}: cannot be read", file_.string()));
+    for (std::uint64_t at = 0, left = std::uint64_t(end); left > 0;) {
+        const std::string where = fmt::format("{}: record {}", file_.string(), records_.size());
+        std::array<char, kHeader> header{};
+        in.seekg(std::streamoff(at));
+        if (left < kHeader || !in.read(header.data(), kHeader))
+            throw DataError(fmt::format("{}: truncated: {} bytes of its header, expected {}", where, left, kHeader));
+        if (number_at<std::uint32_t>(&header[8]) != masked_crc32c({header.data(), 8}))
+            throw DataError(fmt::format("{}: the CRC of its length is wrong, expected a TFRecord", where));
+        const auto size = number_at<std::uint64_t>(header.data());
+        left -= kHeader;
+        if (left < kFooter || size > left - kFooter)
+            throw DataError(fmt::format("{}: truncated: a length of {} bytes with {} left in the file, expected {} more after the data",
+                                        where, size, left, kFooter));
+        records_.push_back({at + kHeader, size});
+        at += kHeader + size + kFooter;
+        left -= size + kFooter;
+    }
+    if (records_.empty()) throw DataError(fmt::format("{}: empty, expected records of a TFRecord", file_.string()));
+}
+
+std::string TfRecords::read(std::size_t record) const {
+    const Place& place = records_[record];
+    std::string data(place.size + kFooter, '\0');
+    std::ifstream in(file_, std::ios::binary);
+    in.seekg(std::streamoff(place.begin));
+    if (!in.read(data.data(), std::streamsize(data.size())))
+        throw DataError(fmt::format("{}: record {}: {} bytes cannot be read", file_.string(), record, data.size()));
+    const auto crc = number_at<std::uint32_t>(&data[place.size]);
+    data.resize(place.size);
+    if (crc != masked_crc32c(data)) throw DataError(fmt::format("{}: record {}: the CRC of its data is wrong", file_.string(), record));
+    return data;
+}
+
+}  // namespace relidar

@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reading files whole, and numbers out of their lines.
+#include "base/files.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cerrno>
+#include <charconv>
+#include <fstream>
+#include <system_error>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+DataError unreadable(const fs::path& path, const std::error_code& failed) {
+    return DataError(fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
+}
+
+/// What a path leads to; file_type::not_found where nothing is there.
+fs::file_status status_of(const fs::path& path) {
+    std::error_code failed;
+    const fs::file_status status = fs::status(path, failed);
+    if (fs::status_known(status)) return status;
+    throw unreadable(path, failed);
+}
+
+}  // namespace
+
+std::string read_file(const fs::path& path) {
+    const fs::file_status status = status_of(path);
+    if (!fs::exists(status)) throw DataError(fmt::format("{}: no such file", path.string()));
+    if (!fs::is_regular_file(status)) throw DataError(fmt::format("{}: not a file", path.string()));
+    std::ifstream in(path, std::ios::binary);
+    if (!in) throw unreadable(path, {errno, std::generic_category()});
+    std::error_code failed;
+    const std::uintmax_t n_bytes = fs::file_size(path, failed);
+    if (failed) throw unreadable(path, failed);
+    std::string text(n_bytes, '\0');
+    in.read(text.data(), static_cast<std::streamsize>(text.size()));
+    if (in.gcount() != static_cast<std::streamsize>(text.size())) {
+        throw DataError(fmt::format("{}: only {} of {} bytes could be read", path.string(), in.gcount(), text.size()));
+    }
+    return text;
+}
+
+std::string read_text(const fs::path& path) {
+    std::string text = read_file(path);
+    if (text.starts_with("\xEF\xBB\xBF")) text.erase(0, 3);
+    if (text.starts_with("\xFF\xFE") || text.starts_with("\xFE\xFF"))
+        throw DataError(fmt::format("{}: found text in UTF-16, expected UTF-8", path.string()));
+    return text;
+}
+
+bool path_exists(const fs::path& path) { return fs::exists(status_of(path)); }
+
+void check_folder(const fs::path& path, const std::string& expected) {
+    const fs::file_status status = status_of(path);
+    if (!fs::is_directory(status))
+        throw DataError(
+            fmt::format("{}: {}, expected {}", path.string(), fs::exists(status) ? "not a folder" : "no such folder", expected));
+}
+
+std::vector<fs::path> list_folder(const fs::path& folder) {
+    std::error_code failed;
+    std::vector<fs::path> paths;
+    if (!fs::is_directory(status_of(folder))) throw DataError(fmt::format("{}: no such folder", folder.string()));
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
+        paths.push_back(entry->path());
+    if (failed) throw unreadable(folder, failed);
+    std::sort(paths.begin(), paths.end());
+    return paths;
+}
+
+std::optional<int> file_number(const std::string& stem) {
+    const std::size_t first = std::min(stem.find_first_not_of('0'), stem.size());
+    if (stem.empty() || stem.size() - first > 8 || stem.find_first_not_of("0123456789") != std::string::npos) return std::nullopt;
+    int number = 0;
+    std::from_chars(stem.data(), stem.data() + stem.size(), number);
+    return number;
+}
+
+std::string excerpt(std::string_view text) {
+    constexpr std::size_t kMost = 80;
+    const bool cut = text.size() > kMost;
+    std::size_t n = cut ? kMost - 3 : text.size();
+    while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;   // not within a UTF-8 character
+    std::string shown(text.substr(0, n));
+    std::replace_if(shown.begin(), shown.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
+    return cut ? shown + "..." : shown;
+}
+
+std::vector<std::string> split_lines(const std::string& text) {
+    std::vector<std::string> lines;
+    for (std::size_t begin = 0; begin < text.size();) {
+        const std::size_t end = std::min(text.find('\n', begin), text.size());
+        std::size_t length = end - begin;
+        if (length > 0 && text[begin + length - 1] == '\r') --length;
+        lines.push_back(text.substr(begin, length));
+        begin = end + 1;
+    }
+    return lines;
+}
+
+std::string_view trimmed(std::string_view text) {
+    constexpr std::string_view kBlank = " \t\r\n";
+    const std::size_t begin = text.find_first_not_of(kBlank);
+    if (begin == std::string_view::npos) return {};
+    return text.substr(begin, text.find_last_not_of(kBlank) - begin + 1);
+}
+
+std::optional<double> parse_number(std::string_view text) {
+    if (!text.empty() && text.front() == '+') text.remove_prefix(1);
+    double value = 0.0;
+    const auto [end, code] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (code != std::errc() || end != text.data() + text.size() || text.empty()) return std::nullopt;
+    return value;
+}
+
+std::optional<std::vector<double>> parse_numbers(std::string_view text) {
+    std::vector<double> numbers;
+    for (text = trimmed(text); !text.empty(); text = trimmed(text)) {
+        const std::size_t end = std::min(text.find_first_of(" \t\r\n"), text.size());
+        const std::optional<double> number = parse_number(text.substr(0, end));
+        if (!number) return std::nullopt;
+        numbers.push_back(*number);
+        text.remove_prefix(end);
+    }
+    return numbers;
+}
+
+}  // namespace relidar

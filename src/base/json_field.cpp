@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checked access to JSON values; what was found is quoted, shortened to one line.
+#include "base/json_field.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include "base/files.hpp"
+
+namespace relidar {
+namespace {
+
+std::string shown(const nlohmann::json& value) {
+    if (value.is_structured()) return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
+    const std::string text = value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
+    return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
+}
+
+}  // namespace
+
+void JsonField::fail(const std::string& found, const std::string& expected) const {
+    throw DataError(fmt::format("{}: {}{}{}, {}", *file_, name_, name_.empty() ? "" : ": ", found, expected));
+}
+
+bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
+
+JsonField JsonField::at(const std::string& key) const {
+    if (!value_->is_object()) fail(shown(*value_), "expected an object");
+    const auto it = value_->find(key);
+    const std::string name = name_.empty() ? key : name_ + "." + key;
+    if (it == value_->end()) throw DataError(fmt::format("{}: {}: missing, expected it", *file_, name));
+    return {*it, *file_, name};
+}
+
+JsonField JsonField::at(std::size_t index) const { return {value_->at(index), *file_, fmt::format("{}[{}]", name_, index)}; }
+
+std::size_t JsonField::size() const {
+    if (!value_->is_array()) fail(shown(*value_), "expected an array");
+    return value_->size();
+}
+
+bool JsonField::is_text() const { return value_->is_string(); }
+
+bool JsonField::is_array() const { return value_->is_array(); }
+
+void JsonField::check_members(const std::vector<std::string>& known) const {
+    if (!value_->is_object()) fail(shown(*value_), "expected an object");
+    for (const auto& [key, value] : value_->items())
+        if (std::find(known.begin(), known.end(), key) == known.end())
+            fail(fmt::format("found the unknown member '{}'", excerpt(key)), fmt::format("expected only {}", fmt::join(known, ", ")));
+}
+
+double JsonField::number() const {
+    if (!value_->is_number() || !std::isfinite(value_->get<double>())) fail(shown(*value_), "expected a finite number");
+    return value_->get<double>();
+}
+
+double JsonField::number(double low, double high) const {
+    const double value = number();
+    if (value < low || value > high) fail(shown(*value_), fmt::format("expected a number in {:.15g}..{:.15g}", low, high));
+    return value;
+}
+
+std::int64_t JsonField::integer(std::int64_t low, std::int64_t high) const {
+    const bool fits = value_->is_number_integer() &&
+                      !(value_->is_number_unsigned() && value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
+    if (!fits || value_->get<std::int64_t>() < low || value_->get<std::int64_t>() > high) {
+        fail(shown(*value_), fmt::format("expected an integer in {}..{}", low, high));
+    }
+    return value_->get<std::int64_t>();
+}
+
+bool JsonField::boolean() const {
+    if (!value_->is_boolean()) fail(shown(*value_), "expected true or false");
+    return value_->get<bool>();
+}
+
+std::string JsonField::text() const {
+    if (!value_->is_string()) fail(shown(*value_), "expected text");
+    return value_->get<std::string>();
+}
+
+std::string JsonField::text(std::size_t most) const {
+    const std::string found = text();
+    const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
+    if (found.size() > most || std::any_of(found.begin(), found.end(), is_control))
+        fail(fmt::format("found {} bytes of text", found.size()), fmt::format("expected one line of at most {}", most));
+    return found;
+}
+
+std::vector<double> JsonField::numbers() const {
+    std::vector<double> result(size());
+    for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
+    return result;
+}
+
+nlohmann::json parse_json(const std::string& text, const std::string& file) {
+    try {
+        return nlohmann::json::parse(text);
+    } catch (const nlohmann::json::exception& error) {
+        std::string why = error.what();   // "[json.exception.parse_error.101] parse error at line 1, column 2: ..."
+        if (const std::size_t bracket = why.find("] "); bracket != std::string::npos) why.erase(0, bracket + 2);
+        why = why.substr(0, why.find("; last read"));   // quotes the file, at any length
+        for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
+        throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));
+    }
+}
+
+}  // namespace relidar

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// Loops over many independent items that say how far they are.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <string_view>
+#include <thread>
+
+#include <relidar/base/progress.hpp>
+
+#include "base/parallel.hpp"
+
+namespace relidar {
+
+/// run_parallel. The calling thread tells how many of the items are done: first, before each that it takes itself, and 1 at the end, since
+/// other threads may take all of the last ones. What `progress` throws ends it.
+template <class Task>
+void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
+    if (progress) progress(what, 0.0);
+    const std::thread::id caller = std::this_thread::get_id();
+    std::atomic<std::size_t> done{0};
+    std::atomic<bool> is_ended{false};
+    run_parallel(static_cast<int>(n), [&](int i) {
+        if (is_ended) return;
+        if (progress && std::this_thread::get_id() == caller) try {
+                progress(what, double(done) / double(n));
+            } catch (...) {
+                is_ended = true;
+                throw;
+            }
+        task(std::size_t(i));
+        ++done;
+    });
+    if (progress) progress(what, 1.0);
+}
+
+/// As for_each_told, in blocks.
+template <class Task>
+void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
+    const std::size_t size = block_size(n);
+    for_each_told((n + size - 1) / size, progress, what, [&](std::size_t block) {
+        for (std::size_t i = block * size; i < std::min(n, (block + 1) * size); ++i) task(i);
+    });
+}
+
+}  // namespace relidar

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// Dots are counted from one separator of keys to the next; quoted texts and comments hold none that count. What this reads differently
+// from TOML (texts over several lines) errs on the side of counting.
+#include "base/toml_depth.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr int kMostParts = 8, kDeepest = 8;
+
+/// Behind the text in quotes, or at the end of its line.
+std::size_t skip_quoted(std::string_view text, std::size_t at) {
+    const char quote = text[at++];
+    for (; at < text.size() && text[at] != quote && text[at] != '\n'; ++at) {
+        if (text[at] == '\\' && quote == '"' && at + 1 < text.size() && text[at + 1] != '\n') ++at;
+    }
+    return at < text.size() && text[at] == quote ? at + 1 : at;
+}
+
+}  // namespace
+
+void check_toml_depth(std::string_view text, const std::string& file) {
+    int line = 1, parts = 1, depth = 0;
+    for (std::size_t at = 0; at < text.size();) {
+        const char c = text[at];
+        if (c == '"' || c == '\'') {
+            at = skip_quoted(text, at);
+            continue;
+        }
+        if (c == '#') {
+            at = std::min(text.find('\n', at), text.size());
+            continue;
+        }
+        if (c == '.') ++parts;
+        else if (c == '\n' || c == '=' || c == ',' || c == '{' || c == '[') parts = 1;
+        if (c == '{' || c == '[') ++depth;
+        if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
+        if (parts > kMostParts)
+            throw DataError(fmt::format("{}:{}: a key of more than {} parts, expected settings of two", file, line, kMostParts));
+        if (depth > kDeepest)
+            throw DataError(fmt::format("{}:{}: brackets more than {} deep, expected settings, one value each", file, line, kDeepest));
+        line += c == '\n';
+        ++at;
+    }
+}
+
+}  // namespace relidar

@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+// One face over the driver's structures and the software tree, and when either is built anew instead of refitted.
+#include <relidar/diff/accel.hpp>
+
+#include "diff/accel/bvh.hpp"
+#include "diff/accel/hardware.hpp"
+
+namespace relidar {
+
+Proxy resolve(Proxy proxy, const Device& device) {
+    if (device.traversal() == Traversal::software) return Proxy::boxes;
+    if (proxy != Proxy::automatic) return proxy;
+    // measured: docs/platform.md; hardware intersects triangles itself
+    return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
+}
+
+struct Accel::Impl {
+    AccelOptions options;
+    Proxy proxy;
+    std::unique_ptr<HardwareAccel> hardware;   ///< one of the two
+    std::unique_ptr<Bvh> software;
+    bool built = false;
+    bool outgrown = false;          ///< seen by check_growth()
+    int refits = 0;                 ///< since the last build
+    bool measured = false;          ///< a cost was recorded since the last build
+    double cost_when_built = 0.0;   ///< 0 = not looked at since
+    std::uint64_t n_updates = 0;
+
+    Impl(Device& device, const DeviceScene& scene, const AccelOptions& o) : options(o), proxy(resolve(o.proxy, device)) {
+        if (device.traversal() == Traversal::software) software = std::make_unique<Bvh>(device, scene);
+        else hardware = std::make_unique<HardwareAccel>(device, scene, proxy);
+    }
+
+    bool due() const { return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every); }
+    void build(Stream& stream, const DeviceScene& scene) {
+        if (hardware) hardware->record(stream, scene, options, {{0, scene.size()}}, false);
+        else software->build(stream, scene, options);
+    }
+    void refit(Stream& stream, const DeviceScene& scene, const std::vector<SurfelRange>& ranges) {
+        if (hardware) hardware->record(stream, scene, options, ranges, true);
+        else software->refit(stream, scene, options, ranges);
+    }
+};
+
+namespace {
+
+std::vector<SurfelRange> those_that_bend(const std::vector<Model>& models) {
+    std::vector<SurfelRange> ranges;
+    for (const Model& model : models) {
+        if (model.count == 0 || model.stride_m <= 0.0f) continue;
+        if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first) ranges.back().count += model.count;
+        else ranges.push_back({model.first, model.count});
+    }
+    return ranges;
+}
+
+}  // namespace
+
+Accel::Accel(Device& device, const DeviceScene& scene, const AccelOptions& options)
+    : impl_(std::make_unique<Impl>(device, scene, options)) {}
+Accel::~Accel() = default;
+
+void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
+    Impl& a = *impl_;
+    const bool refit = !rebuild && !a.due();
+    ++a.n_updates;
+    if (refit) {
+        a.refit(stream, scene, {{0, scene.size()}});
+        ++a.refits;
+        return;
+    }
+    a.build(stream, scene);
+    a.built = true;
+    a.outgrown = false;
+    a.refits = 0;
+    a.measured = false;
+    a.cost_when_built = 0.0;
+}
+
+void Accel::bend(Stream& stream, const DeviceScene& scene) {
+    Impl& a = *impl_;
+    if (!a.built) return update(stream, scene);
+    a.refit(stream, scene, those_that_bend(scene.layout().models));   // gaits come back to where they were: a tree does not degrade
+    ++a.n_updates;
+}
+
+void Accel::move(Stream& stream, const DeviceScene& scene) {
+    if (impl_->hardware) impl_->hardware->move(stream, scene);
+    else impl_->software->move(stream, scene);
+}
+
+void Accel::check_growth(Stream& stream) {
+    Impl& a = *impl_;
+    if (!a.software || !a.built) return;
+    if (const std::optional<double> cost = a.software->take_cost(stream); cost && a.measured) {
+        if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
+        a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
+    }
+    a.software->record_cost(stream);
+    a.measured = true;
+}
+
+AccelAddresses Accel::addresses() const {
+    AccelAddresses addresses;
+    if (impl_->software) addresses.bvh = impl_->software->pointers();
+    else impl_->hardware->fill(addresses);
+    return addresses;
+}
+
+Proxy Accel::proxy() const { return impl_->proxy; }
+std::uint64_t Accel::updates() const { return impl_->n_updates; }
+const Accel::Impl& impl_of(const Accel& accel) { return *accel.impl_; }
+int Accel::refits_since_build() const { return impl_->refits; }
+std::uint64_t Accel::memory_bytes() const { return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes(); }
+
+}  // namespace relidar

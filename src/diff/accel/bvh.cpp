@@ -1,0 +1,355 @@
+// SPDX-License-Identifier: Apache-2.0
+// Records the kernels of a build, a refit and a top tree.
+#include "diff/accel/bvh.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <limits>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "gpu/radix_sort.hpp"
+#include "gpu/stream.hpp"
+#include "diff/shared/accel.h"
+#include "diff/shared/bvh_build.h"
+
+namespace relidar {
+
+static_assert(sizeof(shared::BvhNode) == 80);
+
+namespace {
+
+constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
+constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};   // kernels that share memory
+
+// There is room for more nodes than there are. A CPU's threads each take a stretch of a launch: few threads, each of which takes nodes
+// from everywhere, give them a like share.
+constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
+
+/// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at a multiple of 16 bytes.
+std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
+
+std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
+std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
+
+/// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
+std::uint32_t subgroup_size(const Device& device) {
+    const DeviceInfo& info = device.info();
+    if (!info.software)
+        throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}", info.name, info.why_not_software));
+    return static_cast<std::uint32_t>(info.subgroup_size);
+}
+
+std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
+    std::vector<std::uint32_t> models;
+    for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
+    return models;
+}
+
+/// Nodes of the top tree of n instances, eight things a node.
+std::uint32_t top_nodes(std::uint32_t n) {
+    std::uint32_t n_nodes = 0;
+    do {
+        n = std::max((n + 7) / 8, 1u);
+        n_nodes += n;
+    } while (n > 1);
+    return n_nodes;
+}
+
+}  // namespace
+
+/// Those without surfels too, which begin nowhere.
+constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
+
+/// The scratch, in words times the number of surfels, padded. Keys, boxes and costs are needed no more when the collapse begins; it puts
+/// its own there.
+constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5, kBoxesAt = 7, kCostsAt = 13,
+                        kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22, kScratchWords = 23;
+constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
+
+struct Bvh::Impl {
+    std::uint32_t n, n_models, n_instances, bound, n_refitting;
+    Kernel<shared::ProxyParams> proxies;
+    Kernel<shared::BvhBoundsParams> bounds_kernel;
+    Kernel<shared::BvhKeysParams> keys_kernel;
+    RadixSort sort;
+    Kernel<shared::BvhClusterParams> cluster;
+    Kernel<shared::BvhWideParams> wide_mark, wide_mark_rest, wide_count, wide_scan, wide_place, wide_emit;
+    Kernel<shared::BvhRefitParams> refit_kernel;
+    Kernel<shared::BvhTopParams> top;
+    Kernel<shared::BvhCostParams> cost_kernel;
+    Array<std::uint32_t, shared::InstanceModels> model_of;   ///< [n_instances]
+    Array<float, shared::SurfelBoxes> boxes;                 ///< [n,6]
+    Array<std::uint32_t, shared::ModelBounds> bounds;        ///< [n_models,6]
+    Array<std::uint32_t> scratch;                            ///< binary trees, and the keys being sorted
+    Array<std::uint32_t, shared::BinaryRoots> queue;         ///< [bound] binary nodes that become wide
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;    ///< of the queue
+    Array<glm::uvec2, shared::SumsOfTiles> tiles;
+    Array<shared::BvhNode> nodes;                            ///< [bound]
+    Array<std::uint32_t, shared::LeafOrder> order;           ///< [n]
+    Array<glm::uvec2, shared::WideLinks> links;              ///< [bound]
+    Array<float, shared::WideBoxes> node_boxes;              ///< [bound,6]
+    Array<std::uint32_t, shared::Arrivals> arrivals;         ///< [bound]
+    Array<std::uint32_t, shared::WideCount> count;           ///< [1]
+    Array<std::uint32_t, shared::InstanceRoots> roots;       ///< [n_instances]
+    Array<std::uint32_t, shared::TopOrder> top_order;        ///< [n_instances]
+    Array<shared::BvhNode> top_node_array;
+    Array<float, shared::InstanceBoxes> top_boxes;
+    Array<glm::uvec2> top_keys;
+    Array<float, shared::CostSums> cost_sums;                ///< of workgroups
+    Readback costs;
+
+    Impl(Device& device, const DeviceScene& scene);
+    shared::BvhBinary binary() const;
+    shared::BvhWide wide() const;
+    template <class T, class Meaning>
+    Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
+        return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
+    }
+    /// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
+    std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
+    SortSet sort_set(int set) const;
+    std::uint32_t levels() const;
+    void collapse(Stream& stream, const DeviceScene& scene);
+    std::uint32_t key_bits() const {
+        return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
+    }
+    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
+    SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
+    /// @param first,last  surfels that the models which are fitted begin with
+    void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
+};
+
+Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
+    : n(scene.size()),
+      n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
+      n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
+      bound(node_bound(n, n_models)),
+      n_refitting(coalesces(d) ? RELIDAR_BVH_WIDTH * bound : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
+      proxies(d, "diff/accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
+      bounds_kernel(d, "diff/accel/bvh_bounds", {kShares}, Subgroups::full),
+      keys_kernel(d, "diff/accel/bvh_keys"),
+      sort(d, n, 2),
+      cluster(d, "diff/accel/bvh_cluster", {{ConstantId::WORKGROUP_SIZE, subgroup_size(d)}}, Subgroups::full),
+      wide_mark(d, "diff/accel/bvh_wide_mark"),
+      wide_mark_rest(d, "diff/accel/bvh_wide_mark", {kShares, {ConstantId::UNTIL_DONE, 1u}}),
+      wide_count(d, "diff/accel/bvh_wide_count", {kShares}, Subgroups::full),
+      wide_scan(d, "diff/accel/bvh_wide_scan", {kShares}, Subgroups::full),
+      wide_place(d, "diff/accel/bvh_wide_place"),
+      wide_emit(d, "diff/accel/bvh_wide_emit"),
+      refit_kernel(d, "diff/accel/bvh_refit", {{ConstantId::LANES, subgroup_size(d)}}, Subgroups::full),
+      top(d, "diff/accel/bvh_top", {kShares}, Subgroups::full),
+      cost_kernel(d, "diff/accel/bvh_cost", {kShares}, Subgroups::full),
+      model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
+      boxes(d, 6 * std::size_t(n), "surfel boxes"),
+      bounds(d, 6 * std::size_t(n_models), "model bounds"),
+      scratch(d, std::max(kScratchWords * std::size_t(padded(n)), kSlotsAt * std::size_t(padded(n)) + 8 * std::size_t(bound)),
+              "acceleration structure scratch"),
+      queue(d, bound, "collapse queue"),
+      level_sizes(d, levels() + 1, "collapse levels"),
+      tiles(d, tiles_of(n), "collapse sums"),
+      nodes(d, bound, "wide nodes"),
+      order(d, n, "surfels in leaf order"),
+      links(d, bound, "wide node links"),
+      node_boxes(d, 6 * std::size_t(bound), "wide node boxes"),
+      arrivals(d, bound, "wide node arrivals"),
+      count(d, 1, "wide node count"),
+      roots(d, n_instances, "instance roots"),
+      top_order(d, n_instances, "instances in leaf order"),
+      top_node_array(d, top_nodes(n_instances), "top nodes"),
+      top_boxes(d, 6 * (std::size_t(n_instances) + top_nodes(n_instances)), "instance boxes"),
+      top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"),
+      cost_sums(d, groups_of(bound), "cost sums"),
+      costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
+
+/// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this bound is not deeper than 4 levels less.
+std::uint32_t Bvh::Impl::levels() const {
+    std::uint32_t n_levels = 4;
+    for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
+    return n_levels;
+}
+
+shared::BvhBinary Bvh::Impl::binary() const {
+    return {.children = at<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
+            .boxes = at<float, shared::BinaryBoxes>(kBoxesAt),
+            .costs = at<float, shared::BinaryCosts>(kCostsAt),
+            .decisions = at<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
+            .spares = at<std::uint32_t, shared::SpareNodes>(kSparesAt)};
+}
+
+shared::BvhWide Bvh::Impl::wide() const {
+    return {.nodes = nodes.address(),
+            .order = order.address(),
+            .links = links.address(),
+            .boxes = node_boxes.address(),
+            .arrivals = arrivals.address(),
+            .count = count.address()};
+}
+
+SortSet Bvh::Impl::sort_set(int set) const {
+    return {.keys = at<std::uint32_t, shared::SortKeys>(keys_at(set)),
+            .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
+}
+
+void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+    run(stream, proxies, range.count,
+        {.records = scene.records().address(),
+         .vertices = {},
+         .boxes = boxes.address(),
+         .reach = {},
+         .alpha_min = scene.alpha_min(),
+         .margin_m = options.margin_m,
+         .margin_scale = options.margin_scale,
+         .first_surfel = range.first,
+         .n_surfels = range.count});
+}
+
+SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
+    stream.fill(bounds, 0xffffffffu);
+    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, 
+        {.boxes = boxes.address(), .models = scene.models().address(), .bounds = bounds.address(), .n_surfels = n, .n_models = n_models});
+    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
+    run(stream, keys_kernel, n,
+        {.records = scene.records().address(),
+         .models = scene.models().address(),
+         .bounds = bounds.address(),
+         .keys = at<glm::uvec2, shared::MortonKeys>(keys_at(first_set)),
+         .other_ends = at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+         .n_surfels = n,
+         .n_models = n_models});
+    return sort.run(stream, sort_set(first_set), sort_set(1 - first_set), key_bits());
+}
+
+void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
+    stream.fill(level_sizes);
+    shared::BvhWideParams params{.tree = binary(),
+                                 .wide = wide(),
+                                 .queue = queue.address(),
+                                 .slots = at<std::uint32_t, shared::WideSlots>(kSlotsAt),
+                                 .level_sizes = level_sizes.address(),
+                                 .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+                                 .offsets = at<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
+                                 .tiles = tiles.address(),
+                                 .places = at<std::uint32_t, shared::WidePlaces>(kPlacesAt),
+                                 .surfels = at<std::uint32_t, shared::SortedSurfels>(kValuesAt),
+                                 .models = scene.models().address(),
+                                 .n_surfels = n,
+                                 .n_tiles = tiles_of(n),
+                                 .n_models = n_models,
+                                 .bound = bound,
+                                 .level = 0};
+    for (std::uint64_t width = n_models; params.level < levels() - 1;
+         ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
+        run(stream, wide_mark, width, params);
+    run(stream, wide_mark_rest, kWorkgroup, params);
+    run(stream, wide_count, std::size_t(tiles_of(n)) * kWorkgroup, params);
+    run(stream, wide_scan, kWorkgroup, params);
+    run(stream, wide_place, bound, params);
+    run(stream, wide_emit, bound, params);
+}
+
+void Bvh::Impl::fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last) {
+    run(stream, refit_kernel, n_refitting,
+        {.wide = wide(), .boxes = boxes.address(), .bound = bound, .first_surfel = first, .last_surfel = last});
+}
+
+Bvh::Bvh(Device& device, const DeviceScene& scene) {
+    impl_ = std::make_unique<Impl>(device, scene);
+    Stream stream(device);
+    for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()}) stream.fill(*zero);
+    // as models without surfels keep them
+    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()}) stream.fill(*none, RELIDAR_BVH_NO_NODE);
+    stream.finish();
+}
+
+Bvh::~Bvh() = default;
+
+void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
+    Impl& b = *impl_;
+    b.make_boxes(stream, scene, options, {0, b.n});
+    const SortSet sorted = b.sorted_surfels(stream, scene);
+    run(stream, b.cluster, b.n,
+        {.tree = b.binary(),
+         .boxes = b.boxes.address(),
+         .keys = b.at<glm::uvec2, shared::MortonKeys>(kKeysAt),
+         .surfels = sorted.order.as<shared::SortedSurfels>(),
+         .models = scene.models().address(),
+         .other_ends = b.at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .clusters = b.at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
+         .roots = b.queue.address(),
+         .n_surfels = b.n,
+         .n_models = b.n_models});
+    b.collapse(stream, scene);
+    b.fit_nodes(stream, 0, kAllModels);
+    move(stream, scene);
+}
+
+void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges) {
+    for (const auto& [first, count] : ranges) {
+        if (count == 0) continue;
+        impl_->make_boxes(stream, scene, options, {first, count});
+        impl_->fit_nodes(stream, first, first + count - 1);
+    }
+    move(stream, scene);
+}
+
+void Bvh::move(Stream& stream, const DeviceScene& scene) {
+    Impl& b = *impl_;
+    run(stream, b.top, kWorkgroup,
+        {.bvh = pointers(),
+         .instances = scene.instances().address(),
+         .model_of = b.model_of.address(),
+         .models = scene.models().address(),
+         .model_boxes = b.node_boxes.address(),
+         .boxes = b.top_boxes.address(),
+         .keys = b.top_keys.address(),
+         .n_instances = b.n_instances,
+         .n_padded = static_cast<std::uint32_t>(b.top_keys.size())});
+}
+
+shared::BvhPointers Bvh::pointers() const {
+    const Impl& b = *impl_;
+    return {.nodes = b.nodes.address(),
+            .order = b.order.address(),
+            .roots = b.roots.address(),
+            .top_nodes = b.top_node_array.address(),
+            .top_order = b.top_order.address()};
+}
+
+std::uint64_t Bvh::memory_bytes() const {
+    const Impl& b = *impl_;
+    std::uint64_t bytes = b.sort.memory_bytes();
+    for (const Buffer* buffer : {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(),
+                                 &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(), &b.links.buffer(),
+                                 &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
+                                 &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
+        bytes += buffer->size_bytes();
+    return bytes;
+}
+
+BvhOnHost Bvh::download() const {
+    const Impl& b = *impl_;
+    BvhOnHost host{b.nodes.download(),          b.order.download(),     b.roots.download(),
+                   b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
+    host.nodes.resize(std::min<std::size_t>(b.count.download().front(), host.nodes.size()));
+    return host;
+}
+
+void Bvh::record_cost(Stream& stream) {
+    Impl& b = *impl_;
+    run(stream, b.cost_kernel, b.bound, {.wide = b.wide(), .boxes = b.boxes.address(), .partial = b.cost_sums.address(), .bound = b.bound});
+    b.costs.record(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
+}
+
+std::optional<double> Bvh::take_cost(Stream& stream) {
+    Impl& b = *impl_;
+    if (!b.costs.pending()) return std::nullopt;
+    const float* sums = static_cast<const float*>(b.costs.wait(stream));
+    return std::accumulate(sums, sums + b.cost_sums.size(), 0.0);
+}
+
+}  // namespace relidar

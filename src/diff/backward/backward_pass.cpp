@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/backward/trace: second cast, sums of its hits, then the chain rule once a surfel (Eq. 9, M7, M8).
+#include <relidar/diff/backward.hpp>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/forward.hpp>
+
+#include "diff/backward/hit_gather.hpp"
+#include "diff/backward/pose_gradients.hpp"
+#include "base/assert.hpp"
+#include "gpu/stream.hpp"
+#include "diff/traversal/trace_scene.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::uint32_t kMostHitsPerRay = 4096;
+
+/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them; with 16 they are about equal, and need no memory. A
+/// device without float atomics has compare-and-swap loops instead, which wait for each other where many rays meet one surfel.
+bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
+    if (reduction != Reduction::automatic) return reduction == Reduction::gather;
+    return direction == ShDirection::ray || !device.info().float_atomics;
+}
+
+/// An atomic instruction of a GPU costs by the cache sectors it touches, one of a CPU by the lane: docs/performance.md. Lanes exchange
+/// their hits in loops that they leave at different times, which is right by the specification only where they are said to reconverge.
+bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
+    return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
+}
+
+}  // namespace
+
+struct BackwardPass::Impl {
+    ImageModel model;
+    TraceOptions options;
+    Kernel<shared::BackwardParams> trace;
+    PoseGradients poses;
+    std::unique_ptr<HitGather> gather;   ///< null: atomics
+    Array<std::uint32_t, shared::PassCapCount> pass_cap;   ///< the forward pass reports; here it only must not be null
+
+    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options,
+                                           const BackwardOptions& backward) {
+        std::vector<Constant> all = trace_constants(device, proxy, options, m);
+        const bool gathered = gathers(device, backward.reduction, m.sh_direction);
+        all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
+        const bool exchanged = exchanges_rows(device, backward, gathered);
+        all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
+        // a subgroup each: lavapipe takes a barrier of a subgroup for one of the workgroup
+        if (exchanged) all.push_back({ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});
+        return all;
+    }
+
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o, const BackwardOptions& backward)
+        : model(m),
+          options(o),
+          trace(device, "diff/backward/trace", accumulating_variant(device, traversal_variant(device)),
+                constants(device, m, proxy, o, backward)),
+          poses(device),
+          gather(gathers(device, backward.reduction, m.sh_direction)
+                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
+                     : nullptr),
+          pass_cap(device, 1, "pass cap count") {}
+};
+
+BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
+                           const BackwardOptions& backward) {
+    if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
+        throw UsageError(fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}", backward.hits_per_ray,
+                                     kMostHitsPerRay));
+    impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
+}
+
+BackwardPass::~BackwardPass() = default;
+void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
+const Array<std::uint32_t>* BackwardPass::most_hits() const { return impl_->gather ? &impl_->gather->most_hits() : nullptr; }
+std::uint64_t BackwardPass::hit_capacity() const { return impl_->gather ? impl_->gather->capacity() : 0; }
+
+void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
+    if (!impl_->gather) return;
+    stream.finish();
+    impl_->gather->reserve(n_hits);
+}
+
+void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m,
+                       Gradients& gradients) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
+    RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
+    const ImageModel& model = impl_->model;
+    const bool wants_poses = gradients.poses.size() > 0, lists = scene.lists_touched() && !gradients.zero_untouched;
+    shared::BackwardParams params{};
+    params.scene = trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
+    params.rendered = batch.rendered->address();
+    params.upstream = batch.upstream->address();
+    params.d_records = gradients.records.address();
+    params.d_sh = gradients.surfels.sh.address();
+    if (lists) params.touched = gradients.touched.address();
+    params.d_rays = gradients.rays.address();
+    if (batch.kept) {
+        RELIDAR_ASSERT_EQ(batch.kept->hold(batch.rays), true);
+        params.kept = batch.kept->hits.address();
+        params.n_kept = batch.kept->per_ray;
+    }
+    if (impl_->options.wants_geometry()) {
+        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.geometry ? batch.geometry->gradient.size() : 0);
+        params.geometry = batch.geometry->rendered.address();
+        params.d_geometry = batch.geometry->gradient.address();
+    }
+    params.n_rows = scene.gradient_rows();
+    params.with_turn = wants_poses ? 1u : 0u;
+    if (impl_->gather) {
+        impl_->gather->assign_slots(stream, batch);
+        impl_->gather->fill(params);
+    }
+    {
+        const Concurrent zeros(stream);
+        stream.fill(gradients.records);
+        if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
+        if (lists) stream.fill(gradients.touched);
+        if (lists && wants_poses) stream.fill(gradients.pose_sums->d_view);
+    }
+    relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
+    if (impl_->gather) impl_->gather->run(stream, params);
+    scene.activate_vjp(stream, model, view_origin_m,
+                       {.d_records = &gradients.records,
+                        .d_surfels = &gradients.surfels,
+                        .touched = &gradients.touched,
+                        .d_view = wants_poses ? &gradients.pose_sums->d_view : nullptr,
+                        .zero_untouched = gradients.zero_untouched,
+                        .touched_is_marked = lists});
+    if (wants_poses) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
+}
+
+}  // namespace relidar

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/backward/gather and diff/backward/gather_heads.
+#include "diff/backward/hit_gather.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cstddef>
+
+#include "gpu/stream.hpp"
+
+namespace relidar {
+namespace {
+
+std::vector<Constant> constants(const ImageModel& model, const TraceOptions& options) {
+    return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
+            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
+}
+
+}  // namespace
+
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, const TraceOptions& options)
+    : device_(device),
+      hits_per_ray_(hits_per_ray),
+      part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
+      gather_(device, "diff/backward/gather", accumulating_variant(device), constants(model, options)),
+      heads_kernel_(device, "diff/backward/gather_heads", accumulating_variant(device), constants(model, options)),
+      most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
+      n_hits_(device, 1, "hits of a batch"),
+      prefix_sum_(device) {}
+
+void HitGather::reserve(std::uint64_t n_hits) {
+    constexpr std::uint64_t kMost = 1ull << 31;   // slots have 32 bits
+    const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
+    if (sort_ && capacity <= sort_->capacity()) return;
+    sort_.reset();
+    sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
+    for (int set : {0, 1}) {
+        rows_[set] = {device_, capacity, "rows of hits"};
+        slots_[set] = {device_, capacity, "sorted hits"};
+    }
+    hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
+    parts_ = {device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records"};
+}
+
+void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
+    n_rays_ = batch.rays.n_rays;
+    if (n_rays_ > first_hit_.size()) {
+        stream.finish();
+        first_hit_ = {device_, n_rays_, "slots of rays"};
+        prefix_sum_.reserve(device_, n_rays_);
+        reserve(std::uint64_t(n_rays_) * hits_per_ray_);
+    }
+    const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
+                             .offset = offsetof(shared::RenderedRay, n_hits) / 4,
+                             .stride = sizeof(shared::RenderedRay) / 4};
+    prefix_sum_.run(stream, hits, first_hit_.address().as<shared::ScanPrefix>(), n_rays_, n_hits_.address().as<shared::ScanTotal>());
+}
+
+void HitGather::fill(shared::BackwardParams& params) const {
+    params.first_hit = first_hit_.address();
+    params.hits = hits_.address();
+    params.rows = rows_[0].address();
+    params.capacity = sort_->capacity();
+}
+
+void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
+    const auto set = [&](int i) {
+        return SortSet{.keys = rows_[i].address().as<shared::SortKeys>(), .order = slots_[i].address().as<shared::SortOrder>()};
+    };
+    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
+                                      n_hits_.address().as<shared::SortCount>());
+    const shared::GatherParams gather{.scene = params.scene,
+                                      .upstream = params.upstream,
+                                      .hits = hits_.address(),
+                                      .rows = sorted.keys.as<shared::HitRows>(),
+                                      .slots = sorted.order.as<shared::HitSlots>(),
+                                      .n_hits = n_hits_.address(),
+                                      .parts = parts_.address(),
+                                      .d_records = params.d_records,
+                                      .d_sh = params.d_sh,
+                                      .most_hits = most_hits_.address(),
+                                      .rendered = params.rendered,
+                                      .d_geometry = params.d_geometry,
+                                      .capacity = sort_->capacity(),
+                                      .n_rows = params.n_rows};
+    const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;
+    relidar::run(stream, gather_, n_blocks, gather);
+    relidar::run(stream, heads_kernel_, n_blocks, gather);
+}
+
+}  // namespace relidar

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/backward/pose_blocks, diff/backward/poses and diff/backward/sensor_pose.
+#include "diff/backward/pose_gradients.hpp"
+
+#include <algorithm>
+
+#include "base/assert.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::uint32_t kThreads = 64;    // of a workgroup
+constexpr std::uint32_t kBlock = 1024;    // surfels of a workgroup: of a million both halves of the sum take 16 steps a thread, and a tree
+
+struct BlockTable {
+    std::vector<shared::PoseBlock> blocks;
+    std::vector<std::uint32_t> first;   ///< [instances + 1]
+};
+
+BlockTable block_table(const DeviceScene& scene) {
+    const Scene& layout = scene.layout();
+    BlockTable table;
+    std::vector<bool> viewed(layout.models.size(), false);
+    for (std::size_t i = 0; i < layout.instances.size(); ++i) {
+        const std::uint32_t model = layout.instances[i].model;
+        const std::uint32_t n = layout.models[model].count, first = layout.models[model].first, first_row = scene.first_gradient_row(i);
+        table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
+        for (std::uint32_t k = 0; k < n; k += kBlock)
+            table.blocks.push_back({first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
+        viewed[model] = true;
+    }
+    table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
+    return table;
+}
+
+}  // namespace
+
+Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
+    const BlockTable table = block_table(scene);
+    blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
+    first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
+    sums = {device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums"};
+    d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
+}
+
+PoseGradients::PoseGradients(Device& device)
+    : blocks_(device, "diff/backward/pose_blocks", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      poses_(device, "diff/backward/poses", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+      sensor_(device, "diff/backward/sensor_pose") {}
+
+void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m,
+                        Gradients& gradients) {
+    const Gradients::PoseSums& sums = *gradients.pose_sums;
+    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()),
+               n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
+    RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
+    relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
+                 {.records = scene.records().address(),
+                  .d_records = gradients.records.address(),
+                  .d_view = sums.d_view.address(),
+                  .blocks = sums.blocks.address(),
+                  .sums = sums.sums.address(),
+                  .n_blocks = n_blocks,
+                  .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
+    relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
+                 {.instances = scene.instances().address(),
+                  .sums = sums.sums.address(),
+                  .first_block = sums.first_block.address(),
+                  .d_poses = gradients.poses.address(),
+                  .view_origin = view_origin_m,
+                  .n_instances = n_instances});
+    relidar::run(stream, sensor_, 1,
+                 {.instances = scene.instances().address(),
+                  .d_poses = gradients.poses.address(),
+                  .d_sensor = gradients.sensor.address(),
+                  .view_origin = view_origin_m,
+                  .n_instances = n_instances});
+}
+
+}  // namespace relidar

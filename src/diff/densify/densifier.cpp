@@ -1,0 +1,240 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bindings of diff/densify/observe, classify, spawn, reset_opacity and jitter, and the order of a densification: classify, read the counts
+// back, make room, hand out copies, move every array, give the new surfels their values.
+#include <relidar/diff/densify.hpp>
+
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include <relidar/diff/optimizer.hpp>
+
+#include "base/assert.hpp"
+#include "base/random.hpp"
+#include "diff/densify/rearrange.hpp"
+#include "diff/densify/room.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+namespace {
+
+constexpr float kUnbounded = std::numeric_limits<float>::infinity();
+
+double logit(double p) { return std::log(p / (1.0 - p)); }
+
+/// What is asked of classification.
+struct Rules {
+    std::uint32_t growth = RELIDAR_DENSIFY_BY_NOTHING;
+    float min_opacity = 0.0f;
+    float max_extent_share = kUnbounded;
+    bool boxes = false;
+};
+
+/// What each use of random numbers is mixed with.
+enum class Draw : std::uint64_t { classify = 1, phase = 2, noise = 3 };
+
+constexpr double kResetOverAlphaMin = 2.5;   // what is reset stays visible, or it would never learn again
+constexpr double kFaintOpacity = 0.005;      // of 3D Gaussian Splatting as Markov Chain Monte Carlo, a little above its alpha_min
+
+}  // namespace
+
+struct Densifier::Impl {
+    Device& device;
+    DensifyOptions options;
+    float min_opacity;
+    double reset_opacity_to, faint_opacity;
+    std::uint64_t seed;
+    std::vector<double> extents_m;
+    Rearrangement arrays;
+    Array<std::uint32_t, shared::DensifyCounters> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    Kernel<shared::ObserveParams> observe;
+    Kernel<shared::ClassifyParams> classify;
+    Kernel<shared::SpawnParams> spawn;
+    Kernel<shared::ResetOpacityParams> reset_opacity;
+    Kernel<shared::JitterParams> jitter;
+    std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();   ///< surfels, once it has been met
+
+    Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
+        : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)),
+          reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
+          faint_opacity(std::max(kFaintOpacity, double(alpha_min))), seed(random_seed),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.parameters()),
+          counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
+          observe(d, "diff/densify/observe"), classify(d, "diff/densify/classify"), spawn(d, "diff/densify/spawn"),
+          reset_opacity(d, "diff/densify/reset_opacity"), jitter(d, "diff/densify/jitter") {
+        for (std::size_t model = 0; model < scene.models.size(); ++model) extents_m.push_back(model_extent(scene, model));
+    }
+
+    std::uint64_t random(Draw draw, int step) const { return hash64(hash64(seed, std::uint64_t(draw)), std::uint64_t(step)); }
+    Rules rules_at(int step) const;
+    std::vector<ModelCounts> counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step);
+    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why);
+    DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes);
+};
+
+Rules Densifier::Impl::rules_at(int step) const {
+    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true};
+    if (options.strategy == DensifyStrategy::adaptive) rules.growth = RELIDAR_DENSIFY_BY_GRADIENT;
+    if (options.strategy == DensifyStrategy::mcmc) rules.growth = RELIDAR_DENSIFY_BY_OPACITY;
+    else if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
+    return rules;
+}
+
+std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step) {
+    const SurfelStatistics& s = arrays.statistics;
+    const std::vector<float> extents(extents_m.begin(), extents_m.end());
+    stream.fill(counters);
+    relidar::run(stream, classify, scene.size(),
+                 {.surfels = pointers_of(scene.parameters()),
+                  .gradient_sum = s.gradient_sum.address(),
+                  .n_seen = s.n_seen.address(),
+                  .action = arrays.action.address(),
+                  .weight = arrays.weight.address(),
+                  .counters = counters.address(),
+                  .models = scene.models().address(),
+                  .extents = impl_of(stream).values(extents).as<shared::ModelExtents>(),
+                  .min_opacity = rules.min_opacity,
+                  .max_extent_share = rules.max_extent_share,
+                  .clone_extent_share = static_cast<float>(options.clone_extent_share),
+                  .gradient_threshold = static_cast<float>(options.gradient_threshold),
+                  .growth = rules.growth,
+                  .bounded = rules.boxes ? 1u : 0u,
+                  .n_surfels = scene.size(),
+                  .n_models = static_cast<std::uint32_t>(extents.size()),
+                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
+    stream.finish();
+    const std::vector<std::uint32_t> values = counters.download();
+    std::vector<ModelCounts> result(extents.size());
+    for (std::size_t i = 0; i < values.size(); ++i) result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
+    return result;
+}
+
+/// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
+std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
+    const std::uint32_t before = scene.size();
+    const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);   // parameters, moments and records
+    const double bytes = double(arrays.bytes_per_surfel()) + others;
+    const auto fits = [&](std::uint32_t target, double capacity) {
+        const std::uint32_t now = arrays.capacity();
+        const bool grows = capacity > now;
+        const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
+        why = missing_memory(device, others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        if (!why.empty() || !grows) return why.empty();
+        try {
+            const std::uint32_t n = static_cast<std::uint32_t>(capacity);
+            scene.reserve(device, n);
+            adam.moment1().reserve(device, n, "first moment");
+            adam.moment2().reserve(device, n, "second moment");
+            arrays.reserve(n);
+        } catch (const DeviceError& error) {
+            why = error.what();
+        }
+        return why.empty();
+    };
+    for (std::uint32_t growth = wanted > before ? wanted - before : 0; growth > 0; growth = growth >= 16 ? growth / 2 : 0) {
+        const std::uint32_t target = before + growth;
+        const double generous =
+            std::min(1.5 * double(arrays.capacity()), double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
+        const bool there = target <= arrays.capacity();
+        if (fits(target, there ? target : std::max(double(target), generous)) || (!there && fits(target, target))) return target;
+    }
+    return std::min(wanted, before);
+}
+
+DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes) {
+    const std::uint32_t before = scene.size();
+    const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
+    GrowthPlan plan = limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
+    std::string why;
+    const std::uint32_t room = make_room(scene, adam, plan.size(), others_bytes, why);
+    std::string note;
+    if (room < plan.size()) {
+        memory_limit = room;
+        plan = limited_to(plan, room);
+        note = fmt::format("densification ends at {} surfels: {}", room, why);
+    }
+    DensifyReport report = report_of(counted, plan);
+    report.note = note;
+    if (report.removed() == 0 && report.added == 0) {
+        arrays.start_over(stream);
+        stream.finish();
+        return report;
+    }
+    arrays.allot(stream, plan, before);
+    arrays.move(stream, scene.parameters(), false, plan.size());
+    arrays.move(stream, adam.moment1(), true, plan.size());
+    arrays.move(stream, adam.moment2(), true, plan.size());
+    relidar::run(stream, spawn, before,
+                 {.surfels = pointers_of(scene.parameters()),
+                  .action = arrays.action.address(),
+                  .n_rows = arrays.n_rows.address(),
+                  .starts = arrays.starts.address(),
+                  .min_opacity = rules.min_opacity,
+                  .n_surfels = before,
+                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
+    arrays.move_statistics(stream);
+    stream.finish();
+    scene.set_models(plan.ranges(scene.layout().models, counted));
+    return report;
+}
+
+Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames,
+                     std::uint64_t seed)
+    : impl_(options.strategy == DensifyStrategy::none ? nullptr
+                                                      : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
+Densifier::~Densifier() = default;
+bool Densifier::is_active() const { return impl_ != nullptr; }
+SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
+std::vector<double>& Densifier::extents_m() { return impl_->extents_m; }
+const std::vector<double>& Densifier::extents_m() const { return impl_->extents_m; }
+
+void Densifier::observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch) {
+    if (!impl_) return;
+    const SurfelStatistics& s = impl_->arrays.statistics;
+    RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
+    RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
+    relidar::run(stream, impl_->observe, scene.size(),
+        {.d_mean = batch.gradients->mean.address(),
+         .touched = batch.touched->address(),
+         .gradient_sum = s.gradient_sum.address(),
+         .n_seen = s.n_seen.address(),
+         .frames = s.frames.address(),
+         .n_surfels = scene.size(),
+         .n_words = s.n_words,
+         .frame = batch.frame,
+         .whole_frame = batch.whole_frame ? 1u : 0u});
+}
+
+bool Densifier::due(int step) const {
+    if (!impl_) return false;
+    const DensifyOptions& o = impl_->options;
+    return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
+}
+
+DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes) {
+    return impl_->apply(stream, scene, adam, impl_->rules_at(step), step, others_bytes);
+}
+
+void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
+    if (!impl_) return;
+    const DensifyOptions& o = impl_->options;
+    if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
+        relidar::run(stream, impl_->jitter, scene.size(),
+                     {.surfels = pointers_of(scene.parameters()),
+                      .amount = static_cast<float>(o.noise * rate_share),
+                      .faint_opacity = static_cast<float>(impl_->faint_opacity),
+                      .n_surfels = scene.size(),
+                      .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
+    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0)
+        return;
+    relidar::run(stream, impl_->reset_opacity, scene.size(),
+                 {.opacity_logit = scene.parameters().opacity_logit.address(),
+                  .max_logit = static_cast<float>(logit(impl_->reset_opacity_to)),
+                  .n_surfels = scene.size()});
+    stream.fill(adam.moment1().opacity_logit);
+    stream.fill(adam.moment2().opacity_logit);
+}
+
+}  // namespace relidar

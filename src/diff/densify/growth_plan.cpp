@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sizes after a densification, from counts alone.
+#include "diff/densify/growth_plan.hpp"
+
+#include <algorithm>
+
+namespace relidar {
+
+std::uint32_t GrowthPlan::allotted_before(std::uint64_t weight) const {
+    return total_weight == 0 ? 0u : static_cast<std::uint32_t>((weight * n_new + phase) / total_weight);
+}
+
+std::vector<Model> GrowthPlan::ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const {
+    std::uint32_t next = 0;
+    std::uint64_t weight = 0;
+    for (std::size_t i = 0; i < models.size(); ++i) {
+        const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
+        models[i].first = next;
+        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + allotted_before(above) - allotted_before(weight);
+        next += models[i].count;
+        weight = above;
+    }
+    return models;
+}
+
+GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options, std::uint32_t before, std::uint64_t random) {
+    GrowthPlan plan;
+    for (const ModelCounts& c : counts) {
+        plan.survivors += c[RELIDAR_DENSIFY_KEPT];
+        plan.total_weight += c[RELIDAR_DENSIFY_WEIGHT];
+    }
+    if (plan.total_weight == 0) return plan;
+    plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
+    plan.n_new = plan.total_weight;   // each growing surfel has weight 1
+    if (options.strategy == DensifyStrategy::mcmc)
+        plan.n_new = before - plan.survivors + static_cast<std::uint32_t>(options.growth * before);
+    return limited_to(plan, static_cast<std::uint32_t>(options.max_surfels));
+}
+
+GrowthPlan limited_to(GrowthPlan plan, std::uint32_t size) {
+    plan.n_new = std::min(plan.n_new, size > plan.survivors ? size - plan.survivors : 0u);
+    return plan;
+}
+
+DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan& plan) {
+    DensifyReport r;
+    for (const ModelCounts& c : counts) {
+        r.invalid += c[RELIDAR_DENSIFY_INVALID];
+        r.faint += c[RELIDAR_DENSIFY_FAINT];
+        r.large += c[RELIDAR_DENSIFY_LARGE];
+        r.outside += c[RELIDAR_DENSIFY_OUTSIDE];
+        r.clones += c[RELIDAR_DENSIFY_CLONES];
+        r.splits += c[RELIDAR_DENSIFY_SPLITS];
+    }
+    r.before = plan.survivors + r.removed();
+    r.added = plan.n_new;
+    r.after = plan.size();
+    return r;
+}
+
+void DensifyReport::add(const DensifyReport& later) {
+    before = later.before;
+    after = later.after;
+    added += later.added;
+    clones += later.clones;
+    splits += later.splits;
+    invalid += later.invalid;
+    faint += later.faint;
+    large += later.large;
+    outside += later.outside;
+    if (!later.note.empty()) note = later.note;
+}
+
+}  // namespace relidar

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/forward/trace: rays in, rendered rays out (Eq. 2-4); behind the lists of hit_lists.cpp, where there are any.
+#include <relidar/diff/forward.hpp>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/assert.hpp"
+#include "diff/forward/hit_lists.hpp"
+#include "gpu/stream.hpp"
+#include "diff/traversal/trace_scene.hpp"
+
+namespace relidar {
+
+struct ForwardPass::Impl {
+    ImageModel model;
+    TraceOptions options;
+    Kernel<shared::ForwardParams> trace;
+    Array<std::uint32_t, shared::PassCapCount> pass_cap;
+    Array<std::uint32_t, shared::OverfullCount> n_overfull;
+    std::optional<HitLists> lists;   ///< where rays append their hits
+
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
+        : model(m),
+          options(o),
+          trace(device, "diff/forward/trace", traversal_variant(device), trace_constants(device, proxy, o, m)),
+          pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
+          n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
+        if (appends_hits(device, o)) lists.emplace(device, traversal_variant(device), trace_constants(device, proxy, o, m), o.list_room);
+    }
+};
+
+ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options) {
+    if (options.chunk < 1 || options.chunk > 64)
+        throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
+    if (options.list_room < 1 || options.list_room > RELIDAR_MOST_ROOM)
+        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}", options.list_room, RELIDAR_MOST_ROOM));
+    impl_ = std::make_unique<Impl>(device, model, proxy, options);
+}
+
+ForwardPass::~ForwardPass() = default;
+void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
+
+void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
+                      Array<shared::RenderedRay>& rendered, KeptHits* kept, RayGeometry* geometry) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
+    [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
+    RELIDAR_ASSERT_LE(end, batch.rays->size());
+    RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
+    RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
+    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
+    RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
+    shared::ForwardParams params = {
+        .scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
+        .lists = {},
+        .rendered = rendered.address(),
+        .kept = address_of(kept ? &kept->hits : nullptr),
+        .n_overfull = impl_->n_overfull.address(),
+        .geometry = address_of(geometry ? &geometry->rendered : nullptr),
+        .n_kept = kept ? kept->per_ray : 0,
+        .kept_in_lists = 0,
+        .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
+    if (impl_->lists) impl_->lists->run(stream, batch, params, kept);
+    relidar::run(stream, impl_->trace, trace_threads(batch), params);
+}
+
+const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
+const Array<std::uint32_t>& ForwardPass::overfull_count() const { return impl_->n_overfull; }
+
+std::uint32_t ForwardPass::take_pass_cap_count() {
+    const std::uint32_t count = impl_->pass_cap.download()[0];
+    if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});
+    return count;
+}
+
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::vector<shared::RenderedGeometry>& geometry) {
+    Rendering r;
+    for (const shared::RenderedRay& ray : rays) {
+        r.depth.push_back(ray.depth);
+        r.weight.push_back(ray.weight);
+        r.intensity.push_back(ray.intensity);
+        r.hit_logit.push_back(ray.hit_logit);
+        r.drop_logit.push_back(ray.drop_logit);
+        r.transmittance.push_back(ray.transmittance);
+        r.median_depth.push_back(ray.median_depth);
+        r.hits.push_back(ray.n_hits);
+        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance));
+    }
+    for (const shared::RenderedGeometry& of_ray : geometry) {
+        r.normal.push_back(of_ray.normal);
+        r.mode_depth.push_back(of_ray.mode);
+    }
+    return r;
+}
+
+}  // namespace relidar

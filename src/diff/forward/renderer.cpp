@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+// The composition of activation, acceleration structure and forward pass, and the arrays of what rays render.
+#include <relidar/diff/forward.hpp>
+
+#include <algorithm>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "diff/shared/trace.h"
+
+namespace relidar {
+
+struct Renderer::Impl {
+    Device& device;
+    RendererOptions options;
+    ImageModel model;
+    int highest_sh_degree;
+    std::optional<Stream> own_stream;
+    Stream& stream;
+    DeviceScene scene;
+    std::optional<Accel> accel;
+    ForwardPass forward;
+    bool placed = false;
+    glm::vec3 view_origin_m{0.0f};
+    Array<DeviceRay> host_rays;   ///< of forward()
+    Array<shared::RenderedRay> rendered;
+    std::optional<KeptHits> kept;
+    std::optional<RayGeometry> geometry;
+    RenderedBatch batch;
+
+    Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
+        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(o.stream ? *o.stream : own_stream.emplace(d, true)),
+          scene(d, s), accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
+        make_room(o.n_rays);
+    }
+
+    void make_room(std::size_t n_rays) {
+        rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
+        make_kept_hits(n_rays);
+        if (options.trace.wants_geometry()) geometry.emplace(device, n_rays);
+        batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
+    }
+
+    void make_kept_hits(std::size_t n_threads) {
+        kept.reset();   // before others are there: nobody reads them any more
+        if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
+        batch.kept = kept ? &*kept : nullptr;
+    }
+};
+
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options)
+    : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
+Renderer::~Renderer() = default;
+
+void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
+    Impl& r = *impl_;
+    r.view_origin_m = view_origin_m;
+    r.scene.place(r.stream, placed);                        // Eq. 4-5
+    r.scene.activate(r.stream, r.model, view_origin_m);
+    r.accel->update(r.stream, r.scene);
+    r.placed = true;
+}
+
+void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
+    Impl& r = *impl_;
+    if (!r.placed) return place(placed, view_origin_m);
+    r.view_origin_m = view_origin_m;
+    const bool bends = r.scene.bends_otherwise(placed);
+    r.scene.place(r.stream, placed);
+    if (bends || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
+    if (bends) r.accel->bend(r.stream, r.scene);
+    else r.accel->move(r.stream, r.scene);
+}
+
+void Renderer::record_forward(const RayBatch& rays) {
+    Impl& r = *impl_;
+    if (!r.placed) throw UsageError("rendering: found a scene that is not placed, expected place() first");
+    if (rays.n_rays > r.rendered.size()) {
+        r.stream.finish();
+        r.make_room(rays.n_rays);
+    }
+    if (r.kept && !r.kept->hold(rays)) {   // tiles of an image are whole
+        r.stream.finish();
+        r.make_kept_hits(trace_threads(rays));
+    }
+    r.batch.rays = rays;
+    r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr, r.batch.geometry);   // Eq. 2-4
+}
+
+Rendering Renderer::forward(const WorldRays& rays) {
+    Impl& r = *impl_;
+    r.stream.finish();   // nothing may still read the rays before
+    if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
+    r.host_rays.upload(to_device_rays(rays));
+    record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
+    return download_rendering();
+}
+
+void Renderer::check_passes() {
+    Impl& r = *impl_;
+    r.stream.finish();
+    if (const std::uint32_t capped = r.forward.take_pass_cap_count())
+        throw DeviceError(
+            fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
+                        r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
+}
+
+Rendering Renderer::download_rendering() {
+    Impl& r = *impl_;
+    check_passes();
+    const std::size_t n = r.batch.rays.n_rays;
+    if (!r.geometry) return to_rendering(r.rendered.download(n));
+    Rendering rendering = to_rendering(r.rendered.download(n), r.geometry->rendered.download(n));
+    if (!r.options.trace.geometry) rendering.normal.clear();
+    if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
+    return rendering;
+}
+
+std::uint32_t Renderer::kept_hits() const { return impl_->options.keep_hits; }
+
+bool Renderer::keep_hits(std::uint32_t per_ray) {
+    Impl& r = *impl_;
+    r.stream.finish();
+    const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
+    const std::size_t n_threads = std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
+    try {
+        r.make_kept_hits(n_threads);
+        return true;
+    } catch (const DeviceError&) {
+        r.options.keep_hits = before;
+        r.make_kept_hits(n_threads);
+        return false;
+    }
+}
+
+void Renderer::set_sh_degree(int degree) {
+    impl_->model.sh_degree = std::min(impl_->highest_sh_degree, degree);
+    impl_->forward.set_sh_degree(impl_->model.sh_degree);
+}
+
+void Renderer::upload(const Surfels& surfels) {
+    if (surfels.size() != impl_->scene.size())
+        throw DataError(
+            fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
+    impl_->stream.finish();
+    impl_->scene.parameters().upload(surfels);
+}
+
+Scene Renderer::download() {
+    impl_->stream.finish();
+    Scene scene = impl_->scene.layout();
+    scene.surfels = impl_->scene.parameters().download();
+    return scene;
+}
+
+void Renderer::release_accel() {
+    impl_->accel.reset();
+    impl_->placed = false;
+}
+
+void Renderer::make_accel() { impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel); }
+
+const RenderedBatch& Renderer::rendered() const { return impl_->batch; }
+const ImageModel& Renderer::model() const { return impl_->model; }
+Stream& Renderer::stream() { return impl_->stream; }
+DeviceScene& Renderer::scene() { return impl_->scene; }
+const DeviceScene& Renderer::scene() const { return impl_->scene; }
+Accel& Renderer::accel() { return *impl_->accel; }
+const ForwardPass& Renderer::forward_pass() const { return impl_->forward; }
+const glm::vec3& Renderer::view_origin_m() const { return impl_->view_origin_m; }
+
+}  // namespace relidar

@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp (Eq. 11).
+#include <relidar/diff/loss.hpp>
+
+#include <relidar/diff/traversal.hpp>
+
+#include "base/assert.hpp"
+#include "gpu/stream.hpp"
+#include "diff/loss/losses.hpp"
+#include "diff/shared/loss.h"
+
+namespace relidar {
+
+namespace {
+
+/// Points, tiles of points and groups of tiles, each as a rectangle of rows and columns.
+struct Levels {
+    glm::uvec2 tile{4, 8};   ///< points of a tile, tiles of a group
+    glm::uvec2 points, tiles, groups;
+
+    explicit Levels(const TargetBatch& batch) {
+        const bool image = batch.image.is_image();
+        if (!image) tile = {1, 32};
+        points = image ? glm::uvec2(batch.image.rows, batch.image.columns) : glm::uvec2(1, batch.n_rays);
+        tiles = (points + tile - 1u) / tile;
+        groups = (tiles + tile - 1u) / tile;
+    }
+};
+
+/// A cloud and the boxes over it.
+struct Cloud {
+    Array<glm::vec3, shared::CloudPoints> points;
+    Array<glm::vec3, shared::TileLows> tile_low;
+    Array<glm::vec3, shared::TileHighs> tile_high;
+    Array<glm::vec3, shared::GroupLows> group_low;
+    Array<glm::vec3, shared::GroupHighs> group_high;
+
+    /// Most tiles has an image of one column: ceil(n / 4); so have groups of tiles.
+    Cloud(Device& device, std::size_t n, const std::string& what)
+        : points(device, n, what + " points"),
+          tile_low(device, n / 4 + 1, what + " tiles"),
+          tile_high(device, n / 4 + 1, what + " tiles"),
+          group_low(device, n / 16 + 2, what + " groups"),
+          group_high(device, n / 16 + 2, what + " groups") {}
+    shared::ChamferCloud pointers() const {
+        return {.points = points.address(),
+                .tile_low = tile_low.address(),
+                .tile_high = tile_high.address(),
+                .group_low = group_low.address(),
+                .group_high = group_high.address()};
+    }
+};
+
+}  // namespace
+
+struct ChamferLoss::Impl {
+    LossWeights weights;
+    Cloud simulated, measured;
+    Array<std::uint32_t, shared::NearestMeasured> nearest_measured;
+    Array<std::uint32_t, shared::NearestSimulated> nearest_simulated;
+    Array<std::uint32_t, shared::FoundGradients> d_found;
+    Array<float, shared::PointCounts> counts;
+    Kernel<shared::ChamferPointsParams> points;
+    Kernel<shared::ChamferBoxesParams> boxes;
+    Kernel<shared::ChamferNearestParams> nearest;
+    Kernel<shared::ChamferParams> chamfer, vjp;
+    std::uint32_t n_rays = 0;   ///< of the last batch
+
+    Impl(Device& device, const LossWeights& w, std::size_t n)
+        : weights(w),
+          simulated(device, n, "simulated"),
+          measured(device, n, "measured"),
+          nearest_measured(device, n, "nearest measured"),
+          nearest_simulated(device, n, "nearest simulated"),
+          d_found(device, 2 * n, "gradients of found points"),
+          counts(device, 2, "points"),
+          points(device, "diff/loss/chamfer_points", accumulating_variant(device)),
+          boxes(device, "diff/loss/chamfer_boxes"),
+          nearest(device, "diff/loss/chamfer_nearest"),
+          chamfer(device, "diff/loss/chamfer", accumulating_variant(device)),
+          vjp(device, "diff/loss/chamfer_vjp") {}
+
+    void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& l) const {
+        RELIDAR_ASSERT_LE(std::size_t(l.tiles.x) * l.tiles.y, cloud.tile_low.size());
+        relidar::run(stream, boxes, std::size_t(l.tiles.x) * l.tiles.y,
+                     {.low = cloud.points.address().as<shared::LowCorners>(),
+                      .high = cloud.points.address().as<shared::HighCorners>(),
+                      .tile_low = cloud.tile_low.address(),
+                      .tile_high = cloud.tile_high.address(),
+                      .rows = l.points.x,
+                      .columns = l.points.y,
+                      .tile_rows = l.tile.x,
+                      .tile_columns = l.tile.y});
+    }
+    void bound_groups(Stream& stream, const Cloud& cloud, const Levels& l) const {
+        RELIDAR_ASSERT_LE(std::size_t(l.groups.x) * l.groups.y, cloud.group_low.size());
+        relidar::run(stream, boxes, std::size_t(l.groups.x) * l.groups.y,
+                     {.low = cloud.tile_low.address().as<shared::LowCorners>(),
+                      .high = cloud.tile_high.address().as<shared::HighCorners>(),
+                      .tile_low = cloud.group_low.address().as<shared::TileLows>(),
+                      .tile_high = cloud.group_high.address().as<shared::TileHighs>(),
+                      .rows = l.tiles.x,
+                      .columns = l.tiles.y,
+                      .tile_rows = l.tile.x,
+                      .tile_columns = l.tile.y});
+    }
+    void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found, const Levels& l) const {
+        relidar::run(stream, nearest, n_rays,
+                     {.queries = from.points.address().as<shared::QueryPoints>(),
+                      .cloud = to.pointers(),
+                      .nearest = found.address(),
+                      .rows = l.points.x,
+                      .columns = l.points.y,
+                      .tile_rows = l.tile.x,
+                      .tile_columns = l.tile.y});
+    }
+    /// Nearest points, both ways: neither cloud waits for the other.
+    void search(Stream& stream, const Levels& l) const {
+        {
+            const Concurrent both(stream);
+            bound_tiles(stream, simulated, l);
+            bound_tiles(stream, measured, l);
+        }
+        {
+            const Concurrent both(stream);
+            bound_groups(stream, simulated, l);
+            bound_groups(stream, measured, l);
+        }
+        const Concurrent both(stream);
+        search(stream, simulated, measured, nearest_measured, l);
+        search(stream, measured, simulated, nearest_simulated, l);
+    }
+};
+
+ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays) : impl_(new Impl(device, weights, n_rays)) {}
+ChamferLoss::~ChamferLoss() = default;
+std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+    return std::make_unique<ChamferLoss>(device, weights, n_rays);
+}
+
+void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch, const TermRow& terms) {
+    Impl& c = *impl_;
+    const RayBatch& rays = batch_rendered.rays;
+    const Array<shared::RenderedRay>& rendered = *batch_rendered.rendered;
+    Array<shared::RayGradient>& upstream = *batch_rendered.upstream;
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), c.simulated.points.size());
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
+    c.n_rays = batch.n_rays;
+    const Levels levels(batch);
+    const std::uint32_t normalised = c.weights.normalised_depth ? 1u : 0u;
+    {
+        const Concurrent zeros(stream);
+        stream.fill(c.counts);
+        stream.fill(c.d_found);
+    }
+    relidar::run(stream, c.points, batch.n_rays,
+                 {.rays = rays.rays->address(),
+                  .rendered = rendered.address(),
+                  .targets = batch.targets->address(),
+                  .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
+                  .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
+                  .counts = c.counts.address(),
+                  .n_rays = batch.n_rays,
+                  .first_ray = batch.first,
+                  .ray_stride = batch.stride,
+                  .normalised_depth = normalised});
+    c.search(stream, levels);
+    const shared::ChamferParams chamfer{.rays = rays.rays->address(),
+                                        .rendered = rendered.address(),
+                                        .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
+                                        .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
+                                        .nearest_measured = c.nearest_measured.address(),
+                                        .nearest_simulated = c.nearest_simulated.address(),
+                                        .counts = c.counts.address(),
+                                        .d_found = c.d_found.address(),
+                                        .upstream = upstream.address(),
+                                        .terms = terms.address(),
+                                        .weight = c.weights.chamfer,
+                                        .n_rays = batch.n_rays,
+                                        .first_ray = batch.first,
+                                        .ray_stride = batch.stride,
+                                        .normalised_depth = normalised};
+    relidar::run(stream, c.chamfer, batch.n_rays, chamfer);
+    relidar::run(stream, c.vjp, batch.n_rays, chamfer);
+}
+
+std::array<std::vector<std::uint32_t>, 2> ChamferLoss::nearest() const {
+    std::array<std::vector<std::uint32_t>, 2> result{impl_->nearest_measured.download(), impl_->nearest_simulated.download()};
+    for (std::vector<std::uint32_t>& indices : result) indices.resize(impl_->n_rays);
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/loss/image_loss, diff/loss/ssim and diff/loss/ssim_vjp (Eq. 10).
+#include <relidar/diff/loss.hpp>
+
+#include <algorithm>
+
+#include <relidar/diff/traversal.hpp>
+
+#include "base/assert.hpp"
+#include "gpu/stream.hpp"
+#include "diff/loss/losses.hpp"
+#include "diff/shared/loss.h"
+
+namespace relidar {
+
+struct ImageLoss::Impl {
+    LossWeights weights;
+    Kernel<shared::ImageLossParams> kernel;
+    Kernel<shared::SsimParams> ssim, ssim_vjp;
+    Array<float, shared::SsimStatistics> statistics;   ///< of structural similarity
+};
+
+ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
+    : impl_(new Impl{weights,
+                     {device, "diff/loss/image_loss", accumulating_variant(device)},
+                     {device, "diff/loss/ssim", accumulating_variant(device)},
+                     {device, "diff/loss/ssim_vjp"},
+                     {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
+ImageLoss::~ImageLoss() = default;
+std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+    return std::make_unique<ImageLoss>(device, weights, n_rays);
+}
+
+void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch, const TermRow& terms) {
+    const Array<shared::RenderedRay>& rendered = *rays.rendered;
+    Array<shared::RayGradient>& upstream = *rays.upstream;
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
+    RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
+    const LossWeights& w = impl_->weights;
+    const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)),
+                per_ray = static_cast<float>(1.0 / std::max(batch.n_known, 1.0));
+    relidar::run(stream, impl_->kernel, batch.n_rays,
+                 {.rendered = rendered.address(),
+                  .targets = batch.targets->address(),
+                  .upstream = upstream.address(),
+                  .terms = terms.address(),
+                  .depth_weight = w.depth * per_return,
+                  .intensity_weight = (1.0f - w.intensity_ssim) * w.intensity * per_return,
+                  .drop_weight = w.drop * per_ray,
+                  .opacity_weight = w.opacity * per_return,
+                  .intensity_delta = w.intensity_delta,
+                  .n_rays = batch.n_rays,
+                  .first_ray = batch.first,
+                  .ray_stride = batch.stride,
+                  .normalised_depth = w.normalised_depth ? 1u : 0u});
+    if (!(w.intensity_ssim * w.intensity > 0.0f)) return;
+    const ImageShape& image = batch.image;
+    RELIDAR_ASSERT_LE(1u, image.rows);
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays) * RELIDAR_SSIM_FLOATS, impl_->statistics.size());
+    const shared::SsimParams ssim{.rendered = rendered.address(),
+                                  .targets = batch.targets->address(),
+                                  .statistics = impl_->statistics.address(),
+                                  .upstream = upstream.address(),
+                                  .terms = terms.address(),
+                                  .weight = w.intensity_ssim * w.intensity * per_return,
+                                  .first_ray = batch.first,
+                                  .ray_stride = batch.stride,
+                                  .rows = image.rows,
+                                  .columns = image.columns,
+                                  .circular = image.circular ? 1u : 0u};
+    relidar::run(stream, impl_->ssim, batch.n_rays, ssim);
+    relidar::run(stream, impl_->ssim_vjp, batch.n_rays, ssim);
+}
+
+}  // namespace relidar

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/loss/surfel_loss: one launch over the surfels that have a term.
+#include <relidar/diff/loss.hpp>
+
+#include <algorithm>
+
+#include <relidar/scene/device_scene.hpp>
+
+#include "gpu/stream.hpp"
+#include "diff/loss/losses.hpp"
+#include "diff/shared/loss.h"
+
+namespace relidar {
+
+namespace {
+
+bool has_box(const Model& m) { return m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f; }
+
+}  // namespace
+
+struct SurfelLoss::Impl {
+    LossWeights weights;
+    Kernel<shared::SurfelLossParams> kernel;
+};
+
+SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
+    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", accumulating_variant(device)}}) {}
+SurfelLoss::~SurfelLoss() = default;
+std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
+    return std::make_unique<SurfelLoss>(device, weights);
+}
+
+void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
+    const LossWeights& w = impl_->weights;
+    const std::vector<Model>& models = scene.layout().models;
+    double n_boxed = 0.0;
+    std::uint32_t first = scene.size(), end = 0;   // of what has a box
+    for (const Model& m : models) {
+        if (!has_box(m)) continue;
+        n_boxed += m.count;
+        first = std::min(first, m.first);
+        end = m.first + m.count;
+    }
+    if (!(w.box > 0.0f) || first >= end) return;
+    relidar::run(stream, impl_->kernel, end - first,
+                 {.surfels = pointers_of(scene.parameters()),
+                  .d_surfels = pointers_of(*gradients.d_surfels),
+                  .touched = address_of(gradients.touched),
+                  .terms = terms.address(),
+                  .models = scene.models().address(),
+                  .box_scale_share = w.box_scale_share,
+                  .box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)),
+                  .first_surfel = first,
+                  .n_surfels = end - first,
+                  .n_models = static_cast<std::uint32_t>(models.size())});
+}
+
+}  // namespace relidar

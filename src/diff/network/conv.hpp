@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// Convolutions 1x1 and 3x3: columns are a ring, rows end in zeros.
+#pragma once
+
+#include <cstdint>
+
+#include "gpu/stream.hpp"
+#include "diff/network/tensor.hpp"
+
+namespace relidar::refine {
+
+/// Kernels of all convolutions of one size, and room for their partial sums.
+class Conv {
+public:
+    using Weights = Address<float, shared::ConvWeights>;
+    using Bias = Address<float, shared::ConvBias>;
+
+    /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what the device lacks
+    Conv(Device& device, std::uint32_t taps);
+
+    /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere
+    /// @param accumulate adds to what `to` holds
+    void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to, bool accumulate = false);
+    /// dL/d(from), from dL/d(to). @param accumulate adds to what d_from holds
+    void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from, bool accumulate = false);
+    /// dL/d(weights) [to.channels, from.channels, taps]. Summed in a fixed order.
+    void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
+    /// Floats that weights_vjp needs for its partial sums.
+    std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
+    void reserve(Device& device, std::size_t floats) { partial_.reserve(device, floats, "partial sums of weights"); }
+
+    std::uint32_t taps() const { return taps_; }
+
+private:
+    std::uint32_t taps_, pixels_, lanes_;
+    Kernel<shared::ConvParams> conv_;
+    Kernel<shared::ConvWeightsParams> conv_weights_;
+    Kernel<shared::SumPartsParams> sum_parts_;
+    Array<float, shared::PartSums> partial_;
+
+    void run_conv(Stream& stream, const shared::ConvParams& params) const;
+    std::size_t conv_threads(const shared::ConvParams& params) const;
+    std::size_t weights_threads(const shared::ConvWeightsParams& params) const;
+};
+
+}  // namespace relidar::refine

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+// Asking a trained network.
+#include <algorithm>
+#include <list>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/network_training.hpp>
+
+#include "base/assert.hpp"
+#include "diff/network/drop_inputs.hpp"
+#include "diff/network/drop_loss.hpp"
+#include "diff/network/drop_network.hpp"
+#include "diff/network/unet.hpp"
+
+namespace relidar {
+namespace {
+
+const DropNetwork& checked(const DropNetwork& network) {
+    if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
+        throw DataError("a ray-drop network: found no channels or inputs, expected those it was trained with");
+    const refine::UnetPlan plan(network);
+    const auto check = [](const char* what, std::size_t found, std::size_t expected) {
+        if (found != expected)
+            throw DataError(fmt::format("a ray-drop network: found {} {}, expected {} for its channels", found, what, expected));
+    };
+    check("parameters", network.parameters.size(), plan.n_parameters);
+    check("running moments", network.running.size(), plan.n_running);
+    check("numbers of the normalisation", network.normalisation.size(), 2 * network.inputs.size());
+    return network;
+}
+
+}  // namespace
+
+void compile_drop_network(Device& device, const RefineOptions& options) {
+    DropNetwork network = refine::shape_of(options);
+    const refine::UnetPlan plan(network);
+    refine::initialise(network, plan, 0);
+    network.normalisation.assign(2 * network.inputs.size(), 0.0f);
+    const refine::DropInputs inputs(device, network);
+    const refine::Unet unet(device, network);
+    const refine::DropLoss loss(device, 1);
+}
+
+namespace {
+
+/// The network with room for images of one shape.
+struct ShapedNetwork {
+    refine::Grid grid{};
+    refine::DropInputs inputs;
+    refine::Unet unet;
+    std::optional<refine::DropLoss> loss = {};
+    Array<float, shared::DropProbabilities> probability = {};
+
+    ShapedNetwork(Device& device, const DropNetwork& network) : inputs(device, network), unet(device, network) {}
+
+    void reserve(Device& device, const refine::Grid& of_image) {
+        grid = of_image;
+        unet.reserve(device, grid, false);
+        probability = {device, grid.pixels(), "drop probabilities"};
+        loss.emplace(device, grid.pixels());
+    }
+};
+
+}  // namespace
+
+struct DropPass::Impl {
+    static constexpr std::size_t kShapes = 2;   // kept: a rig's large sensor and its small ones are rendered by turns
+
+    Device& device;
+    DropNetwork network;
+    std::list<ShapedNetwork> shaped;   ///< the one used last first
+
+    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)) { shaped.emplace_front(device, network); }
+
+    ShapedNetwork& network_for(Stream& stream, const refine::Grid& image) {
+        auto place = std::ranges::find(shaped, image, &ShapedNetwork::grid);
+        const bool is_new = place == shaped.end();
+        if (is_new) place = std::ranges::find(shaped, refine::Grid{}, &ShapedNetwork::grid);
+        if (place == shaped.end() && shaped.size() < kShapes) place = shaped.emplace(shaped.end(), device, network);
+        if (place == shaped.end()) {
+            stream.finish();   // what is there may be in use
+            --place;
+        }
+        shaped.splice(shaped.begin(), shaped, place);
+        if (is_new) place->reserve(device, image);
+        return *place;
+    }
+};
+
+DropPass::DropPass(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
+DropPass::~DropPass() = default;
+
+const DropNetwork& DropPass::network() const { return impl_->network; }
+
+const Array<float, shared::DropProbabilities>& DropPass::run(Stream& stream, int rows, int columns,
+                                                             const Array<float, shared::DropSamples>& channels) {
+    Impl& r = *impl_;
+    if (const int side = r.network.smallest_side(); rows < side || columns < side)
+        throw DataError(fmt::format("refining ray-drop: found {} x {} pixels, expected at least {} of each", rows, columns, side));
+    const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
+    RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
+    ShapedNetwork& shaped = r.network_for(stream, grid);
+    const refine::DropInputs::Chosen whole{};
+    shaped.inputs.make(stream, {&whole, 1}, channels.address(), shaped.unet.inputs());
+    shaped.unet.evaluate(stream);
+    shaped.loss->run(stream, grid.pixels(),
+                     {.logit = shaped.unet.logit().values.address().as<shared::DropLogits>(),
+                      .start = r.network.residual ? shaped.inputs.start().address() : Address<float, shared::StartLogits>(),
+                      .probability = shaped.probability.address()},
+                     0);
+    return shaped.probability;
+}
+
+struct DropRefiner::Impl {
+    Device& device;
+    DropPass pass;
+    Stream stream;
+    Array<float, shared::DropSamples> channels;
+
+    Impl(Device& d, const DropNetwork& n) : device(d), pass(d, n), stream(d, d.info().timestamps) {}
+};
+
+DropRefiner::DropRefiner(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
+DropRefiner::~DropRefiner() = default;
+DropRefiner::DropRefiner(DropRefiner&&) noexcept = default;
+DropRefiner& DropRefiner::operator=(DropRefiner&&) noexcept = default;
+
+const DropNetwork& DropRefiner::network() const { return impl_->pass.network(); }
+const KernelTimes& DropRefiner::times() const { return impl_->stream.times(); }
+DropPass& DropRefiner::pass() { return impl_->pass; }
+
+std::vector<float> DropRefiner::refine(const DropImage& image) {
+    Impl& r = *impl_;
+    refine::check_image(network(), image, "refining ray-drop");
+    r.stream.finish();
+    r.channels.reserve(r.device, image.channels.size(), "a scan to refine");
+    r.channels.upload(image.channels);
+    const auto& probability = r.pass.run(r.stream, image.rows, image.columns, r.channels);
+    r.stream.finish();
+    return probability.download();
+}
+
+}  // namespace relidar

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// Images on the device: [n, channels, rows, columns], columns fastest. Columns are a ring.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include <relidar/gpu/stream.hpp>
+#include "gpu/kernel.hpp"
+
+#include "diff/shared/refine.h"
+
+namespace relidar::refine {
+
+/// Rows and columns of n images.
+struct Grid {
+    std::uint32_t n = 0, rows = 0, columns = 0;
+
+    std::size_t pixels() const { return std::size_t(rows) * columns; }   ///< of an image
+    std::size_t all_pixels() const { return n * pixels(); }
+    friend bool operator==(const Grid&, const Grid&) = default;
+};
+
+/// So many of `size` hold n.
+inline std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
+
+/// Some consecutive channels of a tensor.
+struct Slice {
+    shared::ImageSlice view;
+    std::uint32_t channels = 0;
+    Grid grid;
+
+    Slice part(std::uint32_t first, std::uint32_t n) const {
+        return {{view.values, view.channels, view.first + first}, n, grid};
+    }
+};
+
+struct Tensor {
+    std::uint32_t channels = 0;
+    Grid grid;
+    Array<float> values;
+
+    Tensor() = default;
+    Tensor(Device& device, std::uint32_t n_channels, const Grid& g, const std::string& what)
+        : channels(n_channels), grid(g), values(device, n_channels * g.all_pixels(), what) {}
+    Slice all() const { return {{values.address(), channels, 0}, channels, grid}; }
+};
+
+}  // namespace relidar::refine

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// Where the parameters of a network lie, and what they start as. The order is that of the declaration in UnetPlan's constructor; each group
+// begins at a multiple of four floats, as arrays on the device do.
+#include <cmath>
+#include <random>
+
+#include "diff/network/unet.hpp"
+
+namespace relidar::refine {
+namespace {
+
+std::size_t take(std::size_t& n, std::size_t floats) {
+    const std::size_t first = n;
+    n += (floats + 3) / 4 * 4;
+    return first;
+}
+
+/// Between -1 and 1, the same with every compiler.
+float draw(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
+
+}  // namespace
+
+UnetPlan::UnetPlan(const DropNetwork& network) {
+    const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
+        ConvLayer layer{n_in, n_out, taps, take(n_parameters, std::size_t(n_in) * n_out * taps), {}};
+        if (biased) layer.bias = take(n_parameters, n_out);
+        return layer;
+    };
+    const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
+        return Block{take(n_parameters, 2 * n_in), take(n_running, 2 * n_in), conv(n_in, n_out, taps, false)};
+    };
+    const std::vector<std::uint32_t>& w = network.widths;
+    const std::size_t n_levels = w.size() - 1;
+    head = conv(std::uint32_t(network.inputs.size()), w[0], 1, true);
+    for (std::size_t l = 1; l <= n_levels; ++l) {
+        down.push_back(block(w[l - 1], w[l], network.taps));
+        down.push_back(block(w[l], w[l], network.taps));
+    }
+    if (network.heads > 0) {
+        query = block(w[n_levels], 3 * w[n_levels], 1);
+        project = conv(w[n_levels], w[n_levels], 1, true);
+    }
+    for (std::size_t l = 0; l < std::max<std::size_t>(n_levels, 1); ++l) {
+        const std::uint32_t joined = joined_channels(w, l);
+        up.push_back(block(joined, joined, network.taps));
+        up.push_back(block(joined, up_channels(w, l), network.taps));
+    }
+    tail = conv(w[0], 1, 1, true);
+}
+
+std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+    return level == 0 ? widths[0] : widths[level] / 2;
+}
+
+std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+    const std::size_t n_levels = widths.size() - 1;
+    return level >= n_levels ? 0 : level + 1 == n_levels ? widths[n_levels] : up_channels(widths, level + 1);
+}
+
+std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+    return below_channels(widths, level) + widths[level];
+}
+
+void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    network.parameters.assign(plan.n_parameters, 0.0f);
+    network.running.assign(plan.n_running, 0.0f);
+    const auto draw_conv = [&](const ConvLayer& layer) {
+        const float bound = std::sqrt(6.0f / float(layer.n_in * layer.taps));
+        for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i)
+            network.parameters[layer.weights + i] = bound * draw(random);
+    };
+    const auto draw_block = [&](const Block& block) {
+        for (std::size_t c = 0; c < block.conv.n_in; ++c) {
+            network.parameters[block.beta_gamma + 2 * c + 1] = 1.0f;
+            network.running[block.running + 2 * c + 1] = 1.0f;
+        }
+        draw_conv(block.conv);
+    };
+    draw_conv(plan.head);
+    for (const Block& block : plan.down) draw_block(block);
+    if (plan.query) draw_block(*plan.query);   // what it adds starts at nothing: `project` stays 0
+    for (const Block& block : plan.up) draw_block(block);
+    if (!network.residual) draw_conv(plan.tail);
+}
+
+}  // namespace relidar::refine

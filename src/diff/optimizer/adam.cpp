@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/optimizer/adam, one launch a parameter group.
+#include <relidar/diff/optimizer.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <span>
+
+#include <relidar/scene/device_scene.hpp>
+
+#include "base/assert.hpp"
+#include "gpu/stream.hpp"
+#include "diff/shared/optimizer.h"
+
+namespace relidar {
+
+double exponential_schedule(double start, double end, int step, int n_steps) {
+    const double s = n_steps > 0 ? std::clamp(double(step) / n_steps, 0.0, 1.0) : 1.0;
+    return std::exp((1.0 - s) * std::log(start) + s * std::log(end));
+}
+
+namespace {
+
+constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
+
+std::vector<Constant> adam_constants(bool per_float) {
+    return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
+}
+
+}  // namespace
+
+struct Adam::Impl {
+    AdamOptions options;
+    bool per_float;
+    SurfelArrays moment1, moment2;
+    Array<float, shared::ScaleBounds> max_log_scale;
+    Kernel<shared::AdamParams> kernel;
+    std::optional<TouchedList> list;   ///< where it steps nothing else
+
+    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
+        : options(o),
+          per_float(coalesces(device)),
+          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", of),
+          moment2(device, moment1.n, "second moment", of),
+          max_log_scale(device, 0, "bounds of scales"),
+          kernel(device, "diff/optimizer/adam", adam_constants(per_float)) {
+        if (options.only_touched) list.emplace(device);
+    }
+};
+
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of)
+    : impl_(new Impl(device, n_surfels, options, of)) {
+    Stream stream(device);
+    impl_->moment1.fill_zero(stream);
+    impl_->moment2.fill_zero(stream);
+    stream.finish();   // here, not in the first step: a resumed run puts its moments in between
+}
+Adam::~Adam() = default;
+SurfelArrays& Adam::moment1() { return impl_->moment1; }
+SurfelArrays& Adam::moment2() { return impl_->moment2; }
+Array<float>& Adam::max_log_scale() { return impl_->max_log_scale; }
+
+void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale) {
+    impl_->max_log_scale = {device, std::span<const float>(max_log_scale), "bounds of scales"};
+}
+
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t, shared::TouchedSurfels>* touched,
+                const LearningRates& rates, int step, int sh_degree) {
+    Impl& a = *impl_;
+    const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
+    RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
+    RELIDAR_ASSERT_LE(p.n, g.n);
+    RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == p.n, true);
+    const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
+    const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
+    const bool listed = a.list && touched;
+    if (listed) a.list->find(stream, touched->address(first), n_rows);
+    const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
+    const Concurrent groups(stream);   // none of them reads what another writes
+    for (const ParameterGroup& group : groups_of(p.parameters())) {
+        const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
+        const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
+        const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
+        const std::size_t from = std::size_t(first) * stride;
+        const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
+        const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
+        run(stream, a.kernel, listed ? a.list->threads(n_threads) : n_threads,
+            {.values = group.device(p).address_as<float, shared::AdamValues>(from),
+             .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
+             .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
+             .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
+             .touched = touched && !listed ? touched->address(first) : Address<std::uint32_t, shared::TouchedSurfels>{},
+             .rows = listed ? a.list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
+             .n_listed = listed ? a.list->count() : Address<std::uint32_t, shared::TouchedCount>{},
+             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float, shared::ScaleBounds>{},
+             .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{}).as<shared::ModelRates>(),
+             .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
+             .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
+             .beta1 = static_cast<float>(a.options.beta1),
+             .beta2 = static_cast<float>(a.options.beta2),
+             .epsilon = static_cast<float>(a.options.epsilon),
+             .correction1 = correction1,
+             .correction2 = correction2,
+             .first_scale = static_cast<float>(1.0 / std::max(rest_factor, 1e-12)),
+             .block_scale = static_cast<float>(group.harmonics ? rates.intensity_factor : 1.0),
+             .n_models = static_cast<std::uint32_t>(by_model ? rates.mean_factors.size() : 0),
+             .first_row = first,
+             .n_rows = n_rows,
+             .stride = stride,
+             .block = block,
+             .n_blocks = n_blocks,
+             .n_active = n_active});
+    }
+}
+
+struct ArrayAdam::Impl {
+    AdamOptions options;
+    Array<float, shared::FirstMoments> moment1;
+    Array<float, shared::SecondMoments> moment2;
+    Kernel<shared::AdamParams> kernel;
+
+    Impl(Device& device, std::size_t n, const AdamOptions& o)
+        : options(o),
+          moment1(device, n, "first moment"),
+          moment2(device, n, "second moment"),
+          kernel(device, "diff/optimizer/adam", adam_constants(true)) {}
+};
+
+ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options) : impl_(new Impl(device, n, options)) {
+    Stream stream(device);
+    stream.fill(impl_->moment1);
+    stream.fill(impl_->moment2);
+    stream.finish();
+}
+ArrayAdam::~ArrayAdam() = default;
+Array<float>& ArrayAdam::moment1() { return impl_->moment1; }
+Array<float>& ArrayAdam::moment2() { return impl_->moment2; }
+
+void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate, int step) {
+    Impl& a = *impl_;
+    RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
+    RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());
+    run(stream, a.kernel, a.moment1.size(),
+        {.values = values.address_as<float, shared::AdamValues>(),
+         .gradients = gradients.address_as<float, shared::AdamGradients>(),
+         .moment1 = a.moment1.address(),
+         .moment2 = a.moment2.address(),
+         .touched = {},
+         .rows = {},
+         .n_listed = {},
+         .bounds = {},
+         .model_scale = {},
+         .models = {},
+         .learning_rate = static_cast<float>(rate),
+         .beta1 = static_cast<float>(a.options.beta1),
+         .beta2 = static_cast<float>(a.options.beta2),
+         .epsilon = static_cast<float>(a.options.epsilon),
+         .correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step))),
+         .correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step))),
+         .first_scale = 1.0f,
+         .block_scale = 1.0f,
+         .n_models = 0,
+         .first_row = 0,
+         .n_rows = static_cast<std::uint32_t>(a.moment1.size()),
+         .stride = 1,
+         .block = 1,
+         .n_blocks = 1,
+         .n_active = 1});
+}
+
+}  // namespace relidar

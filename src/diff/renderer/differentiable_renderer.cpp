@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+// The backward pass behind a renderer's forward pass, and the gradients between them.
+#include <relidar/diff/differentiable_renderer.hpp>
+
+#include <algorithm>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+namespace {
+
+/// Rays that a renderer has room for.
+std::uint32_t room(const Renderer& renderer) { return static_cast<std::uint32_t>(renderer.rendered().rendered->size()); }
+
+struct Lane {
+    const char* name;
+    const std::vector<float>& values;
+    float shared::RayGradient::*at;
+};
+
+/// As the backward pass reads them.
+std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
+    using shared::RayGradient;
+    const Lane lanes[] = {{"depth", d.depth, &RayGradient::depth},
+                          {"weight", d.weight, &RayGradient::weight},
+                          {"intensity", d.intensity, &RayGradient::intensity},
+                          {"hit_logit", d.hit_logit, &RayGradient::hit_logit},
+                          {"drop_logit", d.drop_logit, &RayGradient::drop_logit}};
+    std::vector<RayGradient> result(n_rays);
+    for (const auto& [name, values, at] : lanes) {
+        if (values.empty()) continue;
+        if (values.size() != n_rays)
+            throw DataError(
+                fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
+        for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
+    }
+    return result;
+}
+
+/// An array's values, or none where it was not asked for.
+std::vector<float> values_of(const Array<float>& array, std::size_t n) { return array.size() ? array.download(n) : std::vector<float>{}; }
+
+}  // namespace
+
+struct DifferentiableRenderer::Impl {
+    GradientOptions options;
+    BackwardPass backward;
+    std::optional<Gradients> gradients;   ///< none while surfels are added or removed
+    Array<shared::RayGradient> upstream;
+
+    void make_gradients(Renderer& renderer) {
+        gradients.emplace(renderer.stream().device(), renderer.scene(), options.wanted, room(renderer));
+        gradients->zero_untouched = options.zero_untouched;
+    }
+};
+
+DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options,
+                                               const GradientOptions& gradients)
+    : Renderer(device, scene, model, options),
+      impl_(new Impl{gradients,
+                     BackwardPass(device, model, accel().proxy(), options.trace, gradients.sums),
+                     std::nullopt,
+                     {device, options.n_rays, "loss gradients"}}) {
+    impl_->make_gradients(*this);
+}
+
+DifferentiableRenderer::~DifferentiableRenderer() = default;
+
+RenderedBatch DifferentiableRenderer::batch() {
+    Device& device = stream().device();
+    const std::size_t n_rays = room(*this);
+    if (impl_->upstream.size() < n_rays) {   // the renderer has made room for more rays
+        stream().finish();
+        impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
+        if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
+    }
+    RenderedBatch result = rendered();
+    result.upstream = &impl_->upstream;
+    return result;
+}
+
+void DifferentiableRenderer::record_backward() {
+    impl_->backward.set_sh_degree(model().sh_degree);
+    impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);   // Eq. 9
+}
+
+HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_rendered) {
+    const RenderedBatch last = batch();
+    const std::size_t n_rays = last.rays.n_rays;
+    if (last.rays.rays == nullptr) throw UsageError("gradients of a rendering: found none, expected forward() first");
+    stream().finish();
+    impl_->upstream.upload(ray_gradients(d_rendered, n_rays));
+    if (last.geometry) stream().fill(last.geometry->gradient);
+    record_backward();
+    stream().finish();
+    const Gradients& g = *impl_->gradients;
+    return {g.surfels.download(), g.touched.download(scene().size()), values_of(g.poses, g.poses.size()),
+            values_of(g.sensor, g.sensor.size()), values_of(g.rays, 6 * n_rays)};
+}
+
+void DifferentiableRenderer::change_surfels(const std::function<void(double others_bytes)>& change) {
+    const Device& device = stream().device();
+    stream().finish();
+    const std::uint64_t before = device.allocated_bytes();
+    release_accel();
+    impl_->gradients.reset();
+    change(double(before - device.allocated_bytes()) / std::max(scene().size(), 1u));
+    impl_->make_gradients(*this);
+    make_accel();
+}
+
+Gradients& DifferentiableRenderer::gradients() { return *impl_->gradients; }
+BackwardPass& DifferentiableRenderer::backward_pass() { return impl_->backward; }
+
+}  // namespace relidar

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// The host side of shaders/diff/traversal: fills the part of the parameters that all tracing kernels share, names their variants.
+// Infrastructure of forward and backward alike, so neither reaches into the other.
+#pragma once
+
+#include <relidar/diff/accel.hpp>
+#include <relidar/diff/traversal.hpp>
+#include <relidar/scene/device_scene.hpp>
+
+#include "gpu/kernel.hpp"
+#include "diff/shared/trace.h"
+
+namespace relidar {
+
+/// What a kernel searches, without the rays.
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel, const ImageModel& model) {
+    return {.tlas = accel.tlas,
+            .proxy_reach = accel.proxy_reach,
+            .moving = accel.moving,
+            .model_radii = accel.model_radii,
+            .bvh = accel.bvh,
+            .rays = {},
+            .records = scene.records().address(),
+            .instances = scene.instances().address(),
+            .sh = scene.parameters().sh.address(),
+            .pass_cap_count = {},
+            .visits = {},
+            .targets = {},
+            .near_m = model.near_m,
+            .alpha_min = model.alpha_min,
+            .alpha_max = model.alpha_max,
+            .transmittance_min = model.transmittance_min,
+            .likelihood_scale_m = 1.0f,
+            .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
+            .n_moving = accel.n_moving,
+            .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+            .n_rays = 0,
+            .first_ray = 0,
+            .ray_stride = 1,
+            .columns = 0};
+}
+
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
+                                      const TraceOptions& options, Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
+    shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
+    traced.rays = batch.rays->address();
+    traced.pass_cap_count = pass_cap_count;
+    traced.n_rays = batch.n_rays;
+    traced.first_ray = batch.first;
+    traced.ray_stride = batch.stride;
+    traced.columns = batch.columns;
+    if (options.likelihood) {
+        traced.targets = address_of(batch.targets);
+        traced.likelihood_scale_m = options.likelihood->scale_m;
+    }
+    return traced;
+}
+
+/// Which build of a tracing kernel a device runs.
+inline KernelVariant traversal_variant(const Device& device) {
+    if (tests_every_surfel(device)) return KernelVariant("@brute_force");
+    return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
+}
+
+/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe
+/// (docs/platform.md). On a GPU lanes are free to part; on a CPU they are those of one vector, and load surfels for each other.
+inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
+    const bool is_cpu = device.info().type == "CPU";
+    if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
+    return is_cpu ? 2 : 1;
+}
+
+/// Specialisation constants of the tracing kernels (shaders/diff/traversal).
+inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options, const ImageModel& model) {
+    return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
+            {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
+            {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {ConstantId::TOGETHER, walks_together(device, options)},
+            {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
+            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
+            {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
+}
+
+}  // namespace relidar

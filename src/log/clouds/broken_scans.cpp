@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/broken_scans.hpp"
+
+#include <set>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+
+namespace relidar {
+
+bool BrokenScans::has(std::size_t i) const {
+    const std::lock_guard guard(lock_);
+    return reasons_.contains(i);
+}
+
+void BrokenScans::add(std::size_t i, const std::string& reason) {
+    const std::lock_guard guard(lock_);
+    reasons_.try_emplace(i, reason);
+}
+
+void BrokenScans::tell(Sequence& sequence, std::size_t n) const {
+    if (!reasons_.empty() && reasons_.size() == n)
+        throw DataError(fmt::format("{}: each of the {} scans is broken; the first is {}", sequence.source, n, reasons_.begin()->second));
+    for (const auto& [i, reason] : reasons_) sequence.notes.push_back(fmt::format("a broken scan is left out: {}", reason));
+}
+
+void BrokenScans::leave_out(Sequence& sequence) const {
+    tell(sequence, sequence.frames.size());
+    if (reasons_.empty()) return;
+    std::vector<Frame> kept;
+    std::set<double> times_s;
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
+        if (reasons_.contains(i)) continue;
+        times_s.insert(sequence.frames[i].time_s);
+        kept.push_back(std::move(sequence.frames[i]));
+    }
+    sequence.frames = std::move(kept);
+    const PoseTrack all = std::exchange(sequence.world_from_vehicle, {});
+    for (std::size_t i = 0; i < all.time_s.size(); ++i) {
+        if (!times_s.contains(all.time_s[i])) continue;
+        sequence.world_from_vehicle.time_s.push_back(all.time_s[i]);
+        sequence.world_from_vehicle.pose.push_back(all.pose[i]);
+    }
+}
+
+}  // namespace relidar

@@ -1,0 +1,324 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the rays that took them. What points do not say, rings
+// and beams, is found from a few scans of each LiDAR first.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/progress_blocks.hpp"
+#include "log/clouds/broken_scans.hpp"
+#include "log/clouds/folder_head.hpp"
+#include "log/clouds/folder_points.hpp"
+#include "log/clouds/head_spins.hpp"
+#include "log/clouds/scan_npz.hpp"
+
+namespace relidar::folder {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams are found
+constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
+
+/// First returns that spinning_scan() has a ray for, if none lie on one.
+std::size_t count_first_returns(const ScanPoints& points) {
+    constexpr float kLeastRange_m = 1e-3f;
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const float range_m = glm::length(points.point_m[i]);
+        const bool is_first = points.return_number.empty() || points.return_number[i] == 0;
+        n += is_first && range_m >= kLeastRange_m;
+    }
+    return n;
+}
+
+/// How the points of a LiDAR become scans.
+struct Plan {
+    bool ordered = false;                       ///< by beams and columns
+    bool has_rings = false, has_times = false;  ///< in its files
+    bool undo = false;                          ///< motion compensation
+    std::vector<std::uint16_t> beam_of_ring;    ///< kNoBeam: points of the ring are left out
+};
+
+/// Scans of a folder.
+class FileScans : public ScanSource {
+public:
+    FileScans(const Sequence& sequence, const Head& head, const std::vector<fs::path>& files)
+        : sequence_(sequence), head_(head), files_(files) {}
+
+    std::string name(std::size_t i) const override { return files_[i].string(); }
+    bool has_points(std::size_t i) const override { return !is_image_file(files_[i]); }
+    ScanPoints points(std::size_t i) const override {
+        const PointTable table = read_point_file(files_[i], head_.units.columns);
+        check_deskewed(table.is_deskewed, head_, name(i));
+        return points_of(table, head_.units, sequence_.frames[i].time_s, name(i));
+    }
+    Scan rays(std::size_t i) const override {
+        const Frame& frame = sequence_.frames[i];
+        const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame), frame.time_s};
+        return files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source) : read_scan_npz(files_[i], source);
+    }
+
+private:
+    const Sequence& sequence_;
+    const Head& head_;
+    const std::vector<fs::path>& files_;
+};
+
+class Reader {
+public:
+    Reader(Sequence& sequence, const Head& head, const ScanSource& source, bool has_poses, BrokenScans& broken)
+        : sequence_(sequence),
+          head_(head),
+          source_(source),
+          has_poses_(has_poses),
+          broken_(broken),
+          plans_(head.lidars.size()),
+          left_out_(sequence.frames.size(), 0),
+          n_first_(sequence.frames.size(), 0),
+          behind_(sequence.frames.size(), 0) {}
+
+    void find_sensors() {
+        for (std::size_t l = 0; l < plans_.size(); ++l) {
+            std::vector<std::size_t> with_points;  // frames
+            for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
+                if (sequence_.frames[i].lidar == int(l) && source_.has_points(i)) with_points.push_back(i);
+            if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
+            if (with_points.empty())
+                check_rays(l);
+            else
+                make_plan(l, with_points);
+        }
+        const auto stands = [&](const Plan& plan) { return !plan.undo; };
+        sequence_.rolling_shutter = !head_.motion_compensated || std::none_of(plans_.begin(), plans_.end(), stands);
+    }
+
+    void read(std::size_t i) {
+        Frame& frame = sequence_.frames[i];
+        if (!source_.has_points(i)) {
+            frame.scan = source_.rays(i);
+            return;
+        }
+        const Plan& plan = plans_[std::size_t(frame.lidar)];
+        const SpinningSensor& sensor = sequence_.lidar_of(frame).sensor;
+        ScanPoints points = read_points(i, plan.undo);
+        if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
+            throw DataError(fmt::format("{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
+                                        source_.name(i), points.ring.empty() ? "lack" : "have",
+                                        points.time_offset_s.empty() ? "lack" : "have"));
+        if (!plan.ordered) {
+            frame.scan = unordered_scan(points);
+            return;
+        }
+        if (plan.has_rings)
+            points = renumbered(points, plan, i);
+        else
+            recover_rings(points, sensor.beams);
+        frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
+        n_first_[i] = count_first_returns(points);
+        behind_[i] = n_first_[i] - std::min(n_first_[i], frame.scan.count_returns());
+    }
+
+    void tell_left_out() {
+        const auto sum = [](const std::vector<std::size_t>& counts) { return std::reduce(counts.begin(), counts.end()); };
+        if (const std::size_t n = sum(left_out_); n > 0)
+            note(fmt::format("{} points of rings that the fitted scans do not have are left out", n));
+        if (const std::size_t n = sum(behind_), all = sum(n_first_); n > 0)
+            note(fmt::format("{} of {} points ({:.2g} %) are left out: a nearer one takes their ray, which lies beside no free one", n, all,
+                             100.0 * double(n) / double(all)));
+    }
+
+private:
+    Sequence& sequence_;
+    const Head& head_;
+    const ScanSource& source_;
+    const bool has_poses_;
+    BrokenScans& broken_;
+    std::vector<Plan> plans_;            ///< [lidars]
+    std::vector<std::size_t> left_out_;  ///< [frames] points
+    std::vector<std::size_t> n_first_;   ///< [frames] first returns
+    std::vector<std::size_t> behind_;    ///< [frames] of them: on rays that have another one
+
+    void note(const std::string& text) {
+        if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end()) sequence_.notes.push_back(text);
+    }
+    void note(std::size_t lidar, const std::string& text) {
+        const std::string& name = sequence_.lidars[lidar].name;
+        note(name.empty() ? text : fmt::format("LiDAR '{}': {}", name, text));
+    }
+
+    ScanPoints read_points(std::size_t i, bool undo) const {
+        const Frame& frame = sequence_.frames[i];
+        ScanPoints points = source_.points(i);
+        if (undo && !points.time_offset_s.empty()) undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
+        return points;
+    }
+
+    /// Between the frames of a LiDAR, in the middle, unless it is known.
+    double frame_step_s(std::size_t lidar) const {
+        if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
+        std::vector<double> steps;
+        double before_s = NAN;
+        for (const Frame& frame : sequence_.frames) {
+            if (frame.lidar != int(lidar)) continue;
+            if (frame.time_s > before_s) steps.push_back(frame.time_s - before_s);
+            before_s = frame.time_s;
+        }
+        if (steps.empty()) return kUsualPeriod_s;
+        std::nth_element(steps.begin(), steps.begin() + std::ptrdiff_t(steps.size() / 2), steps.end());
+        return steps[steps.size() / 2];
+    }
+
+    /// A LiDAR whose scans are rays spins where its sensor is given.
+    void check_rays(std::size_t l) {
+        SpinningSensor& sensor = sequence_.lidars[l].sensor;
+        if (!head_.lidars[l].has_beams)
+            sensor.period_s = 0.0;
+        else if (sensor.period_s == 0.0)
+            sensor.period_s = frame_step_s(l);
+    }
+
+    void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
+        Plan& plan = plans_[l];
+        std::vector<ScanPoints> samples;
+        const std::size_t n = std::min(kSamples, frames.size());
+        for (std::size_t k = 0; k < n; ++k) {
+            const std::size_t i = frames[k * frames.size() / n];
+            broken_.attempt(i, [&] { samples.push_back(read_points(i, head_.motion_compensated && has_poses_)); });
+        }
+        for (std::size_t k = 0; samples.empty() && k < frames.size(); ++k)
+            broken_.attempt(frames[k], [&] { samples.push_back(read_points(frames[k], head_.motion_compensated && has_poses_)); });
+        if (samples.empty()) broken_.tell(sequence_, broken_.size());
+        plan.has_rings = !samples[0].ring.empty();
+        plan.has_times = !samples[0].time_offset_s.empty();
+        plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
+        SpinningSensor& sensor = sequence_.lidars[l].sensor;
+        if (sensor.period_s == 0.0 || !head_.lidars[l].has_beams) sensor.period_s = frame_step_s(l);
+        if (head_.lidars[l].has_beams)
+            take_beams(l);
+        else if (head_.lidars[l].spins)
+            fit_beams(l, samples);
+        if (!plan.ordered) sensor.period_s = 0.0;
+        if (plan.ordered && !plan.has_times && !head_.motion_compensated)
+            note(l, "points have no times: a ray was fired when a head that faces forward at the frame's time got there");
+        if (head_.motion_compensated && !plan.undo)
+            note(l,
+                 "scans are motion-compensated, and points have no times (or the log no poses) to undo it: rays start at the sensor of the "
+                 "frame's time");
+    }
+
+    void take_beams(std::size_t l) {
+        Plan& plan = plans_[l];
+        const std::size_t n = sequence_.lidars[l].sensor.beams.size();
+        plan.ordered = true;
+        for (std::size_t k = 0; k < n; ++k) plan.beam_of_ring.push_back(std::uint16_t(head_.lidars[l].lowest_first ? n - 1 - k : k));
+        if (!plan.has_rings) note(l, "points have no rings: each is taken for one of the beam that passes nearest");
+    }
+
+    void fit_beams(std::size_t l, std::vector<ScanPoints>& samples) {
+        Plan& plan = plans_[l];
+        SpinningSensor& sensor = sequence_.lidars[l].sensor;
+        if (!plan.has_rings) {
+            const std::vector<Beam> beams = find_beams(samples);
+            if (beams.empty()) {
+                note(l,
+                     "points have no rings, and their elevations show none: rays that were dropped are unknown, and so is the order of an "
+                     "image");
+                return;
+            }
+            for (ScanPoints& sample : samples) recover_rings(sample, beams);
+        }
+        const double step_s = sensor.period_s;
+        std::optional<SpinningSensor> found = fitted(l, samples, step_s);
+        if (const std::string why = found ? why_no_head(samples, *found, step_s) : ""; !why.empty()) {
+            note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays that were dropped are unknown",
+                                why));
+            found = std::nullopt;
+        }
+        if (!found) return;
+        found->name = sensor.name;
+        found->min_range_m = sensor.min_range_m;
+        found->max_range_m = sensor.max_range_m;
+        found->divergence_rad = sensor.divergence_rad;
+        sensor = *found;
+        plan.ordered = true;
+        note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(), found->columns,
+                            plan.has_rings ? "" : ", which have no rings"));
+    }
+
+    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<ScanPoints>& samples, double period_s) {
+        try {
+            const FittedSensor fit = fit_sensor(samples, period_s);
+            if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
+                throw DataError(
+                    fmt::format("{} beams x {} columns, expected at most {} rays", fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
+            plans_[l].beam_of_ring = fit.beam_of_ring;
+            return fit.sensor;
+        } catch (const DataError& error) {
+            if (head_.lidars[l].is_guessed) {
+                note(l, fmt::format("{}: points are taken as they are, a ray each, and rays that were dropped are unknown", error.what()));
+                return std::nullopt;
+            }
+            throw DataError(fmt::format("{}: LiDAR '{}': {}; \"spins\": false in sequence.json takes points as they are", sequence_.source,
+                                        sequence_.lidars[l].name, error.what()));
+        }
+    }
+
+    /// Rings as relidar counts them.
+    ScanPoints renumbered(const ScanPoints& points, const Plan& plan, std::size_t i) {
+        ScanPoints kept;
+        for (std::size_t p = 0; p < points.size(); ++p) {
+            const std::uint16_t ring = points.ring[p], beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
+            if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[i].lidar)].has_beams)
+                throw DataError(
+                    fmt::format("{}: a point of ring {}, expected one of {} beams", source_.name(i), ring, plan.beam_of_ring.size()));
+            if (beam == kNoBeam) {
+                ++left_out_[i];
+                continue;
+            }
+            kept.point_m.push_back(points.point_m[p]);
+            kept.intensity.push_back(points.intensity[p]);
+            kept.ring.push_back(beam);
+            if (!points.time_offset_s.empty()) kept.time_offset_s.push_back(points.time_offset_s[p]);
+            if (!points.return_number.empty()) kept.return_number.push_back(points.return_number[p]);
+        }
+        return kept;
+    }
+};
+
+/// Frames whose scans are read: all, or so many of each LiDAR.
+std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
+    std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i) own[std::size_t(sequence.frames[i].lidar)].push_back(i);
+    std::vector<std::size_t> all;
+    for (const std::vector<std::size_t>& frames : own) {
+        const std::size_t n = most_scans > 0 ? std::min(std::size_t(most_scans), frames.size()) : frames.size();
+        for (std::size_t k = 0; k < n; ++k) all.push_back(frames[k * frames.size() / n]);
+    }
+    std::ranges::sort(all);
+    return all;
+}
+
+}  // namespace
+
+void read_scans(Sequence& sequence, const Head& head, const ScanSource& source, const DatasetOptions& options) {
+    BrokenScans broken(options.skip_broken);
+    Reader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
+    reader.find_sensors();
+    const std::vector<std::size_t> frames = frames_to_read(sequence, options.most_scans);
+    for_each_told(frames.size(), options.progress, "reading scans",
+                  [&](std::size_t k) { broken.attempt(frames[k], [&] { reader.read(frames[k]); }); });
+    reader.tell_left_out();
+    broken.leave_out(sequence);
+}
+
+void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, const DatasetOptions& options) {
+    read_scans(sequence, head, FileScans(sequence, head, files), options);
+}
+
+}  // namespace relidar::folder

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// Frames, poses and boxes of a log as it is read.
+#include <relidar/log/clouds.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <unordered_map>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
+    const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
+    double worst = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
+    }
+    if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
+        throw DataError(
+            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
+                        "expected orthonormal within 0.001",
+                        where, worst, glm::determinant(rotation)));
+    }
+    return {glm::normalize(glm::quat_cast(rotation)), translation};
+}
+
+Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar) {
+    PoseTrack& track = sequence.world_from_vehicle;
+    if (track.time_s.empty() || track.time_s.back() != time_s) {
+        track.time_s.push_back(time_s);
+        track.pose.push_back(world_from_vehicle);
+    }
+    return sequence.frames.emplace_back(Frame{index, time_s, {}, lidar});
+}
+
+void recentre(Sequence& sequence) {
+    const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
+    if (!poses.empty()) recentre(sequence, poses[poses.size() / 2].translation);
+}
+
+void recentre(Sequence& sequence, glm::dvec3 origin_m) {
+    sequence.world_offset_m += origin_m;
+    for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= origin_m;
+    for (BoxTrack& box : sequence.boxes)
+        for (Pose& pose : box.world_from_box.pose) pose.translation -= origin_m;
+}
+
+std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels) {
+    std::vector<BoxTrack> tracks;
+    std::unordered_map<std::string, std::size_t> place;
+    for (const BoxLabel& label : labels) {
+        const auto [known, is_new] = place.try_emplace(label.id, tracks.size());
+        if (is_new) tracks.push_back({label.id, label.category, label.size_m, {}});
+        PoseTrack& track = tracks[known->second].world_from_box;
+        track.time_s.push_back(label.time_s);
+        track.pose.push_back(label.world_from_box);
+    }
+    return tracks;
+}
+
+}  // namespace relidar

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// When a spinning head fired: head = zero + tick * 2 pi / n_ticks.
+#include <relidar/log/clouds.hpp>
+
+#include <cmath>
+#include <complex>
+
+namespace relidar {
+
+double HeadLattice::tick_rad() const {
+    return 2.0 * kPi / n_ticks;
+}
+
+int HeadLattice::tick(double head_azimuth_rad) const {
+    const long t = std::lround((head_azimuth_rad - zero_rad) / tick_rad()) % n_ticks;
+    return static_cast<int>(t < 0 ? t + n_ticks : t);
+}
+
+double HeadLattice::azimuth_of(int tick) const {
+    return std::remainder(zero_rad + tick * tick_rad(), 2.0 * kPi);
+}
+
+Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor) {
+    Sweep sweep{{sensor.columns, 0.0}, {}};
+    std::complex<double> sum = 0.0;  // its phase is the mean of the heads' within a step
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const Beam& beam = beam_of(sensor.beams, points.ring[i]);
+        sum += std::polar(1.0, sensor.columns * head_azimuth(beam, glm::dvec3(points.point_m[i])));
+    }
+    sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
+    // ticks from the one nearest to +pi downwards
+    int last = sweep.lattice.tick(kPi);
+    if (sweep.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
+    for (int i = 0; i < sensor.columns; ++i) sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
+    return sweep;
+}
+
+}  // namespace relidar

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/head_spins.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <fmt/format.h>
+
+namespace relidar {
+namespace {
+
+constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;  // of the elevations of a ring, between a tenth and nine tenths of its farther half
+constexpr double kLeastGap_rad = kPi / 3.0;            // of azimuths without a point: less may be hidden by the vehicle
+constexpr double kOtherPeriod = 0.2;                   // share by which a turn differs from the step of the scans
+constexpr std::size_t kFewestPoints = 50;              // of a ring
+
+double elevation_of(const glm::vec3& p) {
+    return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
+}
+
+/// Median over the rings.
+double spread_of_rings(const ScanPoints& scan) {
+    std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
+    for (std::size_t i = 0; i < scan.size(); ++i) {
+        if (scan.ring[i] >= rings.size()) rings.resize(std::size_t(scan.ring[i]) + 1);
+        rings[scan.ring[i]].emplace_back(glm::length(scan.point_m[i]), elevation_of(scan.point_m[i]));
+    }
+    std::vector<double> spreads;
+    for (auto& ring : rings) {
+        if (ring.size() < kFewestPoints) continue;
+        std::ranges::sort(ring);
+        std::vector<double> far;
+        for (std::size_t k = ring.size() / 2; k < ring.size(); ++k) far.push_back(ring[k].second);
+        std::ranges::sort(far);
+        spreads.push_back(far[far.size() * 9 / 10] - far[far.size() / 10]);
+    }
+    if (spreads.empty()) return 0.0;
+    std::ranges::sort(spreads);
+    return spreads[spreads.size() / 2];
+}
+
+/// The widest range of azimuths without a point of any scan.
+double widest_gap(const std::vector<ScanPoints>& scans) {
+    constexpr std::size_t kBins = 360;
+    std::array<bool, kBins> seen{};
+    for (const ScanPoints& scan : scans)
+        for (const glm::vec3& p : scan.point_m)
+            seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+    std::size_t widest = 0, run = 0;
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // twice around: a gap may lie across the end
+        run = seen[b % kBins] ? 0 : run + 1;
+        widest = std::max(widest, std::min(run, kBins));
+    }
+    return 2.0 * kPi * double(widest) / double(kBins);
+}
+
+}  // namespace
+
+std::string why_no_head(const std::vector<ScanPoints>& scans, const SpinningSensor& fitted, double step_s) {
+    const auto fullest = std::ranges::max_element(scans, {}, &ScanPoints::size);
+    if (fullest == scans.end()) return "";
+    if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)
+        return fmt::format(
+            "rings have no elevations of their own (points of one lie {:.1f} degrees apart, as where clouds of several LiDARs were merged)",
+            spread * 180.0 / kPi);
+    const double gap = widest_gap(scans);
+    if (gap < kLeastGap_rad) return "";
+    const std::string window = fmt::format("points lie within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
+    if (fullest->time_offset_s.empty()) return "";
+    if (std::abs(fitted.period_s - step_s) < kOtherPeriod * step_s) return "";
+    return fmt::format("{}, at a rate by which a turn would take {:.3f} s in scans {:.3f} s apart", window, fitted.period_s, step_s);
+}
+
+}  // namespace relidar

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// PLY: the vertices, which have to be its first element, as text or little-endian.
+#include <cstdint>
+#include <sstream>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "log/clouds/point_table.hpp"
+
+namespace relidar::folder {
+namespace {
+
+constexpr std::size_t kMostPlyFields = 1024;
+
+PointField field_of(const std::string& type, const std::string& name, const std::string& where) {
+    struct Row {
+        const char *name, *other;
+        char kind;
+        std::size_t size;
+    };
+    static constexpr Row kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8}, {"char", "int8", 'I', 1},
+                                     {"short", "int16", 'I', 2},   {"int", "int32", 'I', 4},      {"uchar", "uint8", 'U', 1},
+                                     {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
+    for (const Row& row : kTypes)
+        if (type == row.name || type == row.other) return {name, row.kind, row.size};
+    throw DataError(fmt::format("{}: property '{}' of type '{}', expected a number of a vertex", where, excerpt(name), excerpt(type)));
+}
+
+struct PlyHeader {
+    std::string format;
+    std::size_t n = 0;
+    std::vector<PointField> fields;
+    std::size_t length = 0;  ///< bytes of the header
+};
+
+void parse_line(const std::string& line, PlyHeader& header, int& elements, const std::string& where) {
+    std::istringstream words(line);
+    std::string keyword, a, b;
+    words >> keyword >> a >> b;
+    if (keyword == "format") {
+        header.format = a;
+    } else if (keyword == "element") {
+        const auto n = parse_number(b);
+        if (++elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
+            throw DataError(fmt::format("{}: '{}', expected 'element vertex N' first", where, excerpt(line)));
+        if (elements == 1) header.n = std::size_t(*n);
+    } else if (keyword == "property" && elements == 1) {
+        if (header.fields.size() >= kMostPlyFields)
+            throw DataError(fmt::format("{}: more than {} properties, expected fewer", where, kMostPlyFields));
+        header.fields.push_back(field_of(a, b, where));
+    }
+}
+
+PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
+    PlyHeader header;
+    int elements = 0;
+    if (!bytes.starts_with("ply")) throw DataError(fmt::format("{}: it does not begin with 'ply', expected a PLY file", where));
+    for (std::string_view line; line != "end_header";) {
+        const std::size_t end = bytes.find('\n', header.length);
+        if (end == std::string_view::npos) throw DataError(fmt::format("{}: no line end_header, expected the header of a PLY file", where));
+        line = trimmed(bytes.substr(header.length, end - header.length));
+        header.length = end + 1;
+        parse_line(std::string(line), header, elements, where);
+    }
+    return header;
+}
+
+}  // namespace
+
+PointTable read_ply(const std::string& bytes, const std::string& where) {
+    const PlyHeader header = parse_ply_header(bytes, where);
+    const std::string_view data = std::string_view(bytes).substr(header.length);
+    if (header.format == "ascii") return read_lines(data, header.fields, header.n, where);
+    if (header.format == "binary_little_endian") return read_packed(data, header.fields, header.n, Packing::by_point, where);
+    throw DataError(fmt::format("{}: format '{}', expected ascii or binary_little_endian", where, excerpt(header.format)));
+}
+
+}  // namespace relidar::folder

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rings of points that do not say theirs. A beam sweeps a cone: seen from the sensor's centre all its far points have one elevation, so a
+// histogram of elevations has a narrow band for each beam, and nothing between them.
+#include <relidar/log/clouds.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kBin_rad = 0.01 * kPi / 180.0;  // the closest beams of real sensors are 0.1 degrees apart
+constexpr int kLeastGap = 3;                     // empty bins between two bands
+constexpr std::size_t kFewestBands = 4;
+constexpr double kWidest = 0.5;       // of a band, as a share of the distance to its nearest neighbour
+constexpr double kStray = 0.005;      // bins with less than this share of what a full bin holds count as empty
+constexpr std::ptrdiff_t kReach = 6;  // beams to either side that are tried: origins of beams move elevations by a few
+
+double elevation_of(const glm::dvec3& v) {
+    return std::atan2(v.z, std::hypot(v.x, v.y));
+}
+
+/// Elevations of the farther half of the points within each degree, where the origins of beams matter least; ascending. Beams that look
+/// down have no far points at all.
+std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
+    struct Seen {
+        float range_m;
+        double elevation_rad;
+    };
+    std::vector<std::vector<Seen>> seen(181);  // by degree
+    for (const ScanPoints& scan : scans)
+        for (const glm::vec3& p : scan.point_m) {
+            const double elevation = elevation_of(glm::dvec3(p));
+            seen[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back({glm::length(p), elevation});
+        }
+    std::vector<double> elevations;
+    for (std::vector<Seen>& degree : seen) {
+        const auto half = degree.begin() + std::ptrdiff_t(degree.size() / 2);
+        std::nth_element(degree.begin(), half, degree.end(), [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
+        for (auto s = half; s != degree.end(); ++s) elevations.push_back(s->elevation_rad);
+    }
+    std::sort(elevations.begin(), elevations.end());
+    return elevations;
+}
+
+struct Band {
+    int first, last;       ///< bins
+    double elevation_rad;  ///< median
+};
+
+/// Runs of bins that are not empty.
+std::vector<Band> bands_of(const std::vector<double>& elevations) {
+    const int n_bins = int(kPi / kBin_rad) + 1;
+    const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
+    std::vector<int> count(std::size_t(n_bins) + 1, 0);
+    for (const double e : elevations) ++count[std::size_t(bin(e))];
+    std::vector<int> full;
+    std::copy_if(count.begin(), count.end(), std::back_inserter(full), [](int c) { return c > 0; });
+    if (full.empty()) return {};
+    std::nth_element(full.begin(), full.begin() + std::ptrdiff_t(full.size() * 9 / 10), full.end());
+    const double least = kStray * full[full.size() * 9 / 10];
+    std::vector<Band> bands;
+    for (int b = 0; b < n_bins; ++b) {
+        if (count[std::size_t(b)] == 0 || count[std::size_t(b)] < least) continue;
+        if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b, 0.0});
+        bands.back().last = b;
+    }
+    for (Band& band : bands) {
+        const auto begin = std::partition_point(elevations.begin(), elevations.end(), [&](double e) { return bin(e) < band.first; });
+        const auto end = std::partition_point(begin, elevations.end(), [&](double e) { return bin(e) <= band.last; });
+        band.elevation_rad = *(begin + (end - begin) / 2);
+    }
+    return bands;
+}
+
+/// Whether every band is narrow beside the distance to its neighbours.
+bool are_apart(const std::vector<Band>& bands) {
+    for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
+        const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
+        for (const Band& band : {bands[i], bands[i + 1]})
+            if (band.last - band.first > kWidest * apart) return false;
+    }
+    return true;
+}
+
+}  // namespace
+
+std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans) {
+    const std::vector<Band> bands = bands_of(far_elevations(scans));
+    if (bands.size() < kFewestBands || !are_apart(bands)) return {};
+    std::vector<Beam> beams;
+    for (auto band = bands.rbegin(); band != bands.rend(); ++band) beams.push_back({.elevation_rad = band->elevation_rad});
+    return beams;
+}
+
+void recover_rings(ScanPoints& points, const std::vector<Beam>& beams) {
+    if (beams.empty() || beams.size() > kNoBeam) throw UsageError("recovering rings: found no beam or too many, expected 1 to 65535");
+    std::vector<std::uint16_t> rising(beams.size());
+    std::iota(rising.begin(), rising.end(), std::uint16_t(0));
+    const auto elevation = [&](std::uint16_t k) { return beams[k].elevation_rad; };
+    std::stable_sort(rising.begin(), rising.end(), [&](auto a, auto b) { return elevation(a) < elevation(b); });
+    points.ring.clear();
+    for (const glm::vec3& point : points.point_m) {
+        const glm::dvec3 p(point);
+        const double seen = elevation_of(p);
+        const auto nearest = std::partition_point(rising.begin(), rising.end(), [&](auto k) { return elevation(k) < seen; });
+        const auto begin = nearest - std::min(kReach, nearest - rising.begin()), end = nearest + std::min(kReach, rising.end() - nearest);
+        std::uint16_t best = *begin;
+        double least = INFINITY;
+        for (auto k = begin; k != end; ++k) {
+            const glm::dvec3 origin = beam_ray(beams[*k], head_azimuth(beams[*k], p)).origin_m;
+            const double miss = std::abs(elevation_of(p - origin) - elevation(*k));
+            if (miss < least) least = miss, best = *k;
+        }
+        points.ring.push_back(best);
+    }
+}
+
+}  // namespace relidar

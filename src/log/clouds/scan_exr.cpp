@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+// A scan as an EXR range image: the channels that `relidar render --format exr` writes, under the names that scans as npz have.
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/log/sensor_files.hpp>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "base/files.hpp"
+#include "log/clouds/scan_npz.hpp"
+
+namespace relidar::folder {
+namespace {
+
+constexpr const char* kAxes[] = {".x", ".y", ".z"};
+
+/// Three channels as one array of vectors, where all three are there.
+void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name, const std::string& where,
+                 std::vector<NamedArray>& arrays) {
+    const std::vector<float>* axis[3] = {};
+    std::size_t n_found = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+        const auto found = image.channels.find(channel + kAxes[k]);
+        if (found == image.channels.end()) continue;
+        axis[k] = &found->second;
+        ++n_found;
+    }
+    if (n_found == 0) return;
+    if (n_found < 3) throw DataError(fmt::format("{}: {} of the channels {}.x, .y and .z, expected all or none", where, n_found, channel));
+    std::vector<float> values;
+    values.reserve(axis[0]->size() * 3);
+    for (std::size_t i = 0; i < axis[0]->size(); ++i)
+        for (const std::vector<float>* of : axis) values.push_back((*of)[i]);
+    arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(), values.size()));
+}
+
+std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& where) {
+    if (!image.channels.contains("range")) {
+        std::vector<std::string> names;
+        for (const auto& [name, values] : image.channels)
+            if (names.size() < 8) names.push_back(excerpt(name));
+        throw DataError(fmt::format("{}: no channel 'range', found {}", where, fmt::join(names, ", ")));
+    }
+    std::vector<NamedArray> arrays;
+    for (const auto& [name, values] : image.channels)
+        if (name.find('.') == std::string::npos)
+            arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)}, values.data(), values.size()));
+    add_vectors(image, "direction", "directions", where, arrays);
+    add_vectors(image, "origin", "origin", where, arrays);
+    const auto frame = image.notes.find("points_in");   // as a rendering says it
+    const bool moved = frame != image.notes.end() && (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
+    const std::int32_t deskewed = moved ? 1 : 0;
+    arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
+    return arrays;
+}
+
+/// The LiDAR, with the sensor that the file names where sequence.json gives none. Only names: a file does not say what else is read.
+Lidar completed(Lidar lidar, const ExrImage& image) {
+    const auto note = image.notes.find("sensor");
+    if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
+    if (!known_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
+    const SensorModel model = find_sensor(note->second);
+    if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern))
+        lidar.sensor = *spinning;
+    else
+        lidar.pattern = fixed_pattern(model);
+    return lidar;
+}
+
+}  // namespace
+
+Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source) {
+    const ExrImage image = read_exr(file);
+    const std::string where = file.string();
+    std::vector<NamedArray> arrays = arrays_of(image, where);
+    if (find_array(arrays, "directions")) return scan_of_images(where, std::move(arrays), source);
+    const Lidar lidar = completed(source.lidar, image);
+    return scan_of_images(where, std::move(arrays), {source.head, source.of_head, lidar, source.time_s});
+}
+
+}  // namespace relidar::folder

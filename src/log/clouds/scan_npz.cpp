@@ -1,0 +1,236 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/scan_npz.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+
+namespace relidar::folder {
+namespace {
+
+constexpr double kLongestOffset_s = 10.0;
+constexpr std::size_t kMostReturns = 8;
+
+/// The arrays of one file, looked up by name, their sizes checked against the image's.
+class Arrays {
+public:
+    Arrays(const std::string& where, std::vector<NamedArray> arrays) : where_(where), arrays_(std::move(arrays)) {
+        const std::vector<std::size_t>& shape = at("range").shape;
+        if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
+            throw DataError(fmt::format("{}: range of shape [{}], expected [rows, columns] or [rays], at most {} rays", where_,
+                                        fmt::join(shape, ", "), kMaxRays));
+        rows = shape.size() == 2 ? shape[0] : 1;
+        columns = shape.back();
+    }
+    std::size_t rows = 0, columns = 0;
+
+    const NamedArray* find(const std::string& name) const { return find_array(arrays_, name); }
+    const NamedArray& at(const std::string& name) const {
+        if (const NamedArray* array = find(name)) return *array;
+        throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
+    }
+    /// A number of all rays.
+    double number(const std::string& name) const {
+        if (at(name).count() != 1)
+            throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name, fmt::join(at(name).shape, ", ")));
+        return at(name).as_double()[0];
+    }
+    /// A number a ray. @param usual  of all, where the array is missing
+    std::vector<double> image(const std::string& name, double usual) const {
+        return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
+    }
+    /// `width` numbers a ray.
+    std::vector<double> values(const std::string& name, std::size_t width) const {
+        if (at(name).count() != rows * columns * width)
+            throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name, fmt::join(at(name).shape, ", "), rows,
+                                        columns, width));
+        return at(name).as_double();
+    }
+    std::vector<glm::vec3> vectors(const std::string& name) const {
+        const std::vector<double> v = values(name, 3);
+        std::vector<glm::vec3> vectors;
+        for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
+        return vectors;
+    }
+    std::string ray(const char* name, std::size_t i) const { return fmt::format("{}: {} of ray {}", where_, name, i); }
+    const std::string& where() const { return where_; }
+
+private:
+    std::string where_;
+    std::vector<NamedArray> arrays_;
+};
+
+std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
+    const std::vector<double> found = arrays.values(name, 1), drop = arrays.image("drop_prob", 0.0);
+    std::vector<float> range_m;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        if (!(found[i] >= 0.0 && found[i] <= 1e6))
+            throw DataError(fmt::format("{} is {}, expected metres, 0 where there is no return", arrays.ray(name.c_str(), i), found[i]));
+        range_m.push_back(drop[i] < 0.5 ? float(found[i]) : 0.0f);
+    }
+    return range_m;
+}
+
+std::vector<float> intensities_of(const Arrays& arrays, const std::string& name, const std::vector<float>& range_m,
+                                  const PointUnits& units) {
+    const std::vector<double> found = arrays.image(name, 0.0);
+    std::vector<float> intensity;
+    for (std::size_t i = 0; i < found.size(); ++i)
+        intensity.push_back(range_m[i] > 0.0f ? unit_intensity(found[i], units, arrays.ray(name.c_str(), i)) : 0.0f);
+    return intensity;
+}
+
+/// Rays of images that hold none: those of the LiDAR's sensor.
+RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
+    RayTable rays = nominal_rays(source.lidar, source.time_s);
+    if (rays.size() == 0)
+        throw DataError(
+            fmt::format("{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json", arrays.where()));
+    if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
+        throw DataError(fmt::format("{}: range of {} x {} without directions, expected {} x {}, as the LiDAR's sensor has them",
+                                    arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+    return rays;
+}
+
+/// Images whose first row is the lowest beam, as relidar counts them.
+void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
+    for (NamedArray& array : arrays) {
+        const std::size_t row = rows > 0 && array.shape.size() >= 2 && array.shape[0] == rows ? array.bytes.size() / rows : 0;
+        std::vector<std::byte> flipped;
+        for (std::size_t i = rows; row > 0 && i-- > 0;) {
+            const auto begin = array.bytes.begin() + std::ptrdiff_t(i * row);
+            flipped.insert(flipped.end(), begin, begin + std::ptrdiff_t(row));
+        }
+        if (row > 0) array.bytes = std::move(flipped);
+    }
+}
+
+/// What images say of times, rings and divergence, where they do.
+void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
+    const PointUnits& units = source.head.units;
+    const std::size_t n = rays.size();
+    if (arrays.find("time")) {
+        const std::vector<double> time = arrays.values("time", 1);
+        for (std::size_t i = 0; i < n; ++i) rays.time_offset_s[i] = time_offset(time[i], units, source.time_s, arrays.ray("time", i));
+    }
+    if (arrays.find("ring")) {
+        const std::vector<double> ring = arrays.values("ring", 1);
+        for (std::size_t i = 0; i < n; ++i) rays.channel[i] = ring_number(ring[i], arrays.ray("ring", i));
+    }
+    if (arrays.find("divergence_rad")) {
+        rays.divergence_rad = static_cast<float>(arrays.number("divergence_rad"));
+        rays.ray_divergence_rad.clear();
+    }
+    if (arrays.find("divergence")) {
+        const std::vector<double> angles = arrays.values("divergence", 1);
+        rays.ray_divergence_rad.assign(angles.begin(), angles.end());
+    }
+}
+
+RayTable own_rays(const Arrays& arrays) {
+    RayTable rays;
+    rays.rows = int(arrays.rows);
+    rays.columns = int(arrays.columns);
+    rays.direction = to_scan_array(arrays.vectors("directions"));
+    if (arrays.find("origin")) rays.origin = to_scan_array(arrays.vectors("origin"));
+    else rays.origin.assign(rays.direction.size(), glm::vec3(0.0f));
+    rays.time_offset_s.assign(rays.size(), 0.0f);
+    for (std::size_t i = 0; i < rays.size(); ++i) rays.channel.push_back(std::uint16_t(i / arrays.columns));
+    return rays;
+}
+
+}  // namespace
+
+void check_deskewed(bool is_deskewed, const Head& head, const std::string& where) {
+    if (is_deskewed && !head.motion_compensated)
+        throw DataError(
+            fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: render it without "
+                        "--deskew and --frame world, or say \"motion_compensated\": true",
+                        where));
+}
+
+float unit_intensity(double found, const PointUnits& units, const std::string& where) {
+    if (!std::isfinite(found)) throw DataError(fmt::format("{}: intensity {}, expected a number", where, found));
+    if (units.intensity_max) return float(std::clamp(found / *units.intensity_max, 0.0, 1.0));
+    if (found < 0.0 || found > 1.0)
+        throw DataError(fmt::format("{}: intensity {}, expected 0..1, or \"intensity_max\" in sequence.json", where, found));
+    return float(found);
+}
+
+float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where) {
+    const double offset_s = (found - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
+    if (!(std::abs(offset_s) <= kLongestOffset_s))
+        throw DataError(
+            fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and \"point_times\" in "
+                        "sequence.json say what times mean",
+                        where, found, offset_s, kLongestOffset_s));
+    return float(offset_s);
+}
+
+std::uint16_t ring_number(double found, const std::string& where) {
+    if (!(found >= 0.0 && found < kNoBeam) || found != std::floor(found))
+        throw DataError(fmt::format("{}: ring {}, expected a whole number below {}", where, found, kNoBeam));
+    return std::uint16_t(found);
+}
+
+Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, const ImageSource& source) {
+    const Head& head = source.head;
+    const bool has_rays = find_array(given, "directions") != nullptr;
+    const NamedArray* range = find_array(given, "range");
+    if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2) flip_rows(given, range->shape[0]);
+    const Arrays arrays(where, std::move(given));
+    const NamedArray* deskewed = arrays.find("deskewed");
+    check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head, arrays.where());
+    Scan scan;
+    scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
+    add_what_is_said(arrays, source, scan.rays);
+    // of a rendering: the surface that a ray met, where the mean lies between two
+    const std::vector<float> range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
+    scan.range_m = to_scan_array(range_m);
+    scan.intensity = to_scan_array(intensities_of(arrays, "intensity", range_m, head.units));
+    for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number)); ++number) {
+        SecondReturn echo{ranges_of(arrays, fmt::format("range_{}", number)), {}};
+        echo.intensity = intensities_of(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
+        scan.second_returns.push_back(std::move(echo));
+    }
+    return scan;
+}
+
+Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source) {
+    return scan_of_images(file.string(), read_npz(file), source);
+}
+
+void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {
+    const RayTable& rays = scan.rays;
+    const std::vector<std::size_t> shape = {std::size_t(rays.rows), std::size_t(rays.columns)};
+    std::vector<NamedArray> arrays;
+    const auto add = [&](const std::string& name, const auto& values) {
+        arrays.push_back(make_array(name, shape, values.data(), values.size()));
+    };
+    const auto add_vectors = [&](const char* name, const ScanArray<glm::vec3>& v) {
+        arrays.push_back(make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
+    };
+    add("range", scan.range_m);
+    add("intensity", scan.intensity);
+    add_vectors("directions", rays.direction);
+    add_vectors("origin", rays.origin);
+    if (motion_compensated) add("time", std::vector<float>(rays.size(), 0.0f));
+    else add("time", rays.time_offset_s);
+    add("ring", rays.channel);
+    if (!rays.ray_divergence_rad.empty()) add("divergence", rays.ray_divergence_rad);
+    for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
+        add(fmt::format("range_{}", k + 2), scan.second_returns[k].range_m);
+        add(fmt::format("intensity_{}", k + 2), scan.second_returns[k].intensity);
+    }
+    arrays.push_back(make_array("divergence_rad", {}, &rays.divergence_rad, 1));
+    const std::int32_t deskewed = motion_compensated ? 1 : 0;
+    arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
+    write_npz(file, arrays);
+}
+
+}  // namespace relidar::folder

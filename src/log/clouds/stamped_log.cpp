@@ -1,0 +1,302 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/stamped_log.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <complex>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/clouds.hpp>
+
+#include "base/csv.hpp"
+#include "base/files.hpp"
+#include "log/clouds/cloud_units.hpp"
+#include "log/clouds/folder_points.hpp"
+#include "log/clouds/log_files.hpp"
+
+namespace relidar::stamped {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kStep_m = 1.0;                // of a vehicle, long beside the errors of two poses
+constexpr double kLongestStep_s = 1.0;         // what takes longer may be anything
+constexpr std::size_t kSamples = 6;            // scans whose points are looked at
+constexpr double kNearBeam = 0.15;             // half the points, in distances between beams; those of another LiDAR: 0.25
+constexpr double kSameTime = 1e-6;             // share of a gap: the pose is one of the two
+constexpr double kLargestCoordinate_m = 1e8;   // of poses as written: UTM has 10^7
+
+/// A stamp of a table. Some writers give it a fraction or an exponent.
+std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
+    if (const auto whole = parse_stamp(cell)) return whole;
+    const std::optional<double> number = parse_number(cell);
+    if (!number || !(*number >= 0.0 && *number < 9e18)) return std::nullopt;
+    return std::int64_t(std::llround(*number));
+}
+
+StampedRow row_of(const std::vector<std::string_view>& cells, std::size_t n_values, const std::string& where) {
+    StampedRow row{0, {}, where};
+    const std::optional<std::int64_t> stamp = stamp_of_cell(cells[0]);
+    if (!stamp) throw DataError(fmt::format("{}: '{}', expected a time", where, excerpt(cells[0])));
+    row.stamp = *stamp;
+    if (cells.size() < n_values + 1)
+        throw DataError(fmt::format("{}: {} cells, expected a time and {} numbers", where, cells.size(), n_values));
+    for (std::size_t c = 1; c <= n_values; ++c) {
+        const std::optional<double> number = parse_number(cells[c]);
+        if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
+            throw DataError(fmt::format("{}: cell {} is '{}', expected a number within {:g}", where, c + 1, excerpt(cells[c]),
+                                        kLargestCoordinate_m));
+        row.values.push_back(*number);
+    }
+    return row;
+}
+
+std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
+    const PoseTrack& track = log.world_from_vehicle;
+    if (!track.covers(time_s - log.reach_s) || !track.covers(time_s + log.reach_s)) return std::nullopt;
+    const TrackPlace place = track.place(time_s);
+    const bool is_one = place.s < kSameTime || place.s > 1.0 - kSameTime;
+    if (!is_one && track.time_s[place.left + 1] - track.time_s[place.left] > log.most_gap_s) return std::nullopt;
+    return track.at(time_s);
+}
+
+/// Scans of files whose points are completed and turned.
+class StampedPoints : public folder::ScanSource {
+public:
+    StampedPoints(const Sequence& sequence, const std::vector<fs::path>& files, const PointFormat& format)
+        : sequence_(sequence), files_(files), format_(format) {}
+
+    std::string name(std::size_t i) const override { return files_[i].string(); }
+    bool has_points(std::size_t) const override { return true; }
+    ScanPoints points(std::size_t i) const override {
+        folder::PointTable table = folder::read_point_file(files_[i], format_.units.columns);
+        if (format_.complete) format_.complete(table, name(i));
+        ScanPoints points = folder::points_of(table, format_.units, sequence_.frames[i].time_s, name(i));
+        const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
+        for (glm::vec3& p : points.point_m) {
+            const glm::dvec3 own(p);
+            p = glm::vec3(c * own.x - s * own.y, s * own.x + c * own.y, own.z);
+        }
+        if (!format_.beams.empty()) recover_rings(points, format_.beams);
+        return points;
+    }
+    Scan rays(std::size_t i) const override { throw DataError(fmt::format("{}: no points, expected some", name(i))); }
+
+private:
+    const Sequence& sequence_;
+    const std::vector<fs::path>& files_;
+    const PointFormat& format_;
+};
+
+/// Points of a few scans, of those that can be read.
+std::vector<ScanPoints> sample_points(const StampedPoints& source, std::size_t n_scans) {
+    std::vector<ScanPoints> samples;
+    const std::size_t n = std::min(kSamples, n_scans);
+    for (std::size_t k = 0; k < n; ++k) {
+        try {
+            samples.push_back(source.points(k * n_scans / n));
+            if (samples.back().size() == 0) samples.pop_back();
+        } catch (const DataError&) {
+            continue;   // told where the scan is read
+        }
+    }
+    return samples;
+}
+
+/// Whether points lie near their beams, beside the distance to the next one: of another LiDAR they lie anywhere.
+bool are_near_beams(const std::vector<ScanPoints>& samples, const FittedSensor& fit) {
+    const std::vector<Beam>& beams = fit.sensor.beams;
+    std::vector<double> off;   // in distances between beams
+    for (const ScanPoints& scan : samples)
+        for (std::size_t i = 0; i < scan.size(); ++i) {
+            const std::size_t b = fit.beam_of_ring[scan.ring[i]];
+            double apart = INFINITY;
+            for (const std::size_t next : {b - 1, b + 1})   // below 0 is far above the last
+                if (next < beams.size()) apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
+            const glm::dvec3 p(scan.point_m[i]);
+            off.push_back(std::abs(std::atan2(p.z, std::hypot(p.x, p.y)) - beams[b].elevation_rad) / apart);
+        }
+    const auto middle = off.begin() + std::ptrdiff_t(off.size() / 2);
+    std::nth_element(off.begin(), middle, off.end());
+    return *middle < kNearBeam;
+}
+
+/// Nominal beams where the points have them. Nothing where they are of another LiDAR, or where their azimuths have no steps, as those of
+/// points that were moved to one time.
+std::optional<SpinningSensor> fit_nominal(const std::vector<ScanPoints>& samples, const PointFormat& format) {
+    if (samples.empty()) return std::nullopt;
+    FittedSensor fit;
+    try {
+        fit = fit_sensor(samples, format.turn_s);
+    } catch (const DataError&) {
+        return std::nullopt;
+    }
+    if (!are_near_beams(samples, fit)) return std::nullopt;
+    const double step = 2.0 * kPi / fit.sensor.columns;
+    std::vector<Beam> beams = format.beams;
+    std::complex<double> sum = 0.0;
+    for (const bool is_second : {false, true})   // the phase that all share, then what each has beside it
+        for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
+            if (fit.beam_of_ring[r] == kNoBeam) continue;
+            const Beam& found = fit.sensor.beams[fit.beam_of_ring[r]];
+            const double beside = found.azimuth_offset_rad - format.beams[r].azimuth_offset_rad;
+            if (!is_second) sum += std::polar(1.0, fit.sensor.columns * beside);
+            else beams[r].azimuth_offset_rad += std::remainder(beside - std::arg(sum) / fit.sensor.columns, step);
+            beams[r].elevation_rad = found.elevation_rad;
+        }
+    fit.sensor.beams = std::move(beams);
+    return fit.sensor;
+}
+
+}  // namespace
+
+std::optional<std::int64_t> parse_stamp(std::string_view text) {
+    std::int64_t stamp = 0;
+    const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), stamp);
+    if (failed != std::errc() || end != text.data() + text.size() || stamp < 0) return std::nullopt;
+    return stamp;
+}
+
+std::vector<StampedScan> list_scans(const fs::path& folder) {
+    std::vector<StampedScan> scans;
+    for (const fs::path& file : list_folder(folder))
+        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == ".bin") scans.push_back({0, *stamp, file});
+    if (scans.empty()) throw DataError(fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
+                                                   folder.string()));
+    std::ranges::sort(scans, {}, &StampedScan::stamp);   // names of fewer digits come first
+    for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
+    return scans;
+}
+
+std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
+    const std::vector<std::string> lines = split_lines(read_text(file));
+    std::vector<StampedRow> rows;
+    for (std::size_t l = 0; l < lines.size(); ++l) {
+        if (trimmed(lines[l]).empty()) continue;
+        const std::vector<std::string_view> cells = csv_cells(lines[l]);
+        if (l == 0 && !parse_number(cells[0])) continue;   // names of the columns
+        StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
+        if (!rows.empty() && row.stamp == rows.back().stamp) continue;
+        if (!rows.empty() && row.stamp < rows.back().stamp)
+            throw DataError(fmt::format("{}: time {} after {}, expected times that rise", row.where, row.stamp, rows.back().stamp));
+        rows.push_back(std::move(row));
+    }
+    if (rows.empty()) throw DataError(fmt::format("{}: no pose, expected lines of a time and {} numbers", file.string(), n_values));
+    return rows;
+}
+
+Driving find_driving(const PoseTrack& world_from_rider) {
+    const std::vector<Pose>& poses = world_from_rider.pose;
+    Driving driving;
+    double rises = 0.0;
+    for (std::size_t from = 0, to = 1; to < poses.size(); ++to) {
+        const glm::dvec3 step = poses[to].translation - poses[from].translation;
+        const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
+        if (!is_late && glm::length(step) < kStep_m) continue;
+        if (!is_late) {   // as seen at both ends of the step: halfway through a bend
+            const glm::dvec3 d = glm::normalize(step);
+            const glm::dvec3 seen = 0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
+            driving.mean += seen;
+            rises += seen.z * seen.z;
+            ++driving.n_steps;
+        }
+        from = to;
+    }
+    if (driving.n_steps == 0) return driving;
+    driving.mean /= double(driving.n_steps);
+    driving.rise_spread = std::sqrt(std::max(0.0, rises / double(driving.n_steps) - driving.mean.z * driving.mean.z));
+    return driving;
+}
+
+void tell_unless_forward(std::vector<std::string>& notes, double forward) {
+    constexpr double kMostlyForward = 0.9;
+    if (forward < kMostlyForward)
+        notes.push_back(fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; dataset.poses=none finds "
+                                    "poses from the scans",
+                                    forward));
+}
+
+std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, const DatasetOptions& options) {
+    const FrameRange& range = options.frames;
+    std::vector<fs::path> files;
+    std::vector<const StampedScan*> without;
+    for (const StampedScan& scan : log.scans) {
+        if (scan.number < range.begin || (range.end >= 0 && scan.number >= range.end)) continue;
+        const double time_s = log.seconds(scan.stamp);
+        const std::optional<Pose> pose = options.poses_file.empty() ? pose_at(log, time_s) : Pose{};
+        if (!pose) {
+            without.push_back(&scan);
+            continue;
+        }
+        add_frame(sequence, scan.number, time_s, *pose);
+        files.push_back(scan.file);
+    }
+    if (files.empty() && without.empty())
+        throw UsageError(fmt::format("frames {}:{}: no scan of {}, expected numbers in [{}, {}]", range.begin, range.end, sequence.name,
+                                     log.scans.front().number, log.scans.back().number));
+    if (files.empty())
+        throw DataError(fmt::format("{}: poses from {:.3f} to {:.3f} s, expected some around frames {} to {}, at {:.3f} to {:.3f} s",
+                                    log.poses_file.string(), log.world_from_vehicle.time_s.front(), log.world_from_vehicle.time_s.back(),
+                                    without.front()->number, without.back()->number, log.seconds(without.front()->stamp),
+                                    log.seconds(without.back()->stamp)));
+    if (!without.empty())
+        sequence.notes.push_back(fmt::format("{} of {} scans are left out, the first of them frame {}, the last frame {}: {} has no poses "
+                                             "around their times",
+                                             without.size(), without.size() + files.size(), without.front()->number,
+                                             without.back()->number, log.poses_file.filename().string()));
+    kitti::take_given_poses(sequence, options.poses_file);
+    recentre(sequence);
+    return files;
+}
+
+void check_poses(const fs::path& file, const DatasetOptions& options) {
+    if (!options.poses_file.empty() || path_exists(file)) return;
+    throw DataError(fmt::format("{}: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none to find them from "
+                                "the scans",
+                                file.string()));
+}
+
+void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFormat format, const DatasetOptions& options) {
+    const StampedPoints source(sequence, files, format);
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    folder::Head head;
+    folder::HeadLidar& of_head = head.lidars.emplace_back();
+    if (!format.beams.empty()) {
+        if (auto fitted = fit_nominal(sample_points(source, files.size()), format)) {
+            fitted->name = sensor.name;
+            fitted->max_range_m = sensor.max_range_m;
+            sensor = std::move(*fitted);
+            of_head.has_beams = true;
+            sequence.notes.push_back(fmt::format("{} beams x {} columns are fitted to its points, which have no rings: each is taken for "
+                                                 "one of the nominal beam that passes nearest",
+                                                 sensor.beams.size(), sensor.columns));
+        } else {
+            format.beams.clear();   // source looks at it
+        }
+    }
+    head.name = sequence.name;
+    head.units = format.units;
+    of_head.lidar = sequence.lidars[0];
+    of_head.is_guessed = true;
+    of_head.turn_s = format.turn_s;
+    folder::read_scans(sequence, head, source, options);
+}
+
+Brightness find_brightness(const std::vector<fs::path>& files, const std::vector<std::string>& columns) {
+    std::vector<folder::PointTable> samples;
+    const std::size_t n = std::min(kSamples, files.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        try {
+            samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
+        } catch (const DataError&) {
+            continue;   // told where the scan is read
+        }
+    }
+    const bag::CloudUnits units = bag::find_units(samples, std::vector<double>(samples.size(), 0.0), 0.0);
+    return {units.intensity_max, units.about};
+}
+
+}  // namespace relidar::stamped

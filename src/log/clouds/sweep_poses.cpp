@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/sweep_poses.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "base/parallel.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr double kStep_s = 1e-3;   // between corrections, which are interpolated
+constexpr double kLeast_m = 1e-3;  // of the farthest move of a sweep: sensors measure ten times as coarsely
+constexpr double kReach_m = 50.0;  // at which a turn counts
+
+/// What a correction moves a point at kReach_m by, at most.
+double size_of(const Pose& correction) {
+    const double sine = glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
+    return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
+}
+
+/// From the sensor as it was to where the log's poses have it, by the time from the frame's.
+PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt& world_from_vehicle) {
+    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
+    const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
+    const int n = 1 + static_cast<int>(std::ceil(double(last - first) / kStep_s));
+    PoseTrack track;
+    for (int k = 0; k <= n; ++k) {
+        const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
+        const std::optional<Pose> own = world_from_vehicle(t_s);
+        if (!own || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
+        track.time_s.push_back(offset_s);
+        track.pose.push_back(inverse(sequence.world_from_vehicle.at(t_s, mounted)) * (*own * mounted));
+    }
+    return track;
+}
+
+/// @return the farthest move, metres
+double place_rays_of(Frame& frame, const PoseTrack& corrections) {
+    double farthest_m = 0.0;
+    for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, size_of(pose));
+    if (farthest_m < kLeast_m) return 0.0;
+    RayTable& rays = frame.scan.rays;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const double t_s = std::clamp(double(rays.time_offset_s[i]), corrections.time_s.front(), corrections.time_s.back());
+        const Pose pose = corrections.at(t_s);
+        rays.origin[i] = glm::vec3(pose * glm::dvec3(rays.origin[i]));
+        rays.direction[i] = glm::vec3(glm::normalize(pose.rotation * glm::dvec3(rays.direction[i])));
+    }
+    return farthest_m;
+}
+
+}  // namespace
+
+std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle) {
+    if (!sequence.rolling_shutter) return "";
+    std::vector<double> moved_m(sequence.frames.size(), 0.0);
+    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+        Frame& frame = sequence.frames[std::size_t(i)];
+        if (frame.scan.rays.size() == 0) return;
+        const PoseTrack track = corrections(sequence, frame, world_from_vehicle);
+        if (!track.pose.empty()) moved_m[std::size_t(i)] = place_rays_of(frame, track);
+    });
+    const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
+    return n == 0 ? ""
+                  : fmt::format("rays of {} sweeps start where poses between frames have the sensor, up to {:.3f} m (of what is {:.0f} m "
+                                "away) beside a straight way from frame to frame",
+                                n, std::ranges::max(moved_m), kReach_m);
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every 55.296 us a VLP-32C fires its 32 lasers, a pair every 2.304 us. The head turns on meanwhile: a laser's azimuth from the head of its
+// firing is its own and the turn since the first pair.
+#include "log/readers/argoverse2/vlp32c_pair.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <numeric>
+
+#include "log/clouds/arrange_firings.hpp"
+
+namespace relidar::argoverse2 {
+namespace {
+
+constexpr double kCycle_ns = 55296.0, kPair_ns = 2304.0, kRate_hz = 10.0;
+
+struct Laser {
+    int number;  ///< Argoverse's laser_number, modulo 32
+    double elevation_deg, azimuth_deg;
+};
+// In order of firing, a pair a line. Angles: VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD), nominal. Argoverse's numbers and the
+// order of firing were found from the times and elevations of points in a published sweep.
+constexpr Laser kTable[kLasers] = {
+    {31, -25.000, -1.4}, {13, -1.000, 4.2},   //
+    {1, -1.667, -1.4},   {17, -15.639, 1.4},  //
+    {29, -11.310, -1.4}, {9, 0.000, 1.4},     //
+    {3, -0.667, -4.2},   {21, -8.843, 1.4},   //
+    {27, -7.254, -1.4},  {12, 0.333, 4.2},    //
+    {5, -0.333, -1.4},   {16, -6.148, 1.4},   //
+    {25, -5.333, -4.2},  {8, 1.333, 1.4},     //
+    {7, 0.667, -4.2},    {20, -4.000, 1.4},   //
+    {22, -4.667, -1.4},  {2, 1.667, 4.2},     //
+    {10, 1.000, -1.4},   {28, -3.667, 4.2},   //
+    {23, -3.333, -4.2},  {6, 3.333, 1.4},     //
+    {11, 2.333, -1.4},   {24, -2.667, 1.4},   //
+    {18, -3.000, -1.4},  {0, 7.000, 1.4},     //
+    {14, 4.667, -1.4},   {30, -2.333, 4.2},   //
+    {19, -2.000, -4.2},  {4, 15.000, 1.4},    //
+    {15, 10.333, -1.4},  {26, -1.333, 1.4},   //
+};
+
+double radians(double degrees) {
+    return degrees * kPi / 180.0;
+}
+
+/// Entry of the table, highest first.
+std::array<int, kLasers> rows_of_table() {
+    std::array<int, kLasers> entries;
+    std::iota(entries.begin(), entries.end(), 0);
+    std::sort(entries.begin(), entries.end(), [](int a, int b) { return kTable[a].elevation_deg > kTable[b].elevation_deg; });
+    return entries;
+}
+
+/// What is known of a laser by its number.
+struct LaserPlace {
+    std::uint16_t row = 0;
+    double after_first_ns = 0.0;
+    double elevation_rad = 0.0;
+};
+std::array<LaserPlace, kLasers> laser_places() {
+    std::array<LaserPlace, kLasers> places;
+    const std::array<int, kLasers> entries = rows_of_table();
+    for (int row = 0; row < kLasers; ++row) {
+        const int entry = entries[std::size_t(row)];
+        const Laser& laser = kTable[entry];
+        places[std::size_t(laser.number)] = {std::uint16_t(row), entry / 2 * kPair_ns, radians(laser.elevation_deg)};
+    }
+    return places;
+}
+
+/// Mean distance of elevations from those of the table, each cut at a degree.
+double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
+    const std::array<LaserPlace, kLasers> places = laser_places();
+    const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
+    double sum = 0.0, n = 0.0;
+    for (std::size_t i = 0; i < sweep.point_m.size(); ++i) {
+        if (sweep.laser[i] / kLasers != half) continue;
+        const glm::dvec3 p = lidar_from_vehicle * sweep.point_m[i];
+        const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
+        sum += std::min(std::abs(elevation - places[std::size_t(sweep.laser[i] % kLasers)].elevation_rad), radians(1.0));
+        n += 1.0;
+    }
+    return n > 0.0 ? sum / n : 0.0;
+}
+
+/// Number of the firing of each point, from that of the first one. Packets have a clock of their own, whose phase all points share.
+std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
+    std::complex<double> sum = 0.0;
+    for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
+    const double phase_ns = std::arg(sum) / (2.0 * kPi) * kCycle_ns;
+    std::vector<int> numbers;
+    for (const double t : first_pair_ns) numbers.push_back(int(std::lround((t - phase_ns) / kCycle_ns)));
+    return numbers;
+}
+
+}  // namespace
+
+SpinningSensor vlp32c(bool clockwise) {
+    SpinningSensor sensor;
+    sensor.name = "VLP-32C";
+    sensor.clockwise = clockwise;
+    sensor.period_s = 1.0 / kRate_hz;
+    for (const int entry : rows_of_table()) {
+        const Laser& laser = kTable[entry];
+        const double turned = 2.0 * kPi * kRate_hz * 1e-9 * (entry / 2) * kPair_ns;
+        sensor.beams.push_back({.elevation_rad = radians(laser.elevation_deg),
+                                .azimuth_offset_rad = radians(laser.azimuth_deg) + (clockwise ? -turned : turned)});
+    }
+    return sensor;
+}
+
+std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar) {
+    const double straight = misfit(sweep, 0, vehicle_from_lidar[0]) + misfit(sweep, 1, vehicle_from_lidar[1]);
+    const double crossed = misfit(sweep, 1, vehicle_from_lidar[0]) + misfit(sweep, 0, vehicle_from_lidar[1]);
+    return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
+}
+
+LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor, double time_s) {
+    const std::array<LaserPlace, kLasers> places = laser_places();
+    const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
+    LidarSweep found;
+    std::vector<double> first_pair_ns;
+    for (std::size_t i = 0; i < raw.point_m.size(); ++i) {
+        if (raw.laser[i] / kLasers != half) continue;
+        const LaserPlace& laser = places[std::size_t(raw.laser[i] % kLasers)];
+        found.points.point_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
+        found.points.intensity.push_back(float(raw.intensity[i] / 255.0));
+        found.points.ring.push_back(laser.row);
+        found.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));
+        first_pair_ns.push_back(double(raw.offset_ns[i]) - laser.after_first_ns);
+    }
+    if (found.points.size() == 0) return found;
+    undo_compensation(found.points, world_from_sensor, time_s);
+    const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
+    found.sweep = arrange_firings(found.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
+    return found;
+}
+
+}  // namespace relidar::argoverse2

@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/bag_boxes.hpp"
+
+#include <algorithm>
+#include <map>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/clouds.hpp>
+
+#include "base/files.hpp"
+#include "log/readers/bag/describe.hpp"
+#include "log/clouds/sweeps_beside.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr const char* kNoCategory = "unknown";
+
+/// Poses of frames in the world.
+class WorldFrames {
+public:
+    explicit WorldFrames(const BoxPlaces& places) : places_(places) {}
+
+    /// Nothing where the frame's place is not known at the time.
+    std::optional<Pose> at(const std::string& frame, double t_s) {
+        if (places_.is_own_world && frame == places_.poses.world) return Pose{};
+        auto known = apart_.find(frame);
+        if (known == apart_.end())
+            known = apart_
+                        .emplace(frame, places_.frames.apart(places_.vehicle, frame, places_.poses.clock, places_.poses.zero_ns))
+                        .first;
+        if (!known->second || !known->second->covers(t_s)) return std::nullopt;
+        if (places_.is_own_world && !places_.poses.path->covers(t_s)) return std::nullopt;
+        return places_.world_from_vehicle(t_s) * known->second->at(t_s);
+    }
+
+private:
+    const BoxPlaces& places_;
+    std::map<std::string, std::optional<FramesApart>> apart_;
+};
+
+/// Labels in the order of time, one a thing and time.
+std::size_t sort_labels(std::vector<BoxLabel>& labels) {
+    std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
+    std::map<std::string, double> last_s;
+    return std::erase_if(labels, [&](const BoxLabel& label) {
+        const auto [known, is_new] = last_s.try_emplace(label.id, label.time_s);
+        return !is_new && std::exchange(known->second, label.time_s) == label.time_s;
+    });
+}
+
+/// Trackers change their minds about what a thing is and how long: the usual size and category of each hold.
+void settle(std::vector<BoxLabel>& labels) {
+    std::map<std::string, std::vector<const BoxLabel*>> things;
+    for (const BoxLabel& label : labels) things[label.id].push_back(&label);
+    std::map<std::string, std::pair<glm::dvec3, std::string>> settled;
+    for (auto& [id, seen] : things) {
+        glm::dvec3 size_m;
+        for (int a = 0; a < 3; ++a) {
+            const auto middle = seen.begin() + std::ptrdiff_t(seen.size() / 2);
+            std::ranges::nth_element(seen, middle, {}, [a](const BoxLabel* label) { return label->size_m[a]; });
+            size_m[a] = (*middle)->size_m[a];
+        }
+        std::map<std::string, std::size_t> votes;
+        for (const BoxLabel* label : seen) ++votes[label->category];
+        if (votes.size() > 1) votes.erase(kNoCategory);
+        settled[id] = {size_m, std::ranges::max_element(votes, {}, [](const auto& vote) { return vote.second; })->first};
+    }
+    for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
+}
+
+/// Boxes of a topic, label by label.
+class LabelReader {
+public:
+    LabelReader(const BoxPlaces& places, double first_s, double last_s)
+        : places_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
+
+    bool is_wanted(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
+    double seconds(std::int64_t stamp_ns, std::int64_t log_ns) const {
+        const bool is_recorded = places_.poses.clock == Clock::recorder || stamp_ns == 0;
+        return 1e-9 * double((is_recorded ? log_ns : stamp_ns) - places_.poses.zero_ns);
+    }
+
+    void take(const BoxList& list, std::int64_t log_ns) {
+        for (const Box& box : list.boxes) {
+            const double t_s = seconds(box.header.stamp_ns, log_ns);
+            if (box.id.empty() || !is_wanted(t_s)) continue;
+            const std::optional<Pose> world_from_frame = frames_.at(box.header.frame, t_s);
+            if (!world_from_frame) {
+                ++n_unplaced_;
+                unplaced_.insert(box.header.frame);
+                continue;
+            }
+            labels_.push_back({box.id, box.category.empty() ? kNoCategory : box.category, box.size_m, t_s,
+                               *world_from_frame * box.frame_from_box});
+        }
+    }
+
+    BoxTracks tracks() {
+        BoxTracks result;
+        if (n_unplaced_ > 0)
+            result.notes.push_back(fmt::format("{} boxes are left out: where the frame '{}' is in '{}' is not known at their times",
+                                               n_unplaced_, excerpt(*unplaced_.begin()), places_.vehicle));
+        if (const std::size_t n = sort_labels(labels_); n > 0)
+            result.notes.push_back(fmt::format("{} boxes are left out: there is one of their thing and time already", n));
+        settle(labels_);
+        result.tracks = tracks_of(labels_);
+        return result;
+    }
+
+private:
+    const BoxPlaces& places_;
+    WorldFrames frames_;
+    double first_s_, last_s_;
+    std::vector<BoxLabel> labels_;
+    std::set<std::string> unplaced_;  ///< frames
+    std::size_t n_unplaced_ = 0;
+};
+
+}  // namespace
+
+BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places, const std::vector<double>& times_s) {
+    const double step_s = usual_step_s(times_s);
+    LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
+    for (const BoxEntry& entry : boxes.lists)
+        if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))
+            reader.take(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place)), entry.log_ns);
+    return reader.tracks();
+}
+
+}  // namespace relidar::bag

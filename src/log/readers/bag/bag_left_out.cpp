@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+// In the place of dataset/bag where what it needs was missing, or RELIDAR_BAGS is off.
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "log/readers/bag/ros_bag.hpp"
+
+namespace relidar {
+
+Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions&) {
+    throw UsageError(fmt::format("{}: found a ROS bag, expected another dataset: this relidar was built without the reader of bags "
+                                 "(RELIDAR_BAGS, libsqlite3-dev, libbz2-dev)",
+                                 path.string()));
+}
+
+}  // namespace relidar

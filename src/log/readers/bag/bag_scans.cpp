@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/bag_scans.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "log/readers/bag/packets/packet_messages.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::size_t kSampleClouds = 6;
+
+/// The first time that points have, in the unit of the file.
+double first_time_of(const folder::PointTable& table) {
+    double first = INFINITY;
+    if (const auto* times = times_of(table))
+        for (const double t : *times) first = std::min(first, std::isfinite(t) ? t : INFINITY);
+    return std::isfinite(first) ? first : 0.0;
+}
+
+}  // namespace
+
+std::string BagScans::name(std::size_t frame) const {
+    const FrameCloud& cloud = clouds_[frame];
+    return fmt::format("{}: {}, cloud of frame {}", bag_.files().at(cloud.entry.place.file).string(),
+                       bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
+}
+
+ScanPoints BagScans::points(std::size_t frame) const {
+    const FrameCloud& at = clouds_[frame];
+    if (at.entry.parts.empty()) return points_of_cloud(frame, at.entry, at.cloud_s);
+    ScanPoints all;
+    for (const TurnPart& part : at.entry.parts) {
+        const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
+        ScanPoints points = points_of_cloud(frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
+        if (points.time_offset_s.empty())
+            throw DataError(fmt::format("{}: {}, and its points have no times that can be used, expected whole turns, or times",
+                                        name(frame), lidars_[at.lidar].clouds->parts_about));
+        const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
+        append(all.point_m, points.point_m), append(all.intensity, points.intensity), append(all.ring, points.ring);
+        append(all.time_offset_s, points.time_offset_s), append(all.return_number, points.return_number);
+    }
+    if ((!all.ring.empty() && all.ring.size() != all.size()) || (!all.return_number.empty() && all.return_number.size() != all.size()))
+        throw DataError(fmt::format(
+            "{}: some parts of its turn have rings or numbers of returns and some have none, expected the same of all", name(frame)));
+    return all;
+}
+
+ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+    const FrameCloud& at = clouds_[frame];
+    const CloudUnits& units = lidars_[at.lidar].units;
+    const std::string bytes = bag_.read(cloud.place);
+    folder::PointTable table;
+    try {
+        table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].clouds->topic], bytes));
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("{}: {}", name(frame), error.what()));
+    }
+    if (units.zero == TimeZero::none)
+        for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"}) table.fields.erase(field);
+    double zero_s = at.time_s - cloud_s;  // what counts as 0 s of the frame, in times of points
+    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
+    if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
+    ScanPoints points = folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
+    if (!deskewed_by_) return points;
+    const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
+    for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
+        const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
+        points.point_m[i] = glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.point_m[i])));
+    }
+    return points;
+}
+
+Scan BagScans::rays(std::size_t frame) const {
+    const FrameCloud& at = clouds_[frame];
+    const CloudTopic& clouds = *lidars_[at.lidar].clouds;
+    const packets::PacketTurn& turn = clouds.turns[at.entry.turn];
+    const std::vector<packets::PacketLog::Source> sources = clouds.packets.messages(turn);
+    std::vector<std::string> messages;
+    for (const auto& source : sources) messages.push_back(bag_.read(source.place));
+    std::vector<std::vector<packets::PacketView>> packets;
+    Header header;
+    for (std::size_t m = 0; m < messages.size(); ++m)
+        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m], sources[m].log_ns, header));
+    const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
+    return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
+}
+
+CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
+    if (!clouds.packets.empty()) return {};
+    std::vector<folder::PointTable> samples;
+    std::vector<double> stamps_s;
+    const std::size_t n = std::min(kSampleClouds, clouds.clouds.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        const CloudEntry& entry = clouds.clouds[k * clouds.clouds.size() / n];
+        try {
+            samples.push_back(table_of(read_cloud(bag.topics()[clouds.topic], bag.read(entry.place))));
+        } catch (const DataError&) {
+            continue;  // told where the scan is read
+        }
+        stamps_s.push_back(1e-9 * double(entry.stamp_ns));
+    }
+    return find_units(samples, stamps_s, step_s);
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+// Clouds of a recording as scans of a log's frames.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "log/readers/bag/bag.hpp"
+#include "log/clouds/cloud_units.hpp"
+#include "log/readers/bag/survey.hpp"
+#include "log/clouds/folder_points.hpp"
+
+namespace relidar::bag {
+
+/// One cloud, and when its frame is.
+struct FrameCloud {
+    int number = 0;        ///< of the frame
+    double time_s = 0.0;   ///< of the frame
+    double cloud_s = 0.0;  ///< of the cloud, by the same clock
+    std::size_t lidar = 0;
+    CloudEntry entry;
+};
+
+/// The topic of a LiDAR.
+struct LidarTopic {
+    const CloudTopic* clouds = nullptr;
+    CloudUnits units;
+    SpinningSensor sensor = {};  ///< of packets
+};
+
+/// world_from_lidar at a time of the log.
+using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
+
+class BagScans : public folder::ScanSource {
+public:
+    /// @param clouds  [frames]
+    /// @param deskewed_by  poses that moved points to the time of their cloud: undone
+    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds, Clock clock,
+             LidarPose deskewed_by = {})
+        : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
+
+    std::string name(std::size_t frame) const override;
+    bool has_points(std::size_t frame) const override { return lidars_[clouds_[frame].lidar].clouds->packets.empty(); }
+    ScanPoints points(std::size_t frame) const override;
+    Scan rays(std::size_t frame) const override;
+
+private:
+    const Bag& bag_;
+    const std::vector<LidarTopic>& lidars_;
+    const std::vector<FrameCloud>& clouds_;
+    const Clock clock_;
+    const LidarPose deskewed_by_;
+
+    ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
+};
+
+/// What numbers of a topic's points mean, by some of its clouds. @param step_s  from cloud to cloud
+CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
+
+}  // namespace relidar::bag

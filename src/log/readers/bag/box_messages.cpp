@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+// Boxes of vision_msgs/Detection3DArray and of Autoware's TrackedObjects. Recordings of SQLite and MCAP do not always hold definitions, so
+// which of the versions of vision_msgs a message is of is found by which of them ends where it ends.
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "log/readers/bag/message_reader.hpp"
+#include "log/readers/bag/messages.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // numbers
+constexpr std::size_t kPadding = 3;                                // bytes that CDR may have behind its last field
+
+void pass_numbers(MessageReader& reader, std::size_t n) {
+    for (std::size_t i = 0; i < n; ++i) reader.number<double>();
+}
+
+glm::dvec3 read_vector(MessageReader& reader) {
+    glm::dvec3 v;
+    for (int a = 0; a < 3; ++a) v[a] = reader.number<double>();
+    return v;
+}
+
+/// What a message says of a box, before it is known to be one.
+struct Draft {
+    Header header;
+    std::string id, category;
+    PoseNumbers pose{};
+    glm::dvec3 size_m{0.0};
+};
+
+void add_box(BoxList& list, const Draft& draft) {
+    const glm::dvec3& s = draft.size_m;
+    const bool has_size = std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0;
+    try {
+        if (has_size)
+            list.boxes.push_back({draft.header, draft.id, draft.category, s, pose_of(draft.pose)});
+        else
+            ++list.n_left_out;
+    } catch (const DataError&) {
+        ++list.n_left_out;
+    }
+}
+
+/// How versions of vision_msgs lay a Detection3D out: header, results, box, and then.
+struct DetectionLayout {
+    bool has_text;      ///< classes are named by texts, not numbers
+    bool has_cloud;     ///< source_cloud
+    bool is_flagged;    ///< is_tracking
+    bool has_identity;  ///< id, before called tracking_id
+};
+constexpr DetectionLayout kDetectionLayouts[] = {
+    {true, false, false, true},   // 3 and 4 of ROS 2
+    {true, true, true, true},     // 2 of ROS 2
+    {true, true, false, false},   // 1 of ROS 2
+    {false, true, false, false},  // of ROS 1
+    {false, true, true, true},    // of ROS 1, later
+};
+
+/// The most likely class.
+std::string read_class(MessageReader& reader, const DetectionLayout& layout) {
+    constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
+    std::string best;
+    double best_score = -INFINITY;
+    const std::size_t n = reader.length(kLeastResult);
+    for (std::size_t i = 0; i < n; ++i) {
+        const std::string name = layout.has_text ? std::string(reader.text()) : fmt::format("class {}", reader.number<std::int64_t>());
+        const auto score = reader.number<double>();
+        pass_numbers(reader, std::tuple_size_v<PoseNumbers> + kCovariance);
+        if (best.empty() || score > best_score) best = name, best_score = score;
+    }
+    return best;
+}
+
+BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
+    constexpr std::size_t kLeastDetection = 8 * 10;
+    BoxList list{read_header(reader), {}, 0};
+    const std::size_t n = reader.length(kLeastDetection);
+    for (std::size_t i = 0; i < n; ++i) {
+        Draft box{read_header(reader), {}, read_class(reader, layout), read_pose_numbers(reader), read_vector(reader)};
+        if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();  // is_dense
+        if (layout.is_flagged) reader.number<std::uint8_t>();
+        if (layout.has_identity) box.id = reader.text();
+        if (box.header.frame.empty()) box.header = list.header;
+        if (box.header.stamp_ns == 0) box.header.stamp_ns = list.header.stamp_ns;
+        add_box(list, box);
+    }
+    if (reader.left() > (reader.is_ros1() ? 0 : kPadding))
+        throw DataError(fmt::format("{} bytes behind the last of {} boxes, expected none", reader.left(), n));
+    return list;
+}
+
+BoxList read_detections(const MessageReader& reader) {
+    std::string why;
+    for (const DetectionLayout& layout : kDetectionLayouts) {
+        try {
+            return read_detections(reader, layout);
+        } catch (const DataError& error) {
+            if (why.empty()) why = error.what();
+        }
+    }
+    throw DataError(fmt::format("no version of vision_msgs/Detection3DArray; as the newest: {}", why));
+}
+
+/// Of ObjectClassification, by their numbers.
+constexpr const char* kLabels[] = {"unknown", "car", "truck", "bus", "trailer", "motorcycle", "bicycle", "pedestrian", "animal"};
+
+std::string read_label(MessageReader& reader) {
+    std::uint8_t best = 0;
+    float best_probability = -1.0f;
+    const std::size_t n = reader.length(5);
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto label = reader.number<std::uint8_t>();
+        const auto probability = reader.number<float>();
+        if (probability > best_probability) best = label, best_probability = probability;
+    }
+    return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
+}
+
+/// As the number is usually written; empty where it is 0.
+std::string read_uuid(MessageReader& reader) {
+    constexpr std::size_t kBytes = 16;
+    const std::string_view bytes = reader.take(kBytes);
+    std::string text;
+    for (std::size_t i = 0; i < kBytes; ++i) {
+        if (i == 4 || i == 6 || i == 8 || i == 10) text += '-';
+        text += fmt::format("{:02x}", static_cast<unsigned char>(bytes[i]));
+    }
+    return std::ranges::all_of(bytes, [](char c) { return c == '\0'; }) ? "" : text;
+}
+
+/// The box about a shape: a polygon has a footprint about the pose in the place of length and width.
+void read_shape(MessageReader& reader, Draft& box) {
+    constexpr std::uint8_t kPolygon = 2;
+    const auto type = reader.number<std::uint8_t>();
+    glm::dvec2 least(INFINITY), most(-INFINITY);
+    const std::size_t n = reader.length(12);
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto x = reader.number<float>(), y = reader.number<float>();
+        reader.number<float>();
+        least = glm::min(least, glm::dvec2(x, y));
+        most = glm::max(most, glm::dvec2(x, y));
+    }
+    box.size_m = read_vector(reader);
+    if (type != kPolygon || n == 0) return;
+    const glm::dvec2 middle = 0.5 * (least + most);
+    const glm::dquat q(box.pose[6], box.pose[3], box.pose[4], box.pose[5]);
+    const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);
+    for (int a = 0; a < 3; ++a) box.pose[std::size_t(a)] += shift[a];
+    box.size_m = {most - least, box.size_m.z};
+}
+
+/// @param is_auto  of autoware_auto_perception_msgs, which has what is known of the heading before the speed
+BoxList read_objects(MessageReader& reader, bool is_auto) {
+    constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
+    BoxList list{read_header(reader), {}, 0};
+    const std::size_t n = reader.length(kLeastObject);
+    for (std::size_t i = 0; i < n; ++i) {
+        Draft box{list.header, read_uuid(reader), {}, {}, {}};
+        reader.number<float>();  // how likely it is there
+        box.category = read_label(reader);
+        box.pose = read_pose_numbers(reader);
+        pass_numbers(reader, kCovariance);
+        if (is_auto) reader.number<std::uint8_t>();
+        pass_numbers(reader, 2 * kTwist);  // speed, acceleration
+        if (!is_auto) reader.number<std::uint8_t>();
+        reader.number<std::uint8_t>();  // whether it stands
+        read_shape(reader, box);
+        add_box(list, box);
+    }
+    return list;
+}
+
+}  // namespace
+
+BoxList read_boxes(const Topic& topic, std::string_view bytes) {
+    if (topic.encoding == "protobuf") return read_foxglove_boxes(bytes);
+    MessageReader reader(bytes, topic.encoding == "ros1");
+    if (topic.type == "vision_msgs/Detection3DArray") return read_detections(reader);
+    return read_objects(reader, topic.type.starts_with("autoware_auto"));
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points of a cloud, whatever the order, types, padding and endianness of its fields.
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "log/readers/bag/messages.hpp"
+
+namespace relidar::bag {
+namespace {
+
+/// Known fields by their places, and what lies between them as fields that nobody reads.
+std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
+    std::vector<folder::PointField> layout;
+    std::size_t at = 0;
+    const auto skip_to = [&](std::size_t offset) {
+        if (offset > at) layout.push_back({"_", 'U', 1, offset - at});
+        at = offset;
+    };
+    for (const Cloud::Field& field : known) {
+        if (field.offset < at)
+            throw DataError(fmt::format("the field '{}' at byte {} of a point, where another one lies, expected {} or more",
+                                        excerpt(field.name), field.offset, at));
+        skip_to(field.offset);
+        layout.push_back({field.name, field.kind, field.size, field.count});
+        at += field.size * field.count;
+    }
+    skip_to(cloud.point_step);
+    return layout;
+}
+
+/// All points without anything between rows, in the order of this machine's bytes.
+std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
+    const std::size_t row = cloud.width * cloud.point_step;
+    std::string points;
+    points.reserve(cloud.height * row);
+    for (std::size_t r = 0; r < cloud.height; ++r) points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
+    points.resize(cloud.height * row, '\0');  // the last one may end with its last field
+    if (!cloud.is_big_endian) return points;
+    for (std::size_t i = 0; i < cloud.size(); ++i)
+        for (const Cloud::Field& field : known)
+            std::reverse(points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset),
+                         points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset + field.size));
+    return points;
+}
+
+}  // namespace
+
+folder::PointTable table_of(const Cloud& cloud) {
+    if (cloud.size() == 0) throw DataError("a cloud without points, expected some");
+    std::vector<Cloud::Field> known;
+    std::ranges::copy_if(cloud.fields, std::back_inserter(known), [](const Cloud::Field& f) { return folder::is_point_field(f.name); });
+    std::ranges::sort(known, {}, &Cloud::Field::offset);
+    const std::size_t n_bytes = cloud.size() * cloud.point_step;
+    const bool is_packed =
+        !cloud.is_big_endian && cloud.data.size() >= n_bytes && (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
+    const std::vector<folder::PointField> layout = layout_of(cloud, known);
+    const std::string copy = is_packed ? std::string() : packed_points(cloud, known);
+    return folder::read_packed(is_packed ? cloud.data.substr(0, n_bytes) : std::string_view(copy), layout, cloud.size(),
+                               folder::Packing::by_point, "points");
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,273 @@
+// SPDX-License-Identifier: Apache-2.0
+// Clouds, transforms and boxes by Foxglove's schemas in protobuf, as `relidar render --format mcap` writes them.
+#include <cmath>
+
+#include <fmt/format.h>
+#include <protozero/pbf_reader.hpp>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "log/readers/bag/messages.hpp"
+
+namespace relidar::bag {
+namespace {
+
+using protozero::pbf_reader;
+using protozero::pbf_wire_type;
+using protozero::tag_and_type;
+
+constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32, kVarint = pbf_wire_type::varint;
+
+std::string_view view_of(const protozero::data_view& view) {
+    return {view.data(), view.size()};
+}
+
+/// x y z w, those that are not there 0.
+glm::dvec4 vector_of(pbf_reader reader) {
+    glm::dvec4 v(0.0);
+    while (reader.next()) {
+        const int at = int(reader.tag()) - 1;  // reading a value forgets its tag
+        if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64)
+            v[at] = reader.get_double();
+        else
+            reader.skip();
+    }
+    return v;
+}
+
+std::int64_t timestamp_of(pbf_reader reader) {
+    std::int64_t seconds = 0, nanoseconds = 0;
+    while (reader.next()) {
+        if (reader.tag_and_type() == tag_and_type(1, kVarint))
+            seconds = reader.get_int64();
+        else if (reader.tag_and_type() == tag_and_type(2, kVarint))
+            nanoseconds = reader.get_int32();
+        else
+            reader.skip();
+    }
+    constexpr std::int64_t kLatest_s = 4294967295;  // as ROS has them
+    if (seconds < 0 || seconds > kLatest_s) throw DataError(fmt::format("a time of {} s, expected 0 to {}", seconds, kLatest_s));
+    return seconds * 1000000000 + nanoseconds;
+}
+
+Pose checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
+    const glm::dquat q(rotation.w, rotation.x, rotation.y, rotation.z);
+    const glm::dvec3 t(position);
+    if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
+        throw DataError(fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1", t.x, t.y, t.z,
+                                    glm::length(q)));
+    return {glm::normalize(q), t};
+}
+
+Cloud::Field element_field(pbf_reader reader) {
+    struct Type {
+        char kind;
+        std::size_t size;
+    };
+    static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2}, {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};  // from 1
+    Cloud::Field field;
+    std::int32_t type = 0;
+    while (reader.next()) {
+        if (reader.tag_and_type() == tag_and_type(1, kBytes))
+            field.name = reader.get_string();
+        else if (reader.tag_and_type() == tag_and_type(2, kFixed32))
+            field.offset = reader.get_fixed32();
+        else if (reader.tag_and_type() == tag_and_type(3, kVarint))
+            type = reader.get_enum();
+        else
+            reader.skip();
+    }
+    if (type < 1 || type > 8) throw DataError(fmt::format("the field '{}' of type {}, expected 1 to 8", excerpt(field.name), type));
+    field.kind = kTypes[type - 1].kind;
+    field.size = kTypes[type - 1].size;
+    return field;
+}
+
+/// A pose of its own would have to be undone.
+void check_identity(pbf_reader reader) {
+    while (reader.next()) {
+        if (reader.tag() > 2 || reader.wire_type() != kBytes) {
+            reader.skip();
+            continue;
+        }
+        const bool turns = reader.tag() == 2;
+        const glm::dvec4 v = vector_of(reader.get_message());
+        if (!(glm::length(glm::dvec3(v)) <= 1e-9))
+            throw DataError(fmt::format("a cloud that is {} by a pose of its own, expected points in the frame that it names",
+                                        turns ? "turned" : "moved"));
+    }
+}
+
+Cloud cloud_of(std::string_view bytes) {
+    Cloud cloud;
+    pbf_reader reader(bytes.data(), bytes.size());
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
+            case tag_and_type(1, kBytes):
+                cloud.header.stamp_ns = timestamp_of(reader.get_message());
+                break;
+            case tag_and_type(2, kBytes):
+                cloud.header.frame = reader.get_string();
+                break;
+            case tag_and_type(3, kBytes):
+                check_identity(reader.get_message());
+                break;
+            case tag_and_type(4, kFixed32):
+                cloud.point_step = reader.get_fixed32();
+                break;
+            case tag_and_type(5, kBytes):
+                cloud.fields.push_back(element_field(reader.get_message()));
+                break;
+            case tag_and_type(6, kBytes):
+                cloud.data = view_of(reader.get_view());
+                break;
+            default:
+                reader.skip();
+        }
+    }
+    cloud.height = 1;
+    cloud.width = cloud.point_step == 0 ? 0 : std::uint32_t(cloud.data.size() / cloud.point_step);
+    cloud.row_step = cloud.width * cloud.point_step;
+    return cloud;
+}
+
+Transform transform_of(pbf_reader reader) {
+    Transform transform;
+    glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
+            case tag_and_type(1, kBytes):
+                transform.header.stamp_ns = timestamp_of(reader.get_message());
+                break;
+            case tag_and_type(2, kBytes):
+                transform.header.frame = reader.get_string();
+                break;
+            case tag_and_type(3, kBytes):
+                transform.child = reader.get_string();
+                break;
+            case tag_and_type(4, kBytes):
+                translation = vector_of(reader.get_message());
+                break;
+            case tag_and_type(5, kBytes):
+                rotation = vector_of(reader.get_message());
+                break;
+            default:
+                reader.skip();
+        }
+    }
+    transform.parent_from_child = checked_pose(translation, rotation);
+    return transform;
+}
+
+/// Pose and size of a foxglove.CubePrimitive.
+struct Cube {
+    glm::dvec4 position{0.0}, rotation{0.0, 0.0, 0.0, 1.0};
+    glm::dvec3 size_m{0.0};
+};
+
+Cube cube_of(pbf_reader reader) {
+    Cube cube;
+    while (reader.next()) {
+        if (reader.tag_and_type() == tag_and_type(1, kBytes)) {
+            pbf_reader pose = reader.get_message();
+            while (pose.next()) {
+                if (pose.tag_and_type() == tag_and_type(1, kBytes))
+                    cube.position = vector_of(pose.get_message());
+                else if (pose.tag_and_type() == tag_and_type(2, kBytes))
+                    cube.rotation = vector_of(pose.get_message());
+                else
+                    pose.skip();
+            }
+        } else if (reader.tag_and_type() == tag_and_type(2, kBytes)) {
+            cube.size_m = vector_of(reader.get_message());
+        } else {
+            reader.skip();
+        }
+    }
+    return cube;
+}
+
+/// The value of a foxglove.KeyValuePair of this key.
+std::string value_of(pbf_reader reader, std::string_view wanted) {
+    std::string key, value;
+    while (reader.next()) {
+        if (reader.tag_and_type() == tag_and_type(1, kBytes))
+            key = reader.get_string();
+        else if (reader.tag_and_type() == tag_and_type(2, kBytes))
+            value = reader.get_string();
+        else
+            reader.skip();
+    }
+    return key == wanted ? value : "";
+}
+
+/// An entity is a box where it is one cube.
+void add_entity(BoxList& list, pbf_reader reader) {
+    Box box;
+    std::vector<Cube> cubes;
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
+            case tag_and_type(1, kBytes):
+                box.header.stamp_ns = timestamp_of(reader.get_message());
+                break;
+            case tag_and_type(2, kBytes):
+                box.header.frame = reader.get_string();
+                break;
+            case tag_and_type(3, kBytes):
+                box.id = reader.get_string();
+                break;
+            case tag_and_type(6, kBytes):
+                if (const std::string category = value_of(reader.get_message(), "category"); !category.empty()) box.category = category;
+                break;
+            case tag_and_type(8, kBytes):
+                cubes.push_back(cube_of(reader.get_message()));
+                break;
+            default:
+                reader.skip();
+        }
+    }
+    if (list.header.frame.empty()) list.header = box.header;
+    if (cubes.empty()) return;
+    const glm::dvec3& size = cubes.front().size_m;
+    const bool is_box = cubes.size() == 1 && std::isfinite(size.x + size.y + size.z) && size.x > 0.0 && size.y > 0.0 && size.z > 0.0;
+    list.n_left_out += !is_box;
+    if (!is_box) return;
+    box.size_m = size;
+    box.frame_from_box = checked_pose(cubes.front().position, cubes.front().rotation);
+    list.boxes.push_back(std::move(box));
+}
+
+}  // namespace
+
+BoxList read_foxglove_boxes(std::string_view bytes) {
+    try {
+        BoxList list;
+        pbf_reader reader(bytes.data(), bytes.size());
+        while (reader.next(2, protozero::pbf_wire_type::length_delimited)) add_entity(list, reader.get_message());
+        return list;
+    } catch (const protozero::exception& error) {
+        throw DataError(fmt::format("{}, expected foxglove.SceneUpdate in protobuf", error.what()));
+    }
+}
+
+Cloud read_foxglove_cloud(std::string_view bytes) {
+    try {
+        return cloud_of(bytes);
+    } catch (const protozero::exception& error) {
+        throw DataError(fmt::format("{}, expected foxglove.PointCloud in protobuf", error.what()));
+    }
+}
+
+std::vector<Transform> read_foxglove_transforms(std::string_view bytes) {
+    try {
+        std::vector<Transform> transforms;
+        pbf_reader reader(bytes.data(), bytes.size());
+        while (reader.next(1, protozero::pbf_wire_type::length_delimited)) transforms.push_back(transform_of(reader.get_message()));
+        return transforms;
+    } catch (const protozero::exception& error) {
+        throw DataError(fmt::format("{}, expected foxglove.FrameTransforms in protobuf", error.what()));
+    }
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/frame_tree.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace relidar::bag {
+namespace {
+
+constexpr double kBeside_s = 0.1;     // of a time before the first and after the last pose: about a sweep
+constexpr std::size_t kDeepest = 64;  // frames above each other
+
+/// By more than numbers are rounded.
+bool differ(const Pose& a, const Pose& b) {
+    return glm::distance(a.translation, b.translation) > 1e-6 || std::abs(glm::dot(a.rotation, b.rotation)) < 1.0 - 1e-12;
+}
+
+}  // namespace
+
+void PosePath::add(const std::vector<PoseSample>& samples, Clock clock, std::int64_t zero_ns) {
+    std::vector<const PoseSample*> sorted;
+    for (const PoseSample& sample : samples) sorted.push_back(&sample);
+    std::ranges::stable_sort(sorted, {}, [&](const PoseSample* sample) { return sample->time_ns(clock); });
+    PoseTrack track;
+    std::int64_t last_ns = 0;
+    for (const PoseSample* sample : sorted) {
+        const std::int64_t time_ns = sample->time_ns(clock);
+        if (!track.time_s.empty() && time_ns == last_ns) continue;
+        last_ns = time_ns;
+        track.time_s.push_back(1e-9 * double(time_ns - zero_ns));
+        track.pose.push_back(sample->pose);
+    }
+    links_.push_back(std::move(track));
+}
+
+Pose PosePath::at(double t_s) const {
+    Pose pose;
+    for (const PoseTrack& link : links_) pose = pose * (link.pose.size() == 1 ? link.pose[0] : link.at(t_s));
+    return pose;
+}
+
+bool PosePath::covers(double t_s) const {
+    return std::ranges::all_of(links_, [&](const PoseTrack& link) {
+        return link.pose.size() == 1 || (t_s >= link.time_s.front() - kBeside_s && t_s <= link.time_s.back() + kBeside_s);
+    });
+}
+
+bool PosePath::moves() const {
+    return std::ranges::any_of(links_, [](const PoseTrack& link) { return link.pose.size() > 1; });
+}
+
+void FrameTree::add(const Transform& transform, std::int64_t log_ns, bool is_static) {
+    if (transform.child.empty() || transform.child == transform.header.frame) return;
+    Link& link = parents_[transform.child][transform.header.frame];
+    link.is_static = is_static;
+    if (is_static) link.samples.clear();  // the latest holds
+    if (!link.samples.empty()) link.changes = link.changes || differ(link.samples.front().pose, transform.parent_from_child);
+    link.samples.push_back({transform.header.stamp_ns, log_ns, transform.parent_from_child});
+}
+
+const std::pair<const std::string, FrameTree::Link>* FrameTree::link(const std::string& frame) const {
+    const auto known = parents_.find(frame);
+    if (known == parents_.end()) return nullptr;
+    return &*std::ranges::max_element(known->second, {}, [](const auto& parent) { return parent.second.samples.size(); });
+}
+
+std::vector<std::string> FrameTree::way_up(const std::string& frame) const {
+    std::vector<std::string> way{frame};
+    while (way.size() < kDeepest) {
+        const auto* up = link(way.back());
+        if (!up || std::ranges::find(way, up->first) != way.end()) break;
+        way.push_back(up->first);
+    }
+    return way;
+}
+
+bool FrameTree::moves(const std::string& frame) const {
+    const auto* up = link(frame);
+    return up && !up->second.is_static && up->second.changes;
+}
+
+std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& from) const {
+    const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
+    const auto common = std::ranges::find_first_of(way_from, way_to);
+    if (common == way_from.end()) return std::nullopt;
+    const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {  // common_from_frame
+        Pose pose;
+        for (const std::string& frame : way) {
+            if (frame == *common) return pose;
+            if (moves(frame)) return std::nullopt;
+            pose = link(frame)->second.samples.back().pose * pose;
+        }
+        return std::nullopt;
+    };
+    const std::optional<Pose> of_to = climb(way_to), of_from = climb(way_from);
+    if (!of_to || !of_from) return std::nullopt;
+    return inverse(*of_to) * *of_from;
+}
+
+PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clock clock, std::int64_t zero_ns) const {
+    const std::vector<std::string> way = way_up(frame);
+    PosePath path;
+    for (std::size_t k = std::size_t(std::ranges::find(way, outer) - way.begin()); k-- > 0;) {
+        const Link& up = link(way[k])->second;
+        if (moves(way[k]))
+            path.add(up.samples, clock, zero_ns);
+        else
+            path.add(up.samples.back().pose);
+    }
+    return path;
+}
+
+std::optional<FramesApart> FrameTree::apart(const std::string& to, const std::string& from, Clock clock, std::int64_t zero_ns) const {
+    const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
+    const auto common = std::ranges::find_first_of(way_from, way_to);
+    if (common == way_from.end()) return std::nullopt;
+    return FramesApart{path(*common, to, clock, zero_ns), path(*common, from, clock, zero_ns)};
+}
+
+std::vector<std::string> FrameTree::disputed() const {
+    std::vector<std::string> names;
+    for (const auto& [frame, parents] : parents_)
+        if (parents.size() > 1) names.push_back(frame);
+    return names;
+}
+
+}  // namespace relidar::bag

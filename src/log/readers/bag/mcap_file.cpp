@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+// MCAP (mcap.dev/spec): records of a code, 8 bytes of length, and a body. They are read from the first to the last, so that neither an
+// index nor a summary is needed, nor an end.
+#include <algorithm>
+#include <array>
+#include <map>
+#include <set>
+
+#include <fmt/format.h>
+#include <zlib.h>
+
+#include "log/readers/bag/bag.hpp"
+#include "base/codecs/byte_reader.hpp"
+#include "log/readers/bag/part_file.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
+constexpr std::size_t kRecordHead = 9;  // code, length
+enum McapCode : std::uint8_t {
+    kMcapFooter = 2,
+    kMcapSchema = 3,
+    kMcapChannel = 4,
+    kMcapMessage = 5,
+    kMcapChunk = 6,
+    kMcapMetadata = 12,
+    kMcapDataEnd = 15
+};
+
+struct McapRecord {
+    std::uint8_t code;
+    std::string_view body;
+};
+
+McapRecord next_record(ByteReader& reader) {
+    const auto code = reader.number<std::uint8_t>();
+    return {code, reader.take(reader.number<std::uint64_t>())};
+}
+
+struct McapMessage {
+    std::uint16_t channel;
+    std::int64_t log_ns;
+    std::string_view bytes;
+};
+
+McapMessage message_of(std::string_view body) {
+    ByteReader reader(body);
+    const auto channel = reader.number<std::uint16_t>();
+    reader.number<std::uint32_t>();  // in the channel's order
+    const auto log_ns = reader.number<std::uint64_t>();
+    reader.number<std::uint64_t>();  // published
+    return {channel, std::int64_t(log_ns), reader.rest()};
+}
+
+std::string records_of_chunk(std::string_view body) {
+    ByteReader reader(body);
+    reader.take(16);  // first and last time
+    const auto n = reader.number<std::uint64_t>();
+    const auto sum = reader.number<std::uint32_t>();
+    const std::string_view compression = reader.sized();
+    std::string records = unpack_chunk(compression, reader.take(reader.number<std::uint64_t>()), n);
+    if (sum != 0 && crc32_z(0, reinterpret_cast<const Bytef*>(records.data()), records.size()) != sum)
+        throw DataError("its bytes do not have the checksum that it gives");
+    return records;
+}
+
+class McapFile : public BagFile {
+public:
+    McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
+        if (file_.size() < kMcapMagic.size() || file_.part(0, kMcapMagic.size()) != kMcapMagic)
+            throw DataError(fmt::format("{}: it does not begin as MCAP does", file_.name()));
+    }
+
+    void each(TopicTable& topics, const Pass& pass) override {
+        schemas_.clear(), channels_.clear();
+        points_in_.clear();
+        std::uint64_t at = kMcapMagic.size();
+        for (;;) {
+            if (file_.size() - at < kRecordHead) break;
+            const std::string head = file_.part(at, kRecordHead);
+            ByteReader reader(head);
+            const auto code = reader.number<std::uint8_t>();
+            const auto length = reader.number<std::uint64_t>();
+            if (code == kMcapDataEnd || code == kMcapFooter) return;
+            if (length > file_.size() - at - kRecordHead) break;
+            pass.done(double(at) / double(file_.size()));
+            try {
+                read_record(code, at, length, topics, pass);
+            } catch (const DataError& error) {
+                const std::string text = fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
+                if (!skip_broken_) throw DataError(text + "; dataset.skip_broken=true leaves it out");
+                pass.note("left out: " + text);
+            }
+            at += kRecordHead + length;
+        }
+        pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing", file_.name(), at, file_.size()));
+    }
+
+    std::string read(const Place& place) const override {
+        if (place.in_chunk == Place::kNoChunk) return std::string(message_of(body_at(place.at)).bytes);
+        const auto records = chunks_.get(place.at, [&] { return records_of_chunk(body_at(place.at)); });
+        ByteReader reader(std::string_view(*records).substr(std::size_t(place.in_chunk)));
+        return std::string(message_of(next_record(reader).body).bytes);
+    }
+
+    std::string points_in() const override { return points_in_; }
+
+private:
+    PartFile file_;
+    const bool skip_broken_;
+    std::string points_in_;
+    ChunkCache chunks_;
+    struct Schema {
+        std::string name, encoding;
+    };
+    std::map<std::uint16_t, Schema> schemas_;
+    std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each
+
+    std::string body_at(std::uint64_t at) const {
+        const std::string head = file_.part(at, kRecordHead);
+        return file_.part(at + kRecordHead, ByteReader(std::string_view(head).substr(1)).number<std::uint64_t>());
+    }
+
+    void read_record(std::uint8_t code, std::uint64_t at, std::uint64_t length, TopicTable& topics, const Pass& pass) {
+        constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
+        if (std::ranges::find(kRead, code) == kRead.end()) return;
+        std::string body = file_.part(at + kRecordHead, length);
+        if (code != kMcapChunk) return take({code, body}, {at, Place::kNoChunk}, topics, pass);
+        const std::string records = records_of_chunk(body);
+        body = {};
+        ByteReader reader(records);
+        while (reader.left() > 0) {
+            const std::uint64_t in_chunk = reader.at();
+            take(next_record(reader), {at, in_chunk}, topics, pass);
+        }
+    }
+
+    /// Metadata that relidar writes.
+    void read_metadata(ByteReader reader) {
+        if (reader.sized() != "relidar") return;
+        for (ByteReader pairs(reader.sized()); pairs.left() > 0;) {
+            const std::string_view key = pairs.sized(), value = pairs.sized();
+            if (key == "points_in") points_in_ = value;
+        }
+    }
+
+    void take(const McapRecord& record, const Place& place, TopicTable& topics, const Pass& pass) {
+        ByteReader reader(record.body);
+        if (record.code == kMcapSchema) {
+            const auto id = reader.number<std::uint16_t>();
+            const std::string name(reader.sized());
+            schemas_[id] = {name, std::string(reader.sized())};
+        } else if (record.code == kMcapChannel) {
+            const auto id = reader.number<std::uint16_t>(), schema = reader.number<std::uint16_t>();
+            const std::string name(reader.sized()), encoding(reader.sized());
+            const auto known = schemas_.find(schema);
+            channels_[id] = topics.number_of({name, known == schemas_.end() ? "" : known->second.name, encoding});
+        } else if (record.code == kMcapMetadata) {
+            read_metadata(reader);
+        } else if (record.code == kMcapMessage) {
+            const McapMessage message = message_of(record.body);
+            const auto channel = channels_.find(message.channel);
+            if (channel == channels_.end())
+                throw DataError(fmt::format("a message of channel {}, which no record before it describes", message.channel));
+            const bool wanted = pass.wanted(topics.topics()[channel->second]);
+            pass.take({channel->second, message.log_ns, wanted ? message.bytes : std::string_view(), place});
+        }
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken) {
+    return std::make_unique<McapFile>(file, skip_broken);
+}
+
+}  // namespace relidar::bag

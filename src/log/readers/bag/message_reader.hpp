@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fields of a ROS message, one after the other: CDR as ROS 2 serialises (either endianness, XCDR1 and plain XCDR2), or the packed
+// little-endian numbers of ROS 1.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <cstring>
+#include <string>
+#include <string_view>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar::bag {
+
+class MessageReader {
+public:
+    /// @throws DataError where the first bytes are not those of CDR
+    MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
+        if (is_ros1) return;
+        constexpr std::size_t kHead = 4;
+        if (bytes.size() < kHead) throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
+        const auto kind = static_cast<unsigned char>(bytes[1]);  // 0, 1: XCDR1; 6, 7: XCDR2; odd ones little-endian
+        if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
+            throw DataError(fmt::format("the head {:02x} {:02x}, expected CDR: 00 00, 00 01, 00 06 or 00 07",
+                                        static_cast<unsigned char>(bytes[0]), kind));
+        swapped_ = kind % 2 == 0;
+        widest_ = kind >= 6 ? 4 : 8;
+        bytes_ = bytes.substr(kHead);
+    }
+
+    bool is_ros1() const { return is_ros1_; }
+    bool is_swapped() const { return swapped_; }
+
+    template <class T>
+    T number() {
+        if (!is_ros1_) align(std::min(sizeof(T), widest_));
+        char raw[sizeof(T)];
+        std::memcpy(raw, take(sizeof(T)).data(), sizeof(T));
+        if (swapped_) std::reverse(raw, raw + sizeof(T));
+        T value;
+        std::memcpy(&value, raw, sizeof(T));
+        return value;
+    }
+    /// Without the 0 at its end that CDR counts.
+    std::string_view text() {
+        std::string_view text = take(number<std::uint32_t>());
+        if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
+        return text;
+    }
+    /// Number of entries of a list. @param least  bytes that an entry takes at least, so that no list is longer than its message
+    std::size_t length(std::size_t least) {
+        const auto n = number<std::uint32_t>();
+        if (n > (bytes_.size() - at_) / least)
+            throw DataError(fmt::format("a list of {} entries in {} bytes, expected at most {}", n, bytes_.size() - at_,
+                                        (bytes_.size() - at_) / least));
+        return n;
+    }
+    std::string_view take(std::size_t n) {
+        if (n > bytes_.size() - at_) throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
+        at_ += n;
+        return bytes_.substr(at_ - n, n);
+    }
+    std::size_t at() const { return at_; }
+    std::size_t left() const { return bytes_.size() - at_; }
+
+private:
+    std::string_view bytes_;
+    std::size_t at_ = 0, widest_ = 8;
+    bool is_ros1_ = false, swapped_ = false;
+
+    void align(std::size_t n) {
+        const std::size_t beyond = at_ % n;
+        if (beyond != 0) take(n - beyond);
+    }
+};
+
+}  // namespace relidar::bag

@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+// ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0): records of a header, which names its values, and data, each behind 4 bytes of
+// length. They are read from the first to the last, so that a bag without an index is one too.
+#include <map>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include "base/files.hpp"
+#include "log/readers/bag/bag.hpp"
+#include "base/codecs/byte_reader.hpp"
+#include "log/readers/bag/part_file.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::string_view kRos1Magic = "#ROSBAG V2.0\n";
+constexpr std::uint32_t kLongestHeader = 1 << 20;
+enum Ros1Op : std::uint8_t { kRos1Message = 2, kRos1Chunk = 5, kRos1Connection = 7 };
+
+/// Values of a record's header by name.
+class Ros1Header {
+public:
+    explicit Ros1Header(std::string_view bytes) {
+        ByteReader reader(bytes);
+        while (reader.left() > 0) {
+            const std::string_view field = reader.sized();
+            const std::size_t equals = field.find('=');
+            if (equals == std::string_view::npos) throw DataError(fmt::format("the field '{}', expected name=value", excerpt(field)));
+            values_[field.substr(0, equals)] = field.substr(equals + 1);
+        }
+    }
+    std::string_view text(std::string_view name) const {
+        const auto at = values_.find(name);
+        if (at == values_.end()) throw DataError(fmt::format("a header without '{}', expected it", name));
+        return at->second;
+    }
+    template <class T>
+    T number(std::string_view name) const {
+        return ByteReader(text(name)).number<T>();
+    }
+
+private:
+    std::map<std::string_view, std::string_view> values_;
+};
+
+struct Ros1Record {
+    std::string_view header, data;
+};
+
+Ros1Record next_ros1_record(ByteReader& reader) {
+    const std::string_view header = reader.sized();
+    return {header, reader.sized()};
+}
+
+class Ros1File : public BagFile {
+public:
+    Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
+        if (file_.size() < kRos1Magic.size() || file_.part(0, kRos1Magic.size()) != kRos1Magic)
+            throw DataError(fmt::format("{}: it does not begin as a ROS 1 bag of format 2.0 does", file_.name()));
+    }
+
+    void each(TopicTable& topics, const Pass& pass) override {
+        connections_.clear();
+        std::uint64_t at = kRos1Magic.size();
+        while (at < file_.size()) {
+            const std::optional<Extent> record = extent_at(at);
+            if (!record) {
+                pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing", file_.name(), at, file_.size()));
+                return;
+            }
+            pass.done(double(at) / double(file_.size()));
+            try {
+                read_record(at, *record, topics, pass);
+            } catch (const DataError& error) {
+                const std::string text = fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
+                if (!skip_broken_) throw DataError(text + "; dataset.skip_broken=true leaves it out");
+                pass.note("left out: " + text);
+            }
+            at = record->data_at + record->data_bytes;
+        }
+    }
+
+    std::string read(const Place& place) const override {
+        if (place.in_chunk == Place::kNoChunk) {
+            const std::optional<Extent> record = extent_at(place.at);
+            if (!record) throw DataError(fmt::format("{}: the message at byte {} is cut off", file_.name(), place.at));
+            return file_.part(record->data_at, record->data_bytes);
+        }
+        const auto records = chunks_.get(place.at, [&] { return records_of(*extent_at(place.at)); });
+        ByteReader reader(std::string_view(*records).substr(std::size_t(place.in_chunk)));
+        return std::string(next_ros1_record(reader).data);
+    }
+
+private:
+    /// Where the parts of a record lie.
+    struct Extent {
+        std::string header;
+        std::uint64_t data_at = 0;
+        std::uint32_t data_bytes = 0;
+    };
+
+    PartFile file_;
+    const bool skip_broken_;
+    ChunkCache chunks_;
+    std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each
+
+    /// Nothing where the file ends within the record.
+    std::optional<Extent> extent_at(std::uint64_t at) const {
+        const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
+            if (place > file_.size() || file_.size() - place < 4) return std::nullopt;
+            const std::string bytes = file_.part(place, 4);
+            const auto n = ByteReader(bytes).number<std::uint32_t>();
+            return n > file_.size() - place - 4 ? std::nullopt : std::optional(n);
+        };
+        const auto header_bytes = length_at(at);
+        if (!header_bytes) return std::nullopt;
+        if (*header_bytes > kLongestHeader)
+            throw DataError(fmt::format("{}: the record at byte {}: a header of {} bytes, expected at most {}", file_.name(), at,
+                                        *header_bytes, kLongestHeader));
+        const std::uint64_t data = at + 4 + *header_bytes;
+        const auto data_bytes = length_at(data);
+        if (!data_bytes) return std::nullopt;
+        return Extent{file_.part(at + 4, *header_bytes), data + 4, *data_bytes};
+    }
+
+    std::string records_of(const Extent& chunk) const {
+        const Ros1Header header(chunk.header);
+        return unpack_chunk(header.text("compression"), file_.part(chunk.data_at, chunk.data_bytes), header.number<std::uint32_t>("size"));
+    }
+
+    void read_record(std::uint64_t at, const Extent& record, TopicTable& topics, const Pass& pass) {
+        const Ros1Header header(record.header);
+        const auto op = header.number<std::uint8_t>("op");
+        if (op == kRos1Chunk) {
+            const std::string records = records_of(record);
+            ByteReader reader(records);
+            while (reader.left() > 0) {
+                const std::uint64_t in_chunk = reader.at();
+                const Ros1Record part = next_ros1_record(reader);
+                take(Ros1Header(part.header), part.data, {at, in_chunk}, topics, pass);
+            }
+        } else if (op == kRos1Connection || op == kRos1Message) {
+            take(header, file_.part(record.data_at, record.data_bytes), {at, Place::kNoChunk}, topics, pass);
+        }
+    }
+
+    void take(const Ros1Header& header, std::string_view data, const Place& place, TopicTable& topics, const Pass& pass) {
+        const auto op = header.number<std::uint8_t>("op");
+        if (op != kRos1Connection && op != kRos1Message) return;
+        const auto id = header.number<std::uint32_t>("conn");
+        if (op == kRos1Connection) {
+            const Ros1Header about(data);
+            connections_[id] = topics.number_of({std::string(header.text("topic")), std::string(about.text("type")), "ros1"});
+            return;
+        }
+        const auto connection = connections_.find(id);
+        if (connection == connections_.end())
+            throw DataError(fmt::format("a message of connection {}, which no record before it describes", id));
+        ByteReader time(header.text("time"));
+        const auto seconds = time.number<std::uint32_t>(), nanoseconds = time.number<std::uint32_t>();
+        const bool wanted = pass.wanted(topics.topics()[connection->second]);
+        pass.take({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds, wanted ? data : std::string_view(), place});
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken) {
+    return std::make_unique<Ros1File>(file, skip_broken);
+}
+
+}  // namespace relidar::bag

@@ -1,0 +1,170 @@
+// SPDX-License-Identifier: Apache-2.0
+// rosbag2 in SQLite: a table of topics, and one of messages with the time they were recorded at and their bytes.
+#include <map>
+#include <memory>
+#include <mutex>
+
+#include <sqlite3.h>
+
+#include <fmt/format.h>
+#include <zstd.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/part_file.hpp"
+
+namespace relidar::bag {
+namespace {
+
+struct CloseDatabase {
+    void operator()(sqlite3* database) const { sqlite3_close(database); }
+};
+struct FinishStatement {
+    void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+};
+using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
+
+/// A path as SQLite takes it with options behind.
+std::string uri_of(const std::filesystem::path& path, const char* options) {
+    std::string uri = "file:";
+    for (const char c : std::filesystem::absolute(path).string()) {
+        if (c == '?' || c == '#' || c == '%')
+            uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
+        else
+            uri += c;
+    }
+    return uri + options;
+}
+
+std::string text_at(sqlite3_stmt* row, int column) {
+    const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(row, column));
+    return text ? std::string(text, std::size_t(sqlite3_column_bytes(row, column))) : std::string();
+}
+
+std::string_view bytes_at(sqlite3_stmt* row, int column) {
+    const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
+    return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(row, column))) : std::string_view();
+}
+
+class SqliteFile : public BagFile {
+public:
+    SqliteFile(const std::filesystem::path& path, bool packed) : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
+        std::error_code failed;
+        const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);  // its last messages are still in there
+        sqlite3* database = nullptr;
+        const int code = sqlite3_open_v2(uri_of(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(), &database,
+                                         SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
+        database_.reset(database);
+        if (code != SQLITE_OK) fail("opening it");
+        sqlite3_limit(database, SQLITE_LIMIT_LENGTH, int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));  // of a value
+        sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+        sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+        for (const char* table : {"topics", "messages"}) check_table(table);
+    }
+
+    void each(TopicTable& topics, const Pass& pass) override {
+        const std::lock_guard guard(lock_);
+        std::map<std::int64_t, std::size_t> topic_of;
+        const Statement topic_rows = prepared("SELECT id, name, type, serialization_format FROM topics");
+        while (step(topic_rows.get()))
+            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] =
+                topics.number_of({text_at(topic_rows.get(), 1), text_at(topic_rows.get(), 2), text_at(topic_rows.get(), 3)});
+        const std::int64_t last = last_row();
+        const Statement rows = prepared("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
+        while (step(rows.get(), pass)) {
+            const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
+            const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
+            if (topic == topic_of.end())
+                throw DataError(fmt::format("{}: row {} of its messages is of a topic that it does not list", name_, row));
+            pass.done(last > 0 ? double(row) / double(last) : 0.0);
+            Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
+            std::string unpacked;
+            if (pass.wanted(topics.topics()[topic->second])) {  // what is not asked for is not read from the disk
+                message.bytes = bytes_at(rows.get(), 3);
+                if (packed_) message.bytes = unpacked = unpacked_message(message.bytes, row);
+            }
+            pass.take(message);
+        }
+    }
+
+    std::string read(const Place& place) const override {
+        const std::lock_guard guard(lock_);
+        if (!one_) one_ = prepared("SELECT data FROM messages WHERE rowid = ?");
+        sqlite3_reset(one_.get());
+        sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
+        if (!step(one_.get())) throw DataError(fmt::format("{}: row {} of its messages is not there any more", name_, place.at));
+        const std::string_view bytes = bytes_at(one_.get(), 0);
+        return packed_ ? unpacked_message(bytes, std::int64_t(place.at)) : std::string(bytes);
+    }
+
+private:
+    const std::string name_;
+    const bool packed_;
+    const std::uint64_t bytes_;
+    std::unique_ptr<sqlite3, CloseDatabase> database_;
+    mutable std::mutex lock_;  ///< one thread at a time asks it
+    mutable Statement one_;
+
+    [[noreturn]] void fail(const char* doing) const {
+        throw DataError(fmt::format("{}: {}: {}, expected messages of rosbag2 in SQLite", name_, doing,
+                                    excerpt(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
+    }
+
+    Statement prepared(const std::string& text) const {
+        sqlite3_stmt* statement = nullptr;
+        if (sqlite3_prepare_v2(database_.get(), text.c_str(), -1, &statement, nullptr) != SQLITE_OK) fail("reading its tables");
+        return Statement(statement);
+    }
+
+    bool step(sqlite3_stmt* statement) const {
+        const int code = sqlite3_step(statement);
+        if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
+        return code == SQLITE_ROW;
+    }
+    /// A file that ends too early has its first messages all the same.
+    bool step(sqlite3_stmt* statement, const Pass& pass) const {
+        const int code = sqlite3_step(statement);
+        if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
+            if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
+            return code == SQLITE_ROW;
+        }
+        pass.note(
+            fmt::format("{}: damaged or cut off ({}): messages behind that place are missing", name_, sqlite3_errmsg(database_.get())));
+        return false;
+    }
+
+    std::int64_t last_row() const {
+        const Statement row = prepared("SELECT max(rowid) FROM messages");
+        return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
+    }
+
+    /// A view of that name could be anything, and take for ever.
+    void check_table(const char* table) const {
+        const Statement row =
+            prepared(fmt::format("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
+                                 "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
+                                 table));
+        if (!step(row.get())) throw DataError(fmt::format("{}: no table '{}', expected a database of rosbag2", name_, table));
+    }
+
+    std::string unpacked_message(std::string_view bytes, std::int64_t row) const {
+        const unsigned long long n = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
+        if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
+            throw DataError(fmt::format("{}: row {} of its messages is not compressed by zstd, as metadata.yaml has it", name_, row));
+        try {
+            return unpack_chunk("zstd", bytes, n);
+        } catch (const DataError& error) {
+            throw DataError(fmt::format("{}: row {} of its messages: {}", name_, row, error.what()));
+        }
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed) {
+    return std::make_unique<SqliteFile>(file, packed);
+}
+
+}  // namespace relidar::bag

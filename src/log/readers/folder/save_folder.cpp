@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: Apache-2.0
+// A log as a plain folder.
+#include <relidar/log/dataset.hpp>
+
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+
+#include "base/files.hpp"
+#include "base/number_text.hpp"
+#include "base/progress_blocks.hpp"
+#include "log/clouds/folder_head.hpp"
+#include "log/clouds/scan_npz.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+double degrees(double radians) {
+    return radians * 180.0 / kPi;
+}
+
+Json json_of(const glm::dvec3& v) {
+    return {v.x, v.y, v.z};
+}
+Json json_of(const glm::dquat& q) {
+    return {q.w, q.x, q.y, q.z};
+}
+
+Json json_of(const SpinningSensor& sensor) {
+    Json json = {{"name", sensor.name}, {"min_range_m", sensor.min_range_m}};
+    if (std::isfinite(sensor.max_range_m)) json["max_range_m"] = sensor.max_range_m;
+    json["divergence_rad"] = sensor.divergence_rad;
+    if (sensor.beams.empty()) return json;
+    json["columns"] = sensor.columns;
+    json["period_s"] = sensor.period_s;
+    json["clockwise"] = sensor.clockwise;
+    json["first_azimuth_deg"] = degrees(sensor.first_azimuth_rad);
+    json["beams"] = Json::array();
+    for (const Beam& beam : sensor.beams)
+        json["beams"].push_back({{"elevation_deg", degrees(beam.elevation_rad)},
+                                 {"azimuth_offset_deg", degrees(beam.azimuth_offset_rad)},
+                                 {"origin_offset_m", beam.origin_offset_m},
+                                 {"origin_up_m", beam.origin_up_m},
+                                 {"origin_left_m", beam.origin_left_m}});
+    return json;
+}
+
+Json rays_json(const RayTable& rays) {
+    const auto vectors = [](const ScanArray<glm::vec3>& list) {
+        Json json = Json::array();
+        for (const glm::vec3& v : list) json.push_back({v.x, v.y, v.z});
+        return json;
+    };
+    return {{"directions", vectors(rays.direction)},
+            {"origin", vectors(rays.origin)},
+            {"time", rays.time_offset_s},
+            {"ring", rays.channel}};
+}
+
+/// The file of a sensor that does not spin, as find_sensor() reads it.
+Json pattern_json(const FixedPattern& pattern, const RangeLimits& limits) {
+    Json common = {{"min_range_m", limits.min_m}};
+    if (std::isfinite(limits.max_m)) common["max_range_m"] = limits.max_m;
+    if (const auto* rays = std::get_if<RayTable>(&pattern)) {
+        if (rays->ray_divergence_rad.empty()) common["divergence_mrad"] = 1e3 * double(rays->divergence_rad);
+        else common["divergence"] = rays->ray_divergence_rad;
+        common.update(rays_json(*rays));
+        return common;
+    }
+    common["period_s"] = period_of(pattern);
+    if (const auto* r = std::get_if<Rosette>(&pattern)) {
+        common.update(Json{{"divergence_mrad", 1e3 * r->divergence_rad},
+                           {"rays", r->n_rays},
+                           {"deflection_deg", degrees(r->deflection_rad)},
+                           {"first_hz", r->first_hz},
+                           {"second_hz", r->second_hz}});
+        return {{"rosette", common}};
+    }
+    const auto& w = std::get<ScanningWindow>(pattern);
+    common.update(Json{{"divergence_mrad", 1e3 * w.divergence_rad},
+                       {"rows", w.rows},
+                       {"columns", w.columns},
+                       {"left_deg", degrees(w.left_rad)},
+                       {"right_deg", degrees(w.right_rad)},
+                       {"top_deg", degrees(w.top_rad)},
+                       {"bottom_deg", degrees(w.bottom_rad)}});
+    return {{"window", common}};
+}
+
+std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
+
+/// @param number  of the LiDAR
+Json json_of(const Lidar& lidar, std::size_t number) {
+    const Pose& mounting = lidar.vehicle_from_sensor;
+    return {{"name", lidar.name},
+            {"vehicle_from_sensor", {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
+            {"spins", !lidar.sensor.beams.empty()},
+            {"sensor", lidar.pattern ? Json(pattern_name(number)) : json_of(lidar.sensor)}};
+}
+
+std::string scan_name(const Sequence& sequence, const Frame& frame) {
+    if (sequence.lidars.size() == 1) return fmt::format("scans/{:06}.npz", frame.index);
+    return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
+}
+
+std::string head_text(const Sequence& sequence) {
+    Json json = {{"format", folder::kFormat},
+                 {"version", folder::kVersion},
+                 {"relidar", RELIDAR_VERSION},
+                 {"name", sequence.name},
+                 {"conventions", sequence.conventions},
+                 {"notes", sequence.notes},
+                 {"motion_compensated", !sequence.rolling_shutter},
+                 {"world_offset_m", json_of(sequence.world_offset_m)},
+                 {"lidars", Json::array()},
+                 {"frames", Json::array()}};
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) json["lidars"].push_back(json_of(sequence.lidars[l], l));
+    for (const Frame& frame : sequence.frames)
+        json["frames"].push_back({{"number", frame.index},
+                                  {"time_s", frame.time_s},
+                                  {"lidar", sequence.lidar_of(frame).name},
+                                  {"scan", scan_name(sequence, frame)}});
+    return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+std::string poses_text(const Sequence& sequence) {
+    const PoseTrack track = shifted_track(sequence.world_from_vehicle, sequence.world_offset_m);
+    std::string text = "# time_s x y z qw qx qy qz\n";
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        const auto& [q, t] = track.pose[i];
+        text += number_text(track.time_s[i]);
+        for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + number_text(v);
+        text += "\n";
+    }
+    return text;
+}
+
+std::string boxes_text(const Sequence& sequence) {
+    Json json = {{"boxes", Json::array()}};
+    for (const BoxTrack& box : sequence.boxes) {
+        const PoseTrack track = shifted_track(box.world_from_box, sequence.world_offset_m);
+        for (std::size_t k = 0; k < track.pose.size(); ++k)
+            json["boxes"].push_back({{"track", box.id},
+                                     {"category", box.category},
+                                     {"time_s", track.time_s[k]},
+                                     {"size", json_of(box.size_m)},
+                                     {"position", json_of(track.pose[k].translation)},
+                                     {"quaternion", json_of(track.pose[k].rotation)}});
+    }
+    return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+void check_place(const fs::path& folder, bool overwrite) {
+    if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
+    if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
+        throw UsageError(fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
+    if (!overwrite)
+        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --force replaces it", folder.string()));
+}
+
+}  // namespace
+
+void save_folder(const Sequence& sequence, const fs::path& given, const FolderOptions& options) {
+    const fs::path wanted = (fs::absolute(given) / "").lexically_normal().parent_path();
+    check_place(wanted, options.overwrite);
+    const StagedFolder staged(wanted);
+    fs::create_directory(staged.path() / "scans");
+    for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
+        const Frame& frame = sequence.frames[i];
+        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan, !sequence.rolling_shutter);
+    });
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
+        if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
+            write_text(staged.path() / pattern_name(l), pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
+    if (options.poses) write_text(staged.path() / folder::kPosesFile, poses_text(sequence));
+    if (!sequence.boxes.empty()) write_text(staged.path() / folder::kBoxesFile, boxes_text(sequence));
+    write_text(staged.path() / folder::kHeadFile, head_text(sequence));
+    staged.finish();
+}
+
+}  // namespace relidar

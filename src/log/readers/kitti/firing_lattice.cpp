@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fits the firing lattice: (1) tick and left offset of each beam, where the phases of its azimuths agree best,
+//   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |,
+// (2) the whole-tick offset of each beam, where its ticks agree best with those of the others.
+#include "log/readers/kitti/firing_lattice.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <numeric>
+
+#include <relidar/base/math.hpp>
+#include "base/parallel.hpp"
+
+namespace relidar::kitti {
+namespace {
+
+constexpr int kEncoderTicks = 4000;      // a sweep of an HDL-64E: 0.09 degrees, found in KITTI's logs (2011_09_26_drive_0005)
+constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations reach 0.16 rad to either side
+constexpr int kMinLasers = 4;            // returns of one firing that make it a firing: stray points come alone
+
+/// Azimuth and inverse distance from the axis of the points of one beam.
+struct Polar {
+    std::vector<double> azimuth_rad, inverse_rho;
+};
+
+std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
+    std::array<Polar, kRings> polar;
+    for (const RawScan* scan : scans) {
+        for (std::size_t i = 0; i < scan->points.size(); ++i) {
+            const glm::dvec4 p(scan->points[i]);
+            const double rho = std::hypot(p.x, p.y);
+            if (rho < 2.0) continue;  // millimetre coordinates are too coarse for an azimuth nearer than that
+            polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
+            polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
+        }
+    }
+    return polar;
+}
+
+std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left_m, std::size_t stride) {
+    std::complex<double> sum = 0.0;
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < polar.azimuth_rad.size(); i += stride, ++n) {
+        sum += std::polar(1.0, 2.0 * kPi * (polar.azimuth_rad[i] - left_m * polar.inverse_rho[i]) / tick_rad);
+    }
+    return n > 0 ? sum / static_cast<double>(n) : sum;
+}
+
+/// Left offset and phase of one beam for a given tick; concentration 1 = all azimuths on the lattice.
+struct Phase {
+    double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
+};
+
+/// Least squares of the phase residuals, phase + left / rho, near the coarse answer.
+void refine(Phase& phase, const Polar& polar, double tick_rad) {
+    double n = 0, su = 0, se = 0, suu = 0, sue = 0;
+    for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
+        const double u = polar.inverse_rho[i];
+        const double e = std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, tick_rad);
+        if (std::abs(e) > 0.25 * tick_rad) continue;
+        n += 1, su += u, se += e, suu += u * u, sue += u * e;
+    }
+    const double spread = n * suu - su * su;
+    if (n < 16 || spread < 1e-4 * n * n) return;  // ranges too alike to part the left offset from the phase
+    const double left = (n * sue - su * se) / spread;
+    phase.left_m += left;
+    phase.phase_rad += (se - left * su) / n;
+}
+
+Phase find_phase(const Polar& polar, double tick_rad) {
+    Phase best;
+    const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
+    for (int mm = -60; mm <= 60; mm += 2) {
+        const std::complex<double> mean = mean_phase(polar, tick_rad, mm * 1e-3, stride);
+        const double gain = std::abs(mean) - best.concentration;
+        // a left offset must explain something: 0 wins where the others are hardly better
+        if (mm == -60 || gain > 0.0) best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
+    }
+    const std::complex<double> none = mean_phase(polar, tick_rad, 0.0, stride);
+    if (std::abs(none) > best.concentration - 0.02) best = {0.0, std::arg(none) * tick_rad / (2.0 * kPi), std::abs(none)};
+    if (best.left_m != 0.0) refine(best, polar, tick_rad);
+    return best;
+}
+
+struct Phases {
+    std::array<Phase, kRings> ring;
+    double concentration = 0.0;  ///< mean over the points
+};
+
+Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
+    Phases phases;
+    run_parallel(kRings, [&](int k) {
+        const std::size_t at = static_cast<std::size_t>(k);
+        phases.ring[at] = find_phase(polar[at], tick_rad);
+    });
+    double n = 0;
+    for (std::size_t k = 0; k < kRings; ++k) {
+        n += static_cast<double>(polar[k].azimuth_rad.size());
+        phases.concentration += phases.ring[k].concentration * static_cast<double>(polar[k].azimuth_rad.size());
+    }
+    phases.concentration /= std::max(n, 1.0);
+    return phases;
+}
+
+/// Steps a sweep, from the mean of the short azimuth steps between neighbours in file order.
+int mean_steps(const std::vector<const RawScan*>& scans) {
+    std::vector<double> steps;
+    for (const RawScan* scan : scans) {
+        for (std::size_t i = 1; i < scan->points.size(); ++i) {
+            const glm::dvec4 a(scan->points[i - 1]), b(scan->points[i]);
+            const double step = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
+            if (scan->ring[i] == scan->ring[i - 1] && step > 1e-5) steps.push_back(step);
+        }
+    }
+    if (steps.empty()) return 1;
+    const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
+    std::nth_element(steps.begin(), middle, steps.end());
+    const double longest = 1.5 * *middle;
+    double sum = 0.0, n = 0.0;
+    for (const double s : steps) {
+        if (s < longest) sum += s, n += 1.0;
+    }
+    return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
+}
+
+using Ticks = std::vector<std::vector<int>>;  ///< of each beam in one scan, before whole-tick offsets
+
+Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
+    Ticks ticks(kRings);
+    for (std::size_t i = 0; i < scan.points.size(); ++i) {
+        const std::size_t k = scan.ring[i];
+        const Beam beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]};
+        ticks[k].push_back(lattice.head.tick(head_azimuth(beam, glm::dvec3(scan.points[i]))));
+    }
+    return ticks;
+}
+
+/// For each scan, the ticks at which enough beams, moved by their offsets, have a return.
+std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift, int n_ticks, int at_least) {
+    std::vector<std::vector<char>> pattern;
+    for (const Ticks& scan : ticks) {
+        std::vector<int> count(static_cast<std::size_t>(n_ticks));
+        for (std::size_t k = 0; k < kRings; ++k) {
+            for (const int t : scan[k]) ++count[static_cast<std::size_t>(((t - shift[k]) % n_ticks + n_ticks) % n_ticks)];
+        }
+        std::vector<char>& yes = pattern.emplace_back(static_cast<std::size_t>(n_ticks));
+        for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= at_least;
+    }
+    return pattern;
+}
+
+/// Whole-tick offset of one beam: where most of its ticks fall on the pattern. 0, or the offset nearest to it, wins ties.
+int best_shift(const std::vector<Ticks>& ticks, std::size_t ring, const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
+    std::size_t n = 0;
+    for (const Ticks& scan : ticks) n += scan[ring].size();
+    std::size_t most = 0, at_zero = 0;
+    int best = 0;
+    for (int i = 0; i <= 2 * reach; ++i) {
+        const int shift = i % 2 == 0 ? i / 2 : -(i + 1) / 2;
+        std::size_t hits = 0;
+        for (std::size_t s = 0; s < ticks.size(); ++s) {
+            for (const int t : ticks[s][ring]) {
+                const int moved = t - shift;
+                hits += static_cast<std::size_t>(pattern[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
+                                                                                     : moved >= n_ticks ? moved - n_ticks
+                                                                                                        : moved)]);
+            }
+        }
+        if (i == 0) at_zero = hits;
+        if (hits > most) most = hits, best = shift;
+    }
+    return most > at_zero + n / 100 ? best : 0;
+}
+
+std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
+    const int reach = std::min(static_cast<int>(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
+    std::size_t fullest = 0;
+    for (std::size_t k = 1; k < kRings; ++k) {
+        if (ticks[0][k].size() > ticks[0][fullest].size()) fullest = k;
+    }
+    std::vector<Ticks> reference = ticks;
+    for (Ticks& scan : reference) {
+        for (std::size_t k = 0; k < kRings; ++k) {
+            if (k != fullest) scan[k].clear();
+        }
+    }
+    std::vector<int> shift(kRings, 0);
+    auto pattern = fired(reference, shift, n_ticks, 1);
+    for (int pass = 0; pass < 2; ++pass) {  // against the fullest beam, then against all
+        run_parallel(kRings, [&](int k) {
+            shift[static_cast<std::size_t>(k)] = best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
+        });
+        pattern = fired(ticks, shift, n_ticks, kMinLasers);
+    }
+    return shift;
+}
+
+/// Moves the mean of the beams' offsets into the zero of the head, so that the head faces where its beams do.
+void centre(FiringLattice& lattice) {
+    const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
+    for (double& offset : lattice.offset_rad) offset -= mean;
+    lattice.head.zero_rad += mean;
+}
+
+}  // namespace
+
+std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
+    std::vector<Beam> beams(kRings);
+    for (std::size_t k = 0; k < kRings; ++k) {
+        const double elevation = std::atan(cones[k].tan_el);
+        beams[k] = {elevation, offset_rad[k], 0.0, cones[k].z0_m * std::cos(elevation), left_m[k]};
+    }
+    return beams;
+}
+
+FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
+    constexpr double kFound = 0.8;  // mean concentration: 0.98 on KITTI, 0 for azimuths off the lattice
+    const std::array<Polar, kRings> polar = polar_of(scans);
+    FiringLattice lattice;
+    lattice.head.n_ticks = kEncoderTicks;
+    Phases phases = find_phases(polar, 2.0 * kPi / kEncoderTicks);
+    if (phases.concentration < kFound) {
+        lattice.head.n_ticks = mean_steps(scans);
+        lattice.every_tick = true;
+        phases = find_phases(polar, 2.0 * kPi / lattice.head.n_ticks);
+    }
+    if (phases.concentration < kFound) return lattice;
+
+    for (std::size_t k = 0; k < kRings; ++k) {
+        lattice.left_m[k] = phases.ring[k].left_m;
+        lattice.offset_rad[k] = phases.ring[k].phase_rad;
+    }
+    if (!lattice.every_tick) {
+        std::vector<Ticks> ticks;
+        for (const RawScan* scan : scans) ticks.push_back(ticks_of(*scan, lattice));
+        const std::vector<int> shift = find_shifts(ticks, lattice.head.n_ticks);
+        for (std::size_t k = 0; k < kRings; ++k) lattice.offset_rad[k] += shift[k] * lattice.head.tick_rad();
+    }
+    centre(lattice);
+    return lattice;
+}
+
+std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice) {
+    const auto pattern = fired({ticks_of(scan, lattice)}, std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
+    std::vector<int> firings;
+    for (int t = 0; t < lattice.head.n_ticks; ++t) {
+        if (lattice.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
+    }
+    std::sort(firings.begin(), firings.end(), [&](int a, int b) { return lattice.head.azimuth_of(a) > lattice.head.azimuth_of(b); });
+    return firings;
+}
+
+}  // namespace relidar::kitti

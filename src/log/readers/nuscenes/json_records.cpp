@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/nuscenes/json_records.hpp"
+
+#include <cmath>
+#include <fstream>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include "base/files.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
+constexpr double kLargestWhole = 9007199254740992.0;  // up to which a double holds every whole number
+
+/// Cuts the text of a table into its objects, block by block.
+class RecordSplitter {
+public:
+    explicit RecordSplitter(const std::filesystem::path& file) : name_(file.string()), in_(file, std::ios::binary) {
+        if (!path_exists(file)) throw DataError(name_ + ": no such file");
+        if (!in_) throw DataError(name_ + ": cannot be read");
+    }
+
+    /// The next object into `record`. @return false after the last one
+    bool next(std::string& record) {
+        record.clear();
+        int depth = 0;
+        bool quoted = false, escaped = false;
+        for (char c = 0; get(c);) {
+            if (depth == 0) {
+                if (!between(c)) continue;
+                depth = 1;
+                record = c;
+                continue;
+            }
+            record += c;
+            if (record.size() > kLongestRecord) throw DataError(fmt::format("{}: an object of more than {} bytes", name_, kLongestRecord));
+            if (quoted) {
+                if (!escaped && c == '"') quoted = false;
+                escaped = !escaped && c == '\\';
+            } else if (c == '"')
+                quoted = true;
+            else if (c == '{' || c == '[')
+                ++depth;
+            else if ((c == '}' || c == ']') && --depth == 0)
+                return true;
+        }
+        if (depth > 0 || !closed_) throw DataError(fmt::format("{}: cut short, expected an array of objects", name_));
+        return false;
+    }
+
+private:
+    std::string name_;
+    std::ifstream in_;
+    std::string block_;
+    std::size_t at_ = 0;
+    bool opened_ = false, closed_ = false;
+
+    bool get(char& c) {
+        if (at_ == block_.size()) {
+            block_.resize(kBlock);
+            in_.read(block_.data(), std::streamsize(block_.size()));
+            block_.resize(std::size_t(in_.gcount()));
+            at_ = 0;
+            if (block_.empty()) return false;
+        }
+        c = block_[at_++];
+        return true;
+    }
+    /// What may stand outside of objects. @return true where an object begins
+    bool between(char c) {
+        if (c == '{' && opened_ && !closed_) return true;
+        const bool blank = c == ' ' || c == '\n' || c == '\r' || c == '\t';
+        if (c == '[' && !opened_)
+            opened_ = true;
+        else if (c == ']' && opened_ && !closed_)
+            closed_ = true;
+        else if (!blank && !(c == ',' && opened_ && !closed_))
+            throw DataError(fmt::format("{}: '{}' between objects, expected an array of objects", name_, excerpt({&c, 1})));
+        return false;
+    }
+};
+
+}  // namespace
+
+void JsonRecord::fail(std::string_view key, const char* expected) const {
+    throw DataError(fmt::format("{}, key '{}': expected {}", where_, key, expected));
+}
+
+template <class T>
+T JsonRecord::value(std::string_view key, const char* expected) const {
+    T found;
+    if (object_[key].get(found) != simdjson::SUCCESS) fail(key, expected);
+    return found;
+}
+
+void JsonRecord::numbers(std::string_view key, std::size_t n, double* out) const {
+    const auto list = value<simdjson::dom::array>(key, "numbers");
+    if (list.size() != n) fail(key, n == 3 ? "3 numbers" : "4 numbers");
+    for (const simdjson::dom::element element : list)
+        if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");  // JSON has none that is not finite
+}
+
+std::string JsonRecord::text(std::string_view key) const {
+    return std::string(value<std::string_view>(key, "text"));
+}
+
+std::int64_t JsonRecord::rounded(std::string_view key) const {
+    const double number = value<double>(key, "a number");
+    if (!(std::abs(number) < kLargestWhole)) fail(key, "a number below 2^53");
+    return std::llround(number);
+}
+
+bool JsonRecord::boolean(std::string_view key) const {
+    return value<bool>(key, "true or false");
+}
+
+glm::dvec3 JsonRecord::vector(std::string_view key) const {
+    glm::dvec3 v;
+    numbers(key, 3, &v.x);
+    return v;
+}
+
+glm::dquat JsonRecord::quaternion(std::string_view key) const {
+    double q[4];
+    numbers(key, 4, q);
+    const glm::dquat rotation(q[0], q[1], q[2], q[3]);
+    if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3)) fail(key, "a quaternion of length 1");
+    return glm::normalize(rotation);
+}
+
+void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read) {
+    RecordSplitter splitter(file);
+    simdjson::dom::parser parser;
+    std::string record;
+    for (std::size_t n = 0; splitter.next(record); ++n) {
+        const std::string where = fmt::format("{}, record {}", file.string(), n);
+        simdjson::dom::object object;
+        if (const auto failed = parser.parse(record).get(object); failed != simdjson::SUCCESS)
+            throw DataError(fmt::format("{}: {}", where, simdjson::error_message(failed)));
+        read(JsonRecord(where, object));
+    }
+}
+
+}  // namespace relidar

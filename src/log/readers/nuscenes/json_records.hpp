@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tables as JSON files: an array of objects, read one at a time, since a table may be a gigabyte.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <string_view>
+
+#include <simdjson.h>
+
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+
+/// One object of a table, while it is read. What is missing or of another type is a DataError naming file, record and key.
+class JsonRecord {
+public:
+    JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
+
+    std::string text(std::string_view key) const;
+    /// A number, to the nearest whole one: some tables have microseconds with a fraction.
+    std::int64_t rounded(std::string_view key) const;
+    bool boolean(std::string_view key) const;
+    glm::dvec3 vector(std::string_view key) const;
+    /// w, x, y, z, of length 1.
+    glm::dquat quaternion(std::string_view key) const;
+    /// Keys translation and rotation.
+    Pose pose() const { return {quaternion("rotation"), vector("translation")}; }
+
+private:
+    std::string where_;
+    simdjson::dom::object object_;
+
+    [[noreturn]] void fail(std::string_view key, const char* expected) const;
+    template <class T>
+    T value(std::string_view key, const char* expected) const;
+    void numbers(std::string_view key, std::size_t n, double* out) const;
+};
+
+/// Reads every object of a table. @throws DataError naming the file: no array of objects, malformed, an object of more than 1 MB
+void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);
+
+}  // namespace relidar

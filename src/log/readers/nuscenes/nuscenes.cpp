@@ -1,0 +1,286 @@
+// SPDX-License-Identifier: Apache-2.0
+// nuScenes and the datasets that have its tables. What differs is how files hold points, which their endings tell.
+#include "log/readers/nuscenes/nuscenes.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/clouds.hpp>
+#include "base/files.hpp"
+#include "log/clouds/folder_head.hpp"
+#include "log/clouds/log_files.hpp"
+#include "log/readers/nuscenes/hdl32e_sweeps.hpp"
+#include "log/readers/nuscenes/nuscenes_tables.hpp"
+#include "log/clouds/sweeps_beside.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace nuscenes;
+
+constexpr double kBeside = 0.6;         // steps: a LiDAR's sweep from that of the LiDAR that numbers the frames
+constexpr double kBeyondLabels = 0.5;   // steps: a box from its first and last label, whose times are near those of sweeps
+constexpr double kMostIntensity = 255.0;
+constexpr double kTurnOfLyft_s = 0.1;   // assumed: sweeps are 5 a second, and such LiDARs turn ten times
+constexpr double kStampsApart_s = 1e-3; // of LiDARs that sweep together, worth a note where points have no times
+
+/// Which dataset it is, by the ending of its LiDARs' files.
+struct Format {
+    const char* ending;
+    const char* dataset;
+    const char* conventions;   ///< beside metres, seconds and the vehicle's axes
+    bool is_compensated;       ///< columns of one HDL-32E, moved to the end of their turn
+    bool has_times;            ///< of points
+};
+constexpr Format kFormats[] = {
+    {".pcd.bin", "nuScenes",
+     "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the turn; world: the map's frame; motion compensation "
+     "undone",
+     true, false},
+    {".pcd", "TruckScenes", "LiDARs' own frames; points as they were measured; time = stamp of the first LiDAR; world: UTM 32U", false,
+     true},
+    {".bin", "Lyft Level 5", "LiDARs' own frames; points as they are; time = stamp of the first LiDAR; world: the map's frame", false,
+     false},
+};
+
+/// Scenes of all tables of a dataset, each with its tables.
+struct SceneName {
+    std::string name;
+    fs::path tables;
+};
+std::vector<SceneName> list_scenes_of(const fs::path& folder) {
+    std::vector<SceneName> scenes;
+    for (const fs::path& tables : list_folder(folder)) {
+        if (!path_exists(tables / "scene.json")) continue;
+        for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
+    }
+    if (scenes.empty()) throw DataError(fmt::format("{}: no scene, expected some in */scene.json", folder.string()));
+    return scenes;
+}
+
+/// By name, by nuScenes' number, or by how no other name begins.
+SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& wanted) {
+    if (wanted.empty()) return scenes[0];
+    const std::optional<int> number = file_number(wanted);
+    const std::string named = number ? fmt::format("scene-{:04}", *number) : wanted;
+    std::string names;
+    std::vector<const SceneName*> begin_so;
+    for (const SceneName& scene : scenes) {
+        if (scene.name == named) return scene;
+        if (scene.name.starts_with(wanted) || scene.name.starts_with("scene-" + wanted)) begin_so.push_back(&scene);
+        if (names.size() < 400) names += (names.empty() ? "" : ", ") + excerpt(scene.name);
+    }
+    if (begin_so.size() == 1) return *begin_so[0];
+    throw UsageError(fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(wanted),
+                                 begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin so", begin_so.size()), scenes.size(),
+                                 names));
+}
+
+/// Boxes at the times of frames, between the keyframes at which they were labelled.
+std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s, double beyond_s) {
+    std::vector<BoxTrack> boxes;
+    for (const BoxTrack& labelled : tracks_of(labels)) {
+        BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
+        const PoseTrack& track = labelled.world_from_box;
+        for (const double time_s : times_s) {
+            if (time_s < track.time_s.front() - beyond_s || time_s > track.time_s.back() + beyond_s) continue;
+            box.world_from_box.time_s.push_back(time_s);
+            box.world_from_box.pose.push_back(track.at(time_s));
+        }
+        if (!box.world_from_box.pose.empty()) boxes.push_back(std::move(box));
+    }
+    return boxes;
+}
+
+/// A sweep of a LiDAR among the frames.
+struct NumberedSweep {
+    int number = 0;          ///< of the sweep of the first LiDAR that it goes with
+    std::size_t lidar = 0;   ///< in SceneTables::lidars
+    const SweepRecord* record = nullptr;
+};
+
+class NuscenesLog {
+public:
+    NuscenesLog(const fs::path& folder, const DatasetOptions& options)
+        : folder_(folder),
+          options_(options),
+          chosen_(choose_scene(list_scenes_of(folder), options.sequence)),
+          scene_(read_scene(chosen_.tables, chosen_.name)),
+          format_(format_of(scene_.lidars[0].sweeps[0].file)),
+          split_(split_of(chosen_.tables)) {
+        for (const SweepRecord& sweep : scene_.lidars[0].sweeps) main_s_.push_back(scene_.seconds(sweep.time_us));
+        step_s_ = usual_step_s(main_s_);
+    }
+
+    Sequence load() {
+        sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
+        sequence_.source = folder_.string();
+        sequence_.conventions = fmt::format("vehicle x forward, y left, z up; metres; seconds after the scene's first sweep; boxes "
+                                            "interpolated between keyframes; {}",
+                                            format_.conventions);
+        choose_lidars();
+        find_frames();
+        const PoseTrack own = add_frames();
+        if (scene_.labels.empty()) note("no annotations of this scene: nothing in it is labelled");
+        sequence_.boxes = boxes_at(scene_.labels, own.time_s, kBeyondLabels * step_s_);
+        kitti::take_given_poses(sequence_, options_.poses_file);
+        recentre(sequence_);
+        std::vector<fs::path> files;
+        for (const NumberedSweep& frame : frames_) files.push_back(file_of(*frame.record));
+        if (format_.is_compensated)
+            read_hdl32e_sweeps(sequence_, files, own, options_);
+        else
+            read_clouds(files);
+        return std::move(sequence_);
+    }
+
+private:
+    const fs::path& folder_;
+    const DatasetOptions& options_;
+    const SceneName chosen_;
+    const SceneTables scene_;
+    const Format& format_;
+    const std::string split_;           ///< what folders of files may begin with: tables in train_data, files in train_lidar
+    std::vector<double> main_s_;        ///< [sweeps of the first LiDAR]
+    double step_s_ = 0.0;               ///< between them
+    std::vector<std::size_t> lidars_;   ///< [sequence_.lidars] in scene_.lidars
+    std::vector<NumberedSweep> frames_;
+    Sequence sequence_;
+
+    static const Format& format_of(const std::string& file) {
+        std::vector<std::string> endings;
+        for (const Format& format : kFormats) {
+            if (file.ends_with(format.ending)) return format;
+            endings.emplace_back(format.ending);
+        }
+        throw DataError(fmt::format("sample_data.json, key 'filename': a LiDAR's file '{}', expected one that ends in {}", excerpt(file),
+                                    fmt::join(endings, ", ")));
+    }
+
+    void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
+    static std::string split_of(const fs::path& tables) {
+        const std::string name = tables.filename().string();
+        return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
+    }
+    fs::path file_of(const SweepRecord& sweep) const {
+        const fs::path file = folder_ / sweep.file;
+        return split_.empty() || path_exists(file) ? file : folder_ / (split_ + sweep.file);
+    }
+
+    /// Those that are asked for, all of them where none is.
+    void choose_lidars() {
+        std::vector<std::string> channels, left_out;
+        for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
+        for (const std::string& name : options_.lidars)
+            if (std::ranges::find(channels, name) == channels.end())
+                throw UsageError(fmt::format("dataset.lidars: no '{}' in {}, expected some of {}", excerpt(name), scene_.name,
+                                             fmt::join(channels, ", ")));
+        sequence_.lidars.clear();
+        for (std::size_t l = 0; l < channels.size(); ++l) {
+            if (!options_.lidars.empty() && std::ranges::find(options_.lidars, channels[l]) == options_.lidars.end()) {
+                left_out.push_back(channels[l]);
+                continue;
+            }
+            const Pose& mounted = scene_.lidars[l].ego_from_lidar;
+            Lidar lidar;
+            lidar.vehicle_from_sensor = mounted;
+            lidar.sensor.name = channels[l];
+            if (format_.is_compensated) lidar = hdl32e(mounted);
+            if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
+            lidar.sensor.max_range_m = options_.max_range_m;
+            sequence_.lidars.push_back(std::move(lidar));
+            lidars_.push_back(l);
+        }
+        if (format_.is_compensated && lidars_.size() > 1)
+            throw DataError(fmt::format("{}: {} LiDARs with files {}, expected one of this format; dataset.lidars names it", scene_.name,
+                                        lidars_.size(), format_.ending));
+        if (!left_out.empty()) note(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
+    }
+
+    /// Sweeps of the chosen LiDARs by number.
+    std::vector<NumberedSweep> number_sweeps() {
+        std::vector<NumberedSweep> sweeps;
+        for (const std::size_t l : lidars_) {
+            const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
+            std::vector<double> times_s;
+            for (const SweepRecord& record : records) times_s.push_back(scene_.seconds(record.time_us));
+            const auto beside = sweeps_beside(main_s_, times_s, kBeside * step_s_);
+            std::size_t n_left = records.size();
+            double apart_s = 0.0;
+            for (std::size_t k = 0; k < beside.size(); ++k) {
+                if (!beside[k]) continue;
+                apart_s = std::max(apart_s, std::abs(times_s[*beside[k]] - main_s_[k]));
+                sweeps.push_back({int(k), l, &records[*beside[k]]});
+                --n_left;
+            }
+            if (!format_.has_times && apart_s > kStampsApart_s)
+                note(fmt::format("{}: points have no times, so its sweeps, up to {:.3f} s from those of {}, are taken at their times",
+                                 scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
+            if (n_left > 0)
+                note(fmt::format("{}: {} sweeps are left out: {} has none beside them", scene_.lidars[l].channel, n_left,
+                                 scene_.lidars[0].channel));
+        }
+        std::ranges::stable_sort(sweeps, {}, &NumberedSweep::number);
+        return sweeps;
+    }
+
+    /// Frames of the range. Keyframes alone where no sweep between them has its file, as where samples/ was unpacked without sweeps/.
+    void find_frames() {
+        const std::vector<NumberedSweep> sweeps = number_sweeps();
+        const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
+        const auto is_no_file_between = [&](const NumberedSweep& sweep) {
+            return !is_between(sweep) || !path_exists(file_of(*sweep.record));
+        };
+        const bool keyframes_alone = std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
+        const FrameRange& range = options_.frames;
+        for (const NumberedSweep& sweep : sweeps)
+            if (sweep.number >= range.begin && (range.end < 0 || sweep.number < range.end) && !(keyframes_alone && is_between(sweep)))
+                frames_.push_back(sweep);
+        if (frames_.empty())
+            throw UsageError(fmt::format("frames {}:{}: no {} of {}, expected numbers in [0, {}]", range.begin, range.end,
+                                         keyframes_alone ? "keyframe" : "sweep", scene_.name, main_s_.size() - 1));
+        if (keyframes_alone) note("no file between keyframes is there: the scene is read with its keyframes alone");
+    }
+
+    /// LiDARs that sweep together share the time of the first one. @return the dataset's poses at the frames
+    PoseTrack add_frames() {
+        for (const NumberedSweep& frame : frames_) {
+            const std::size_t k = std::size_t(frame.number);
+            const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
+            add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
+        }
+        return sequence_.world_from_vehicle;
+    }
+
+    /// Points in files of single clouds, as they were measured, without rings.
+    void read_clouds(const std::vector<fs::path>& files) {
+        folder::Head head;
+        head.name = sequence_.name;
+        if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};   // the last is 1 everywhere
+        head.units.intensity_max = kMostIntensity;
+        head.units.time_unit_s = 1e-6;
+        head.units.absolute_times = true;
+        head.units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
+        for (const Lidar& lidar : sequence_.lidars) {
+            folder::HeadLidar& of_head = head.lidars.emplace_back();
+            of_head.lidar = lidar;
+            of_head.is_guessed = true;
+            of_head.turn_s = format_.has_times ? step_s_ : kTurnOfLyft_s;
+        }
+        folder::read_scans(sequence_, head, files, options_);
+    }
+};
+
+}  // namespace
+
+Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
+    check_folder(folder, "nuScenes, TruckScenes or Lyft Level 5 (tables in v1.*/ or *data/)");
+    return NuscenesLog(folder, options).load();
+}
+
+}  // namespace relidar

@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: Apache-2.0
+// ONCE. The LiDAR's frame is x left, y back, z up. A pose is 7 numbers, a quaternion and a place. Documents differ on whether w comes first
+// or last in the quaternion: it is where the vehicle drives forward.
+#include "log/readers/once/once.hpp"
+
+#include <array>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/clouds.hpp>
+#include "base/files.hpp"
+#include "base/json_field.hpp"
+#include "log/clouds/stamped_log.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kSensor = "Pandar40P";
+constexpr double kMillisecond = 1e-3;
+constexpr double kTurn_s = 0.1;                // the LiDAR turns ten times a second, every fifth turn is kept
+constexpr double kTurned_rad = kPi / 2.0;      // from x left, y back to x forward, y left
+constexpr double kUnitLength = 1e-3;           // of a quaternion, by which it may differ from 1
+constexpr double kLargestCoordinate_m = 1e8;
+
+/// Quaternion and place, as the file has them.
+struct OncePose {
+    std::int64_t stamp;
+    std::array<double, 7> numbers;
+};
+
+/// What the JSON file says.
+struct OnceFile {
+    std::vector<stamped::StampedScan> scans;
+    std::vector<OncePose> poses;
+    std::size_t n_missing = 0;   ///< frames without a file
+    std::size_t n_boxes = 0, n_labelled = 0;
+};
+
+OncePose read_once_pose(const JsonField& field, std::int64_t stamp) {
+    const OncePose pose{stamp, field.numbers<7>()};
+    const auto& n = pose.numbers;
+    const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
+    if (!(std::abs(length - 1.0) <= kUnitLength)) field.fail(fmt::format("a quaternion of length {:.4g}", length), "expected 1");
+    for (std::size_t i = 4; i < 7; ++i)
+        if (!(std::abs(n[i]) <= kLargestCoordinate_m))
+            field.fail(fmt::format("{}", n[i]), fmt::format("expected metres within {:g}", kLargestCoordinate_m));
+    return pose;
+}
+
+void count_boxes(const JsonField& frame, OnceFile& found) {
+    if (!frame.has("annos") || !frame.at("annos").has("boxes_3d")) return;
+    found.n_boxes += frame.at("annos").at("boxes_3d").size();
+    ++found.n_labelled;
+}
+
+OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
+    const std::string where = file.string();
+    const nlohmann::json json = parse_json(read_text(file), where);
+    const JsonField frames = JsonField(json, where, "").at("frames");
+    OnceFile found;
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+        const JsonField frame = frames.at(i), id = frame.at("frame_id");
+        const std::string name = id.text(20);
+        const auto stamp = stamped::parse_stamp(name);
+        if (!stamp) id.fail(fmt::format("'{}'", excerpt(name)), "expected a time in milliseconds");
+        if (!found.scans.empty() && *stamp <= found.scans.back().stamp)
+            id.fail(fmt::format("{} after {}", *stamp, found.scans.back().stamp), "expected times that rise");
+        found.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
+        if (needs_poses || frame.has("pose")) found.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
+        count_boxes(frame, found);
+    }
+    found.n_missing = std::erase_if(found.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
+    if (found.scans.empty())
+        throw DataError(fmt::format("{}: no scan of its {} frames is in {}, expected MILLISECONDS.bin", where, frames.size(),
+                                    lidar.string()));
+    return found;
+}
+
+/// Poses of the LiDAR as ONCE has its axes.
+PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log, bool is_w_first) {
+    PoseTrack track;
+    for (const OncePose& pose : poses) {
+        const auto& n = pose.numbers;
+        const glm::dquat q = is_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
+        track.time_s.push_back(log.seconds(pose.stamp));
+        track.pose.push_back({glm::normalize(q), {n[4], n[5], n[6]}});
+    }
+    return track;
+}
+
+/// Poses of the LiDAR turned to relidar's axes.
+PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& log, std::vector<std::string>& notes) {
+    const PoseTrack w_last = once_track(found.poses, log, false), w_first = once_track(found.poses, log, true);
+    const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
+    const bool is_w_first = first > last;
+    const double best = std::max(first, last);
+    if (best != 0.0) stamped::tell_unless_forward(notes, best);
+    if (is_w_first) notes.push_back("quaternions of poses have w first, unlike those of ONCE's own code: so the vehicle drives forward");
+    return moved_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
+}
+
+}  // namespace
+
+Sequence load_once(const fs::path& given, const DatasetOptions& options) {
+    check_folder(given, "a ONCE sequence (lidar_roof/ and its JSON file)");
+    const fs::path folder = fs::canonical(given), json = folder / (folder.filename().string() + ".json");
+    const OnceFile found = read_once_file(json, folder / "lidar_roof", options.poses_file.empty());
+    Sequence sequence;
+    sequence.name = "ONCE " + folder.filename().string();
+    sequence.source = given.string();
+    sequence.conventions = "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the log's first scan; points as "
+                           "they are; world: the LiDAR of the first frame, x left, y back";
+    sequence.notes = {found.n_boxes == 0 ? std::string("nothing in this log is labelled")
+                                         : fmt::format("{} boxes of {} labelled frames are left out: nothing says which are of one thing",
+                                                       found.n_boxes, found.n_labelled)};
+    if (found.n_missing > 0 && !options.allow_missing_scans)
+        throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one each", json.string(), found.n_missing));
+    if (found.n_missing > 0) sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", found.n_missing));
+    stamped::StampedLog log{kMillisecond, found.scans, {}, json, 0.0};
+    if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(found, log, sequence.notes);
+    sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
+    sequence.lidars[0].sensor.max_range_m = options.max_range_m;
+    const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);
+    stamped::PointFormat format;
+    const stamped::Brightness brightness = stamped::find_brightness(files, {});
+    format.units.intensity_max = brightness.most;
+    if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
+    format.turn_s = kTurn_s;
+    format.turned_rad = kTurned_rad;
+    format.beams = std::get<SpinningSensor>(known_sensor(kSensor)->pattern).beams;
+    stamped::read_points(sequence, files, format, options);
+    return sequence;
+}
+
+}  // namespace relidar

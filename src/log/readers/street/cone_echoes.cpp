@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// A spiral of golden angles; returns told apart by sorting. Written apart from
+// src/simulate/render/footprint.cpp, which it checks, and in other
+// places of the cone.
+#include "log/readers/street/cone_echoes.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace relidar::street {
+namespace {
+
+constexpr double kGolden_rad = 2.399963229728653;
+constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f, kDarkest = 1e-3f;
+
+struct Return {
+    float range_m = 0.0f, light = 0.0f;
+};
+
+/// Nearest first. @param n_back  how many rays of the cone came back
+std::vector<Return> returns_of(const Scan& cone, std::size_t ray, int& n_back) {
+    std::vector<std::pair<float, float>> hits;
+    for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)
+        if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], kDarkest));
+    n_back = static_cast<int>(hits.size());
+    std::sort(hits.begin(), hits.end());
+    std::vector<Return> returns;
+    float last_m = -1e9f;
+    for (const auto& [range_m, light] : hits) {
+        if (range_m - last_m >= kSeparation_m) returns.emplace_back();
+        returns.back().range_m += range_m * light;
+        returns.back().light += light;
+        last_m = range_m;
+    }
+    for (Return& r : returns) r.range_m /= r.light;
+    return returns;
+}
+
+Return second_of(const std::vector<Return>& returns, std::vector<Return>::const_iterator strongest) {
+    Return second;
+    if (strongest + 1 != returns.end()) {
+        second = returns.back();
+    } else {
+        for (auto r = returns.begin(); r != returns.end(); ++r)
+            if (r != strongest && r->light > second.light) second = *r;
+    }
+    return second.light >= kSecondShare * strongest->light ? second : Return{};
+}
+
+}  // namespace
+
+RayTable cone_rays(const RayTable& rays) {
+    RayTable cone;
+    cone.rows = rays.rows;
+    cone.columns = rays.columns * kConeRays;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const glm::dvec3 d(rays.direction[i]),
+            side = glm::normalize(glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
+        for (int k = 0; k < kConeRays; ++k) {
+            const double angle = 0.5 * rays.divergence_of(i) * std::sqrt((k + 0.5) / kConeRays);
+            const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side + std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
+            cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
+            cone.origin.push_back(rays.origin[i]);
+            cone.time_offset_s.push_back(rays.time_offset_s[i]);
+            cone.channel.push_back(rays.channel[i]);
+        }
+    }
+    return cone;
+}
+
+Scan receive(const RayTable& rays, const Scan& cone) {
+    Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
+    SecondReturn& echo =
+        scan.second_returns.emplace_back(SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        int n_back = 0;
+        const std::vector<Return> returns = returns_of(cone, i, n_back);
+        if (2 * n_back <= kConeRays) continue;
+        const auto strongest = std::ranges::max_element(returns, {}, &Return::light);
+        const Return second = second_of(returns, strongest);
+        scan.range_m[i] = strongest->range_m;
+        scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
+        echo.range_m[i] = second.range_m;
+        echo.intensity[i] = second.light / kConeRays;
+    }
+    return scan;
+}
+
+}  // namespace relidar::street

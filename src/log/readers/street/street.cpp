@@ -1,0 +1,243 @@
+// SPDX-License-Identifier: Apache-2.0
+// Exact ray casting against the ground plane, upright boxes (slabs) and upright cylinders (quadratic in the plane, capped):
+//   box: t_axis = (+-half - o) / d;   cylinder: |o_xy + t d_xy| = r, |z| <= half height
+#include "log/readers/street/street.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <span>
+#include <utility>
+
+namespace relidar::street {
+namespace {
+
+/// Where a ray meets a shape, in the shape's frame.
+struct Meeting {
+    double t = std::numeric_limits<double>::infinity();
+    glm::dvec3 normal{0.0};
+};
+
+Meeting meet_box(const glm::dvec3& half, const glm::dvec3& o, const glm::dvec3& d) {
+    double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
+    int axis = 0;
+    for (int a = 0; a < 3; ++a) {
+        if (d[a] == 0.0) {
+            if (std::abs(o[a]) > half[a]) return {};
+            continue;
+        }
+        const double side = std::copysign(half[a], d[a]);
+        const double near = (-side - o[a]) / d[a], far = (side - o[a]) / d[a];
+        if (near > enter) enter = near, axis = a;
+        leave = std::min(leave, far);
+    }
+    if (!(enter > 0.0) || enter > leave) return {};
+    Meeting meeting{enter, glm::dvec3(0.0)};
+    meeting.normal[axis] = -std::copysign(1.0, d[axis]);
+    return meeting;
+}
+
+Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, const glm::dvec3& d) {
+    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y, c = o.x * o.x + o.y * o.y - radius * radius;
+    Meeting best;
+    const double root = b * b - a * c;
+    if (a > 0.0 && root >= 0.0) {
+        const double t = (-b - std::sqrt(root)) / a;
+        const glm::dvec3 p = o + t * d;
+        if (t > 0.0 && std::abs(p.z) <= half_height) best = {t, glm::dvec3(p.x, p.y, 0.0) / radius};
+    }
+    if (d.z != 0.0) {
+        const double cap = -std::copysign(half_height, d.z), t = (cap - o.z) / d.z;
+        const glm::dvec3 p = o + t * d;
+        if (t > 0.0 && t < best.t && p.x * p.x + p.y * p.y <= radius * radius) best = {t, {0.0, 0.0, std::copysign(1.0, cap)}};
+    }
+    return best;
+}
+
+/// A capsule whose axis goes from the origin straight down.
+Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& d) {
+    Meeting best;
+    const auto offer = [&](double t, double axis_z) {
+        if (t > 0.0 && t < best.t) best = {t, (o + t * d - glm::dvec3(0.0, 0.0, axis_z)) / radius};
+    };
+    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y, c = o.x * o.x + o.y * o.y - radius * radius;
+    if (const double root = b * b - a * c; a > 0.0 && root >= 0.0) {
+        const double t = (-b - std::sqrt(root)) / a, z = o.z + t * d.z;
+        if (z <= 0.0 && z >= -length) offer(t, z);
+    }
+    for (const double end : {0.0, -length}) {
+        const glm::dvec3 to = o - glm::dvec3(0.0, 0.0, end);
+        const double half = glm::dot(to, d), rest = half * half - glm::dot(to, to) + radius * radius;
+        if (rest >= 0.0) offer(-half - std::sqrt(rest), end);
+    }
+    return best;
+}
+
+/// About the z axis, by the angle with cosine c and sine s.
+glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
+    return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
+}
+
+/// Windows in a wall: 1.2 x 1.5 m panes of dark glass, one every 3 x 3 m, on faces that look sideways.
+bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
+    if (std::abs(normal.y) < 0.5) return false;
+    const double u = local.x + wall.half.x, v = local.z + wall.half.z;
+    return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
+}
+
+/// The ground: road with a dashed line in its middle, pavement beside it.
+double ground_reflectance(const glm::dvec3& p) {
+    const double middle = std::abs(p.y - 1.7);
+    const bool dash = middle < 0.08 && p.x - 6.0 * std::floor(p.x / 6.0) < 3.0;
+    return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
+}
+
+/// That of its corners; holds a cylinder, too.
+Sphere sphere_around(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
+
+/// Of some spheres: about the box of their centres.
+Sphere sphere_around(std::span<const Shape> shapes) {
+    glm::dvec3 low = shapes.front().centre, high = low;
+    for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
+    Sphere around{0.5 * (low + high)};
+    for (const Shape& shape : shapes) {
+        const Sphere s = sphere_around(shape);
+        around.radius_m = std::max(around.radius_m, glm::distance(around.centre, s.centre) + s.radius_m);
+    }
+    return around;
+}
+
+}  // namespace
+
+/// Follows one ray to what it meets first.
+class StreetCaster::Walk {
+public:
+    Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
+
+    /// Whether nothing in a sphere can be what the ray meets first.
+    bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
+        const glm::dvec3 to = sphere.centre - origin;
+        const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
+        if (glm::dot(to, to) - along * along > radius2) return true;
+        return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
+    }
+
+    void ground() {
+        if (!(ray_.direction.z < 0.0)) return;
+        const double t = -ray_.origin_m.z / ray_.direction.z;
+        if (!(t > 0.0) || t > nearest_m_) return;
+        nearest_m_ = t;
+        hit_ = Hit{t, -ray_.direction.z, ground_reflectance(ray_.origin_m + t * ray_.direction)};
+    }
+
+    /// @param o, d ray in the frame that holds the shape's centre
+    void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
+        if (passes_by(solid.around, origin, direction)) return;
+        const Shape& shape = solid.shape;
+        const double c = solid.cos_yaw, s = -solid.sin_yaw;
+        const glm::dvec3 o = turned(origin - shape.centre, c, s), d = turned(direction, c, s);
+        const Meeting m = shape.kind == Shape::Kind::box ? meet_box(shape.half, o, d) : meet_cylinder(shape.half.x, shape.half.z, o, d);
+        if (!(m.t <= nearest_m_)) return;
+        nearest_m_ = m.t;
+        const bool glass = shape.material == Material::wall && in_window(shape, o + m.t * d, m.normal);
+        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
+    }
+
+    /// @param pitch_rad  from straight down, forward @param origin, direction  ray in the frame of the box
+    void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
+        const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
+        const auto hanging = [&](const glm::dvec3& v) { return glm::dvec3(c * v.x + s * v.z, v.y, c * v.z - s * v.x); };
+        const glm::dvec3 d = hanging(direction);
+        const Meeting m = meet_capsule(limb.radius_m, limb.length_m, hanging(origin - limb.joint_m), d);
+        if (!(m.t <= nearest_m_)) return;
+        nearest_m_ = m.t;
+        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), limb.reflectance};
+    }
+
+    const std::optional<Hit>& hit() const { return hit_; }
+
+private:
+    const WorldRay& ray_;
+    double nearest_m_;
+    std::optional<Hit> hit_;
+};
+
+Pose MovingCar::world_from_box(double t_s) const {
+    if (!track.pose.empty()) return track.at(t_s);
+    const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
+    return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), start_m + speed_mps * t_s * ahead};
+}
+
+double MovingCar::walked_m(double t_s) const {
+    if (track.pose.empty()) return speed_mps * t_s;
+    const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
+    double walked = glm::dot(track.pose.front().translation - start_m, ahead);
+    for (std::size_t i = 1; i < track.pose.size() && track.time_s[i - 1] < t_s; ++i) {
+        const double share = std::min(1.0, (t_s - track.time_s[i - 1]) / (track.time_s[i] - track.time_s[i - 1]));
+        walked += share * glm::distance(glm::dvec2(track.pose[i].translation), glm::dvec2(track.pose[i - 1].translation));
+    }
+    return walked;
+}
+
+std::vector<StreetCaster::Solid> StreetCaster::solids_of(const std::vector<Shape>& shapes) {
+    std::vector<Solid> solids;
+    for (const Shape& shape : shapes) solids.push_back({shape, sphere_around(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
+    return solids;
+}
+
+StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
+    constexpr double kWide_m = 4.0;   // a car, a bush, a stretch of fence
+    const std::span<const Shape> shapes = street.shapes;
+    for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
+        while (end < shapes.size() && sphere_around(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m) ++end;
+        clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
+    }
+    for (MovingCar& car : street.cars) {
+        Car& own = cars_.emplace_back(Car{std::move(car), {}});
+        own.solids = solids_of(own.moving.shapes);
+        for (const Solid& s : own.solids) own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
+        for (const Limb& l : own.moving.limbs) own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
+    }
+}
+
+void StreetCaster::place_cars(double t_s, CarPlaces& places) const {
+    if (places.time_s == t_s) return;
+    places.time_s = t_s;
+    places.centre_m.clear();
+    places.box_from_world.clear();
+    for (const Car& car : cars_) {
+        const Pose world_from_box = car.moving.world_from_box(t_s);
+        places.centre_m.push_back(world_from_box.translation);
+        places.box_from_world.push_back(inverse(world_from_box));
+    }
+}
+
+std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const {
+    Walk walk(ray, max_range_m);
+    walk.ground();
+    std::size_t solid = 0;
+    for (const Cluster& cluster : clusters_) {
+        if (!walk.passes_by(cluster.around, ray.origin_m, ray.direction))
+            for (; solid < cluster.end; ++solid) walk.solid(solids_[solid], ray.origin_m, ray.direction);
+        solid = cluster.end;
+    }
+    place_cars(t_s, places);
+    for (std::size_t i = 0; i < cars_.size(); ++i) {
+        const Car& car = cars_[i];
+        if (walk.passes_by({places.centre_m[i], car.reach_m}, ray.origin_m, ray.direction)) continue;
+        const Pose& box_from_world = places.box_from_world[i];
+        const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
+        for (const Solid& s : car.solids) walk.solid(s, origin, direction);
+        if (car.moving.limbs.empty()) continue;
+        const double stride_rad = 2.0 * kPi * car.moving.walked_m(t_s) / car.moving.stride_m;
+        for (const Limb& l : car.moving.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
+    }
+    return walk.hit();
+}
+
+std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m) const {
+    CarPlaces places;
+    return cast(ray, t_s, max_range_m, places);
+}
+
+}  // namespace relidar::street

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+// street.toml: the options of a synthetic log, one key each; missing keys keep their defaults, unknown ones are refused.
+#include "log/readers/street/synthetic.hpp"
+
+#include <algorithm>
+#include <fstream>
+#include <optional>
+#include <type_traits>
+
+#include <fmt/format.h>
+#include <toml++/toml.h>
+
+#include <relidar/base/error.hpp>
+#include "base/files.hpp"
+#include "base/number_text.hpp"
+#include "base/toml_depth.hpp"
+#include "log/clouds/log_files.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
+                                     "speed_mps", "moving_cars", "people", "gait",    "rig"};
+
+/// Value of a key where it is there. @throws DataError where it has another type (whole numbers serve as real ones)
+template <class T>
+void read_value(const toml::table& table, const char* key, const char* type, const std::string& file, T& value) {
+    const toml::node* node = table.get(key);
+    if (!node) return;
+    // toml++ casts a real number to an integer before it looks whether it is one
+    const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
+    const auto found = is_cut ? std::nullopt : node->value<T>();
+    if (!found)
+        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line, key, type));
+    value = *found;
+}
+
+/// Poses of a file in the street's world instead of the exact ones from which the scans were cast, to see what wrong poses do.
+void take_poses(Sequence& sequence, const fs::path& poses_file) {
+    std::vector<int> frames;
+    for (const Frame& frame : sequence.frames)   // a pose for all LiDARs of a rig
+        if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
+    PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
+    if (poses_file != kNoPoses) {
+        track.pose = kitti::read_pose_file(poses_file, frames);
+        track = shifted_track(std::move(track), -sequence.world_offset_m);
+    }
+    set_vehicle_poses(sequence, std::move(track));
+    sequence.conventions +=
+        poses_file == kNoPoses ? "; but no poses: the sensor is at the origin in every frame" : "; but poses from " + poses_file.string();
+}
+
+SyntheticOptions read_options(const fs::path& path) {
+    const std::string file = path.string();
+    const std::string text = read_text(path);
+    check_toml_depth(text, file);
+    toml::table table;
+    try {
+        table = toml::parse(text, file);
+    } catch (const toml::parse_error& error) {
+        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line, excerpt(error.description())));
+    }
+    for (const auto& [key, value] : table) {
+        const std::string name(key.str());
+        if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
+        throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line, excerpt(name),
+                                    did_you_mean(name, kKeys, "'"), fmt::join(kKeys, ", ")));
+    }
+    SyntheticOptions options;
+    std::int64_t seed = static_cast<std::int64_t>(options.seed);
+    read_value(table, "seed", "a whole number", file, seed);
+    options.seed = static_cast<std::uint64_t>(seed);
+    read_value(table, "n_frames", "a whole number", file, options.n_frames);
+    read_value(table, "rows", "a whole number", file, options.rows);
+    read_value(table, "columns", "a whole number", file, options.columns);
+    read_value(table, "range_noise_m", "a number", file, options.range_noise_m);
+    read_value(table, "speed_mps", "a number", file, options.speed_mps);
+    read_value(table, "moving_cars", "true or false", file, options.moving_cars);
+    read_value(table, "people", "true or false", file, options.people);
+    read_value(table, "gait", "true or false", file, options.gait);
+    read_value(table, "rig", "a file", file, options.rig);
+    if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();   // beside this file, or absolute
+    return options;
+}
+
+}  // namespace
+
+Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
+    const fs::path file = folder / "street.toml";
+    const SyntheticOptions street = read_synthetic(folder);
+    const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
+    if (street.n_frames > 0 && options.frames.begin >= end) {
+        throw UsageError(fmt::format("frames {}:{}: no frame of {} lies in it, expected numbers in [0, {}]", options.frames.begin,
+                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
+                                     street.n_frames - 1));
+    }
+    Sequence sequence;
+    try {
+        sequence = make_synthetic_frames(street, options.frames.begin, end);
+    } catch (const UsageError& error) {  // here the value stands in a file, not on a command line
+        throw DataError(fmt::format("{}: {}", file.string(), error.what()));
+    }
+    sequence.source = folder.string();
+    if (!options.poses_file.empty()) take_poses(sequence, options.poses_file);
+    return sequence;
+}
+
+SyntheticOptions read_synthetic(const fs::path& folder) { return read_options(folder / "street.toml"); }
+
+void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
+    std::error_code failed;
+    fs::create_directories(folder, failed);
+    const fs::path file = folder / "street.toml";
+    std::ofstream out(file);
+    out << fmt::format(
+        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\ngait = {}\n",
+        static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
+        number_text(options.speed_mps), options.moving_cars, options.people, options.gait);
+    if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
+    if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
+}
+
+}  // namespace relidar

@@ -1,0 +1,326 @@
+// SPDX-License-Identifier: Apache-2.0
+// Messages of Waymo Open 1.4, by the numbers of dataset.proto and label.proto. What has another wire type than it should is skipped, as
+// protobuf does with fields it does not know.
+#include "log/readers/waymo/waymo_frame.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <zlib.h>
+#include <protozero/pbf_reader.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/clouds.hpp>
+#include "base/files.hpp"
+
+namespace relidar::waymo {
+namespace {
+
+using protozero::pbf_reader;
+using protozero::pbf_wire_type;
+
+constexpr std::uint32_t number(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::varint);
+}
+constexpr std::uint32_t message(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::length_delimited);
+}
+constexpr std::uint32_t real(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::fixed64);
+}
+constexpr std::uint32_t real_single(std::uint32_t field) {
+    return protozero::tag_and_type(field, pbf_wire_type::fixed32);
+}
+
+constexpr std::size_t kMostInflated = std::size_t(32) << 20;  // a matrix of TOP with six channels has 4 MB
+constexpr double kLargestOfFrame = 1e8;                       // of any number of a frame: metres, radians
+
+std::string_view view_of(pbf_reader& from) {
+    const protozero::data_view view = from.get_view();
+    return {view.data(), view.size()};
+}
+
+double checked(double value, const char* field, const std::string& where) {
+    if (!(std::abs(value) <= kLargestOfFrame))
+        throw DataError(fmt::format("{}: {} is {}, expected one within {:.0e}", where, field, value, kLargestOfFrame));
+    return value;
+}
+
+void append_packed(pbf_reader& from, std::vector<double>& to) {
+    for (const double value : from.get_packed_double()) to.push_back(value);
+}
+
+/// Transform: 16 doubles, row-major.
+Pose parse_transform(pbf_reader from, const std::string& where) {
+    std::vector<double> m;
+    while (from.next()) {
+        switch (from.tag_and_type()) {
+            case real(1):
+                m.push_back(from.get_double());
+                break;
+            case message(1):
+                append_packed(from, m);
+                break;
+            default:
+                from.skip();
+        }
+    }
+    if (m.size() != 16) throw DataError(fmt::format("{}: a transform of {} numbers, expected 16", where, m.size()));
+    for (const double value : m) checked(value, "a number of the transform", where);
+    return rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
+}
+
+Calibration parse_calibration(pbf_reader from, const std::string& where) {
+    Calibration calibration;
+    while (from.next()) {
+        switch (from.tag_and_type()) {
+            case number(1):
+                calibration.laser = from.get_enum();
+                break;
+            case real(2):
+                calibration.inclination_rad.push_back(from.get_double());
+                break;
+            case message(2):
+                append_packed(from, calibration.inclination_rad);
+                break;
+            case real(3):
+                calibration.min_inclination_rad = from.get_double();
+                break;
+            case real(4):
+                calibration.max_inclination_rad = from.get_double();
+                break;
+            case message(5):
+                calibration.vehicle_from_laser = parse_transform(from.get_message(), where + ", extrinsic");
+                break;
+            default:
+                from.skip();
+        }
+    }
+    return calibration;
+}
+
+void parse_context(pbf_reader from, FrameRecord& frame, const std::string& where) {
+    while (from.next()) {
+        if (from.tag_and_type() == message(3))
+            frame.lasers.push_back(parse_calibration(from.get_message(), where + ": laser_calibrations"));
+        else
+            from.skip();
+    }
+}
+
+/// RangeImage: image and, of the first return, the poses of its pixels.
+void parse_range_image(pbf_reader from, std::string_view& image, std::string_view& pixel_pose) {
+    while (from.next()) {
+        switch (from.tag_and_type()) {
+            case message(2):
+                image = view_of(from);
+                break;
+            case message(4):
+                pixel_pose = view_of(from);
+                break;
+            default:
+                from.skip();
+        }
+    }
+}
+
+LaserImages parse_laser(pbf_reader from) {
+    LaserImages laser;
+    std::string_view none;
+    while (from.next()) {
+        switch (from.tag_and_type()) {
+            case number(1):
+                laser.laser = from.get_enum();
+                break;
+            case message(2):
+                parse_range_image(from.get_message(), laser.first, laser.pixel_pose);
+                break;
+            case message(3):
+                parse_range_image(from.get_message(), laser.second, none);
+                break;
+            default:
+                from.skip();
+        }
+    }
+    return laser;
+}
+
+/// Box: centre, then width before length, height, heading.
+void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
+    double v[8] = {};
+    while (from.next()) {
+        if (from.tag() >= 1 && from.tag() <= 7 && from.wire_type() == pbf_wire_type::fixed64) {
+            const std::uint32_t field = from.tag();
+            v[field] = checked(from.get_double(), "a number of the box", where);
+        } else {
+            from.skip();
+        }
+    }
+    label.size_m = {v[5], v[4], v[6]};
+    label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
+}
+
+/// What can move; signs are background.
+const char* category_of(int type) {
+    constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
+    return type == kVehicle ? "vehicle" : type == kPedestrian ? "pedestrian" : type == kCyclist ? "cyclist" : nullptr;
+}
+
+void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) {
+    BoxLabel label;
+    int type = 0;
+    while (from.next()) {
+        switch (from.tag_and_type()) {
+            case message(1):
+                parse_box(from.get_message(), label, where);
+                break;
+            case number(3):
+                type = from.get_enum();
+                break;
+            case message(4):
+                label.id = from.get_string();
+                break;
+            default:
+                from.skip();
+        }
+    }
+    const char* category = category_of(type);
+    if (!category) return;
+    label.category = category;
+    if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
+        throw DataError(fmt::format("{}: a {} with id '{}' and a size of {} x {} x {} m, expected an id and all above 0", where, category,
+                                    excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
+    frame.labels.push_back(std::move(label));
+}
+
+/// MatrixFloat: values and dimensions.
+void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::int32_t>& dims) {
+    while (from.next()) {
+        switch (from.tag_and_type()) {
+            case real_single(1):
+                values.push_back(from.get_float());
+                break;
+            case message(1): {
+                const auto packed = from.get_packed_float();
+                values.insert(values.end(), packed.begin(), packed.end());
+                break;
+            }
+            case message(2):
+                for (pbf_reader shape = from.get_message(); shape.next();) {
+                    if (shape.tag_and_type() == number(1))
+                        dims.push_back(shape.get_int32());
+                    else if (shape.tag_and_type() == message(1)) {
+                        for (const std::int32_t dim : shape.get_packed_int32()) dims.push_back(dim);
+                    } else
+                        shape.skip();
+                }
+                break;
+            default:
+                from.skip();
+        }
+    }
+}
+
+std::string inflate(std::string_view packed, const std::string& where) {
+    z_stream stream{};
+    if (inflateInit(&stream) != Z_OK) throw std::bad_alloc();
+    stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(packed.data()));
+    stream.avail_in = static_cast<uInt>(std::min<std::size_t>(packed.size(), UINT32_MAX));
+    std::string bytes;
+    int status = Z_OK;
+    while (status == Z_OK && bytes.size() <= kMostInflated) {
+        const std::size_t have = bytes.size();
+        bytes.resize(std::min(std::max(2 * have, 4 * packed.size() + 64), kMostInflated + 1));
+        stream.next_out = reinterpret_cast<Bytef*>(&bytes[have]);
+        stream.avail_out = static_cast<uInt>(bytes.size() - have);
+        status = ::inflate(&stream, Z_NO_FLUSH);
+        bytes.resize(bytes.size() - stream.avail_out);
+    }
+    inflateEnd(&stream);
+    if (bytes.size() > kMostInflated)
+        throw DataError(fmt::format("{}: a zlib stream of more than {} bytes, expected a range image", where, kMostInflated));
+    if (status != Z_STREAM_END) throw DataError(fmt::format("{}: a damaged zlib stream after {} bytes", where, bytes.size()));
+    return bytes;
+}
+
+/// Calls parse and tells protozero's failures as ours.
+template <class Parse>
+auto parse_told(const std::string& where, const Parse& parse) {
+    try {
+        return parse();
+    } catch (const protozero::exception& failure) {
+        throw DataError(fmt::format("{}: malformed protobuf: {}", where, failure.what()));
+    }
+}
+
+}  // namespace
+
+FrameRecord parse_frame(std::string_view record, const std::string& where) {
+    FrameRecord frame;
+    bool has_pose = false;
+    parse_told(where, [&] {
+        for (pbf_reader from(record.data(), record.size()); from.next();) {
+            switch (from.tag_and_type()) {
+                case message(1):
+                    parse_context(from.get_message(), frame, where);
+                    break;
+                case number(2):
+                    frame.timestamp_us = from.get_int64();
+                    break;
+                case message(3):
+                    frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose"), has_pose = true;
+                    break;
+                case message(5):
+                    frame.images.push_back(parse_laser(from.get_message()));
+                    break;
+                case message(6):
+                    parse_label(from.get_message(), frame, where + ": laser_labels");
+                    break;
+                default:
+                    from.skip();
+            }
+        }
+    });
+    if (!has_pose) throw DataError(fmt::format("{}: no pose, expected a Frame of Waymo Open", where));
+    const auto by_laser = [](const auto& a, const auto& b) { return a.laser < b.laser; };
+    std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
+    std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
+    return frame;
+}
+
+Image inflate_image(std::string_view packed, int channels, const std::string& where) {
+    constexpr int kMostRows = 1024, kMostColumns = 8192;
+    Image image;
+    std::vector<std::int32_t> dims;
+    const std::string bytes = inflate(packed, where);
+    parse_told(where, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), image.values, dims); });
+    const bool fits = dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
+                      dims[2] == channels && image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(channels);
+    if (!fits)
+        throw DataError(fmt::format("{}: {} values in {} dimensions{}, expected rows x columns x {} with a value each", where,
+                                    image.values.size(), dims.size(),
+                                    dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", channels));
+    image.rows = dims[0];
+    image.columns = dims[1];
+    image.channels = channels;
+    return image;
+}
+
+std::vector<double> row_elevations(const Calibration& calibration, int rows, const std::string& where) {
+    std::vector<double> elevations = calibration.inclination_rad;
+    const double low = calibration.min_inclination_rad, high = calibration.max_inclination_rad;
+    if (elevations.empty())
+        for (int k = 0; k < rows; ++k) elevations.push_back(low + (k + 0.5) / rows * (high - low));
+    if (elevations.size() != std::size_t(rows))
+        throw DataError(fmt::format("{}: {} beam_inclinations of laser {} with {} rows, expected one a row", where, elevations.size(),
+                                    calibration.laser, rows));
+    for (const double elevation : elevations)
+        if (!(std::abs(elevation) <= kPi / 2))
+            throw DataError(fmt::format("{}: a beam inclination of {} of laser {}, expected radians within a quarter turn", where,
+                                        elevation, calibration.laser));
+    std::reverse(elevations.begin(), elevations.end());
+    return elevations;
+}
+
+}  // namespace relidar::waymo

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// The same map with large cells and small ones: scans are placed from coarse to fine.
+#pragma once
+
+#include <vector>
+
+#include "base/parallel.hpp"
+#include "log/registration/voxel_planes.hpp"
+
+namespace relidar {
+
+class LevelMaps {
+public:
+    static constexpr int kLevels = 3;
+
+    /// @param first, last  cells and kernel of the coarsest level and of the finest
+    LevelMaps(const RegisterRound& first, const RegisterRound& last) : first_(first), last_(last) { clear(); }
+
+    void clear() {
+        maps_.clear();
+        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(round(level).cell_m);
+    }
+    bool empty() const { return maps_.front().empty(); }
+    RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
+    /// As VoxelPlanes has them, on every level.
+    void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
+        run_parallel(kLevels, [&](int level) {
+            for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
+        });
+    }
+    void forget(double travelled_m) {
+        for (VoxelPlanes& map : maps_) map.forget(travelled_m);
+    }
+    /// Of the maps up to a level: what lies far away fills large cells only. Null where none has a plane.
+    const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
+        const Plane* plane = nullptr;
+        for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);
+        return plane;
+    }
+
+private:
+    RegisterRound first_, last_;
+    std::vector<VoxelPlanes> maps_;   // [kLevels]
+};
+
+}  // namespace relidar

@@ -1,0 +1,236 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scan to map: a scan starts where its motion is predicted to bring it, by the given poses and by the velocity of the scan before, and
+// moves as a rigid body in Gauss-Newton steps onto planes of cells of 2 m, then finer. Its points are placed at their own firing times:
+// the pose before is known, the pose after moves along. Of several predictions the one counts on which most points find a plane.
+#include "log/registration/odometry.hpp"
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cmath>
+#include <span>
+#include <thread>
+#include <utility>
+
+#include "base/parallel.hpp"
+#include "log/registration/level_maps.hpp"
+#include "log/registration/pose_equations.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kMostSteps = 8;
+constexpr double kConverged_m = 1e-3;       // length of the last step
+constexpr double kPrior = 3e-4;  // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
+constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
+constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
+constexpr double kForgotten_m = 5.0;        // of the way at a time: looking through all cells takes as long as adding a scan
+constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place
+constexpr int kLostInARow = 5;              // after which the map begins anew
+constexpr std::size_t kStretch = 200;       // poses
+constexpr std::size_t kOverlap = 20;        // poses that a stretch and the one before it both have: enough for a map
+constexpr int kTrialScans = 4;              // by which the first motion is chosen
+constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;   // between scans: 40 m/s at 10 Hz
+
+/// The motion from a to b, s times.
+Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
+
+/// Poses that are followed one after the other.
+struct Stretch {
+    std::size_t begin, end;
+};
+
+/// Stretches of a log: the last one may be up to twice as long as the others.
+std::vector<Stretch> stretches_of(std::size_t n_poses) {
+    std::vector<Stretch> stretches{{0, n_poses}};
+    for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
+        stretches.back().end = begin;
+        stretches.push_back({begin - kOverlap, n_poses});
+    }
+    return stretches;
+}
+
+class Follower {
+public:
+    Follower(const PoseTrack& given, const OdometryOptions& options, std::size_t begin, std::optional<Pose> first_motion)
+        : given_(given), track_(given), options_(options), begin_(begin), first_motion_(first_motion), maps_(options.first, options.last) {
+        if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
+    }
+
+    /// Poses are followed in their order.
+    void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
+        const std::vector<Pose> starts = pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
+        Candidate best{starts.front(), 0.0};
+        for (const Pose& start : starts) {
+            const Candidate candidate = placed(pose, start, scan);
+            if (candidate.share > best.share) best = candidate;
+        }
+        const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
+        set(pose, is_lost ? starts.front() : best.pose);
+        if (pose > begin_) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
+        if (scan.empty()) return;
+        share_ += best.share;
+        lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
+        if (is_lost && lost_in_a_row_ < kLostInARow) return;
+        if (is_lost) maps_.clear();
+        add_to_maps(scan);
+    }
+
+    const PoseTrack& track() const { return track_; }
+    double share() const { return share_; }   ///< of points on planes, summed over scans
+
+private:
+    struct Candidate {
+        Pose pose;
+        double share = 0.0;   // of its points that lie on planes
+    };
+    const PoseTrack& given_;
+    PoseTrack track_;
+    const OdometryOptions& options_;
+    std::size_t begin_;
+    std::optional<Pose> first_motion_;
+    LevelMaps maps_;
+    double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
+    int lost_in_a_row_ = 0;
+
+    void add_to_maps(const std::vector<ThinPoint>& scan) {
+        std::vector<glm::dvec3> points_m(scan.size());
+        for_each_block(scan.size(), [&](std::size_t i) { points_m[i] = place(track_, scan[i]).point_m; });
+        maps_.add(points_m, travelled_m_);
+        if (travelled_m_ - kMemory_m < forgotten_m_ + kForgotten_m) return;
+        forgotten_m_ = travelled_m_ - kMemory_m;
+        maps_.forget(forgotten_m_);
+    }
+
+    /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
+    Pose kept_motion(std::size_t k) const {
+        if (k < begin_ + 2) return first_motion_.value_or(Pose{});
+        const std::vector<double>& t = track_.time_s;
+        return scaled_motion(track_.pose[k - 2], track_.pose[k - 1], (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
+    }
+
+    Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
+
+    /// Where a pose after the first may be, the likeliest first.
+    std::vector<Pose> predictions(std::size_t k) const {
+        const Pose kept = track_.pose[k - 1] * kept_motion(k);
+        if (!options_.given_motion) return {kept};
+        const Pose given = track_.pose[k - 1] * given_motion(k);
+        if (k < begin_ + 2 || glm::distance(given.translation, kept.translation) < kSame_m) return {given};
+        return {given, kept};
+    }
+
+    /// Sets a pose; the next one moves along, as far as it is known.
+    void set(std::size_t k, const Pose& pose) {
+        track_.pose[k] = pose;
+        if (k + 1 < track_.pose.size()) track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
+    }
+
+    /// A scan moved onto the maps. @return where it ends, and the share of its points that lie on planes there
+    Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
+        set(k, start);
+        if (maps_.empty() || scan.empty()) return {start, 0.0};
+        double share = 0.0;
+        for (int level = 0; level < LevelMaps::kLevels; ++level) {
+            const double scale_m = maps_.round(level).scale_m;
+            for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m; ++i) {}
+        }
+        return {track_.pose[k], share};
+    }
+
+    /// @return length of the step
+    double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
+        const RigidEquations equations = sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            RigidEquations part;
+            for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
+                const PlacedPoint at = place(track_, point);
+                const double moves_along = point.left + 1 == k ? double(point.s) : 1.0;
+                if (const Plane* plane = maps_.finest_plane(at.point_m, level)) part.add(row_of(at, *plane, scale_m), moves_along);
+            }
+            return part;
+        });
+        share = double(equations.n_on_planes()) / double(scan.size());
+        if (equations.empty()) return 0.0;
+        const Twist x = equations.solve(kPrior, twist_between(start, track_.pose[k]));
+        set(k, moved(track_.pose[k], x));
+        return length_m(x);
+    }
+};
+
+/// How the sensor moved from a stretch's first pose to the second, where nothing says so: the speed ahead on which the first scans agree
+/// best.
+Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options,
+                       const Stretch& stretch) {
+    Pose best;
+    double best_share = -1.0;
+    for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
+        const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
+        Follower follower(given, options, stretch.begin, motion);
+        int n = 0;
+        for (std::size_t k = stretch.begin; k < stretch.end && n < kTrialScans; n += !scans[k++].empty()) follower.follow(k, scans[k]);
+        if (follower.share() <= best_share) continue;
+        best_share = follower.share();
+        best = motion;
+    }
+    return best;
+}
+
+/// @param proceed asked before each scan @return poses of the stretch, the first as given; nothing where ended
+std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options,
+                           const Stretch& stretch, const std::function<bool()>& proceed) {
+    Follower follower(given, options, stretch.begin,
+                      options.given_motion ? std::nullopt : std::optional(find_first_motion(given, scans, options, stretch)));
+    for (std::size_t k = stretch.begin; k < stretch.end; ++k) {
+        if (!proceed()) return {};
+        follower.follow(k, scans[k]);
+    }
+    const auto first = follower.track().pose.begin();
+    return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
+}
+
+/// Puts each stretch where the one before it has seen the last scan that both have.
+std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
+                          const std::vector<std::vector<ThinPoint>>& scans) {
+    auto own = poses.begin();   // of the first pose of a stretch, by that stretch
+    std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
+    for (std::size_t i = 1; i < stretches.size(); ++i) {
+        own += std::ptrdiff_t(stretches[i - 1].end - stretches[i - 1].begin);
+        const auto [begin, end] = stretches[i];
+        std::size_t last = track.size() - 1;
+        while (last > begin && scans[last].empty()) --last;
+        const Pose place = track[last] * inverse(own[std::ptrdiff_t(last - begin)]);
+        track.resize(last + 1);
+        for (std::size_t k = last + 1; k < end; ++k) {
+            track.push_back(place * own[std::ptrdiff_t(k - begin)]);
+            track.back().rotation = glm::normalize(track.back().rotation);
+        }
+    }
+    return track;
+}
+
+}  // namespace
+
+PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
+    const std::vector<Stretch> stretches = stretches_of(scans.size());
+    const ProcessGroup::Share share = options.group.share(stretches.size());
+    std::size_t n = 0;
+    for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
+    const std::thread::id caller = std::this_thread::get_id();
+    std::atomic<std::size_t> done = 0;
+    std::atomic<bool> ended = false;
+    const auto proceed = [&] {
+        const std::size_t before = done++;
+        if (std::this_thread::get_id() == caller && !options.proceed(double(before) / double(n))) ended = true;
+        return !ended;
+    };
+    std::vector<std::vector<Pose>> parts(share.end - share.begin);
+    run_parallel(static_cast<int>(parts.size()), [&](int i) {
+        parts[std::size_t(i)] = followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
+    });
+    if (ended) return given;
+    std::vector<Pose> own;
+    for (const std::vector<Pose>& part : parts) own.insert(own.end(), part.begin(), part.end());
+    return {given.time_s, chained(stretches, options.group.all_gathered(std::move(own)), scans)};
+}
+
+}  // namespace relidar

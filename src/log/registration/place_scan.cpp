@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// One scan onto a scene that stays: each point towards the surface along its own ray, so that nothing has to be searched for.
+#include <relidar/log/registration.hpp>
+
+#include "base/parallel.hpp"
+#include "log/registration/plane_adjustment.hpp"
+#include "log/registration/pose_equations.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kThin_m = 0.1;         // nearly all returns: what is fitted is one pose
+constexpr double kScale_m = 0.05;       // of the kernel: registration has brought scans nearer than that
+constexpr double kPlacePrior = 1e-4;    // of the mean stiffness, towards where the scan was
+constexpr double kPlaceStep_m = 2e-4;   // length of the last step
+constexpr int kMostPlaceSteps = 8;
+
+/// Rays of one frame that are looked at, and their returns.
+struct FrameRays {
+    int position;
+    std::vector<std::size_t> rays;
+    std::vector<ThinPoint> points;
+};
+
+std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const RegisterOptions& options) {
+    std::vector<FrameRays> frames;
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
+        if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose])
+            frames.push_back({static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m), {}});
+    std::erase_if(frames, [](const FrameRays& f) { return f.rays.empty(); });
+    for (FrameRays& f : frames) {
+        f.points.resize(f.rays.size());
+        for_each_block(f.rays.size(), [&](std::size_t k) {
+            f.points[k] = point_of(sequence, sequence.world_from_vehicle, pose, f.position, f.rays[k]);
+        });
+    }
+    return frames;
+}
+
+}  // namespace
+
+ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view, const RegisterOptions& options) {
+    PoseTrack track = sequence.world_from_vehicle;
+    const Pose before = track.pose[pose];
+    ScanPlacement result{before, 0.0, 0.0, false};
+    const std::vector<FrameRays> frames = rays_at(sequence, pose, options);
+    std::size_t n = 0;
+    for (const FrameRays& f : frames) n += f.rays.size();
+    if (n == 0) return result;
+    double step_m = 2.0 * kPlaceStep_m;
+    for (int i = 0; i < kMostPlaceSteps && step_m > kPlaceStep_m; ++i) {
+        RigidEquations equations;
+        for (const FrameRays& f : frames) {
+            const std::vector<SeenSurface> seen = view(f.position, f.rays, track);
+            equations += sum_parallel(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+                RigidEquations part;
+                for (std::size_t k = begin; k < end; ++k) {
+                    const ThinPoint& point = f.points[k];
+                    if (seen[k].normal == glm::dvec3(0.0)) continue;
+                    part.add(row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m), share_of(point, pose));
+                }
+                return part;
+            });
+        }
+        result.on_surfaces = double(equations.n_on_planes()) / double(n);
+        if (equations.empty()) return result;
+        const Twist step = equations.solve(kPlacePrior, twist_between(before, track.pose[pose]));
+        track.pose[pose] = moved(track.pose[pose], step);
+        step_m = length_m(step);
+    }
+    const double moved_m = glm::distance(before.translation, track.pose[pose].translation);
+    if (!PlaneAdjustment::is_placed(result.on_surfaces, n) || moved_m > options.largest_m) return result;
+    result.world_from_vehicle = track.pose[pose];
+    result.moved_m = moved_m;
+    result.found = true;
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,273 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/registration/pose_equations.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <span>
+#include <utility>
+
+#include <Eigen/Cholesky>
+#include <Eigen/SparseCholesky>
+
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kMostIterations = 100;   // 20 to 30 are usual, however long the log
+constexpr std::size_t kParts = 64, kPlanesOfPart = 256;   // of the sums over planes, whatever the number of threads: most, fewest
+constexpr double kTolerance = 1e-4;   // of the residual's norm: the next round corrects what is left
+
+Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+
+/// The poses that a point moves with, and how much.
+std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
+    return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
+}
+
+/// Of a point's residual, by offset and tilts of its plane.
+Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
+    const glm::dvec3 d = point.point_m - plane.point_m;
+    return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
+}
+
+}  // namespace
+
+Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
+    Row row;
+    row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
+    row.weight = weight_of(row.residual_m, scale_m);
+    row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.vehicle_m, plane.normal));
+    return row;
+}
+
+void RigidEquations::add(const Row& row, double share) {
+    stiffness_ += row.weight * share * share * row.j * row.j.transpose();
+    gradient_ += row.weight * share * row.residual_m * row.j;
+    n_on_planes_ += row.is_on_plane();
+}
+
+RigidEquations& RigidEquations::operator+=(const RigidEquations& other) {
+    stiffness_ += other.stiffness_;
+    gradient_ += other.gradient_;
+    n_on_planes_ += other.n_on_planes_;
+    return *this;
+}
+
+Twist RigidEquations::solve(double prior, const Twist& correction) const {
+    Matrix6 stiffness = stiffness_;
+    Vector6 gradient = gradient_;
+    const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(), prior * stiffness_.diagonal().tail<3>().mean()};
+    for (int i = 0; i < 6; ++i) {   // metres and radians have stiffnesses of their own
+        stiffness(i, i) += pulls[i / 3];
+        gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
+    }
+    const Vector6 x = -stiffness.llt().solve(gradient);
+    return {x[0], x[1], x[2], x[3], x[4], x[5]};
+}
+
+double length_m(const Twist& step) {
+    return glm::length(glm::dvec3(step[0], step[1], step[2])) + 10.0 * glm::length(glm::dvec3(step[3], step[4], step[5]));
+}
+
+Matrix6 carried_by(const glm::dvec3& d) {
+    Matrix6 m = Matrix6::Identity();
+    m.topRightCorner<3, 3>() << 0.0, d.z, -d.y, -d.z, 0.0, d.x, d.y, -d.x, 0.0;
+    return m;
+}
+
+PoseEquations::PoseEquations(std::size_t n_poses)
+    : diagonal_(n_poses, Matrix6::Zero()), next_(n_poses, Matrix6::Zero()), gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
+
+void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
+    const auto [a, b] = shares(point);
+    const Matrix6 square = row.weight * row.j * row.j.transpose();
+    for (const auto& [pose, share] : {a, b}) {
+        if (share == 0.0) continue;
+        gradient_.segment<6>(6 * Eigen::Index(pose)) += row.weight * row.residual_m * share * row.j;
+        diagonal_[pose] += share * share * square;
+    }
+    next_[a.first] += a.second * b.second * square;
+    cost_ += row.weight * row.residual_m * row.residual_m;
+    weight_ += row.weight;
+}
+
+void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
+                             std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
+    const std::size_t begin = couplings_.size();
+    const auto coupling = [&](std::size_t pose) -> Coupling& {   // members ascend, and so do, almost, their poses
+        for (std::size_t k = couplings_.size(); k-- > begin;)
+            if (couplings_[k].pose == pose) return couplings_[k];
+        return couplings_.emplace_back(Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
+    };
+    // of the plane's own unknowns, with the weights that its points have now: with those of its fit H would not be positive
+    Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d pull = Eigen::Vector3d::Zero();
+    for (const std::uint32_t i : members) {
+        const Row row = row_of(placed[i], plane, scale_m);
+        const Eigen::Vector3d b = row_of_plane(placed[i], plane);
+        stiffness += row.weight * b * b.transpose();
+        pull += row.weight * row.residual_m * b;
+    }
+    const Eigen::LLT<Eigen::Matrix3d> root(stiffness);
+    if (root.info() != Eigen::Success) return;
+    const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d { return root.matrixL().solve(b); };
+    for (const std::uint32_t i : members) {
+        const Row row = row_of(placed[i], plane, scale_m);
+        add_point(points[i], row);
+        const Eigen::Vector3d b = whitened(row_of_plane(placed[i], plane));
+        for (const auto& [pose, share] : shares(points[i]))
+            if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
+    }
+    for (std::size_t k = begin; k < couplings_.size(); ++k)
+        gradient_.segment<6>(6 * Eigen::Index(couplings_[k].pose)) -= couplings_[k].c.cast<double>() * whitened(pull);
+    plane_end_.push_back(couplings_.size());
+    ++n_planes_;
+}
+
+void PoseEquations::add(PoseEquations&& other) {
+    for (std::size_t k = 0; k < diagonal_.size(); ++k) {
+        diagonal_[k] += other.diagonal_[k];
+        next_[k] += other.next_[k];
+    }
+    gradient_ += other.gradient_;
+    for (const std::size_t end : other.plane_end_) plane_end_.push_back(couplings_.size() + end);
+    couplings_.insert(couplings_.end(), other.couplings_.begin(), other.couplings_.end());
+    n_planes_ += other.n_planes_;
+    cost_ += other.cost_;
+    weight_ += other.weight_;
+    other = PoseEquations(0);   // gives its memory back
+}
+
+Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
+    Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
+    const auto block = [](auto& vector, std::size_t pose) { return vector.template segment<6>(6 * Eigen::Index(pose)); };
+    for (std::size_t k = 0; k < diagonal_.size(); ++k) {
+        block(y, k) += diagonal_[k] * block(x, k);
+        if (k + 1 == diagonal_.size()) break;
+        block(y, k) += next_[k] * block(x, k + 1);
+        block(y, k + 1) += next_[k].transpose() * block(x, k);
+    }
+    if (n_planes_ == 0) return y;
+    y -= sum_parallel(n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
+             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
+             for (std::size_t plane = first; plane < last; ++plane) {
+                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
+                 Eigen::Vector3d moved = Eigen::Vector3d::Zero();
+                 for (std::size_t k = begin; k < end; ++k)
+                     moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
+                 for (std::size_t k = begin; k < end; ++k) block(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
+             }
+             return part;
+         });
+    return y;
+}
+
+Vector6 PoseEquations::pull_of(double prior) const {
+    Vector6 mean = Vector6::Zero();
+    for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(diagonal_.size());
+    return prior * mean;
+}
+
+/// The equations among rigid motions of groups of poses: twists about the first pose of each, that carry the others along.
+class GroupMotions {
+public:
+    GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
+        : n_(equations.diagonal_.size()) {
+        for (std::size_t k = 0; k < n_; ++k)
+            carry_.push_back(carried_by(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
+        for (std::size_t k = 0; k < n_; ++k) {
+            block(k / kGroup, k / kGroup) += carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
+            if (k + 1 < n_) add_pair(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
+        }
+        std::size_t begin = 0;
+        for (const std::size_t end : equations.plane_end_) {
+            add_plane(std::span(equations.couplings_).subspan(begin, end - begin));
+            begin = end;
+        }
+        factorise();
+    }
+
+    /// Adds the groups' motions that answer a residual.
+    void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
+        if (solver_.info() != Eigen::Success) return;
+        Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
+        for (std::size_t k = 0; k < n_; ++k)
+            sums.segment<6>(6 * Eigen::Index(k / kGroup)) += carry_[k].transpose() * residual.segment<6>(6 * Eigen::Index(k));
+        const Eigen::VectorXd motion = solver_.solve(sums);
+        for (std::size_t k = 0; k < n_; ++k)
+            z.segment<6>(6 * Eigen::Index(k)) += carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kGroup));
+    }
+
+private:
+    static constexpr std::size_t kGroup = 8;
+
+    const std::size_t n_;
+    std::vector<Matrix6> carry_;   // [poses] what its group's twist is at a pose
+    std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;   // row, column
+    Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
+
+    std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
+    Matrix6& block(std::size_t row, std::size_t column) { return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second; }
+
+    void add_pair(std::size_t k, std::size_t l, const Matrix6& m) {
+        block(k / kGroup, l / kGroup) += m;
+        block(l / kGroup, k / kGroup) += m.transpose();
+    }
+
+    void add_plane(std::span<const PoseEquations::Coupling> couplings) {
+        std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
+        for (const PoseEquations::Coupling& coupling : couplings) {
+            const std::size_t group = coupling.pose / kGroup;
+            auto found = std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
+            if (found == groups.end()) found = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
+            found->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
+        }
+        for (const auto& [row, a] : groups)
+            for (const auto& [column, b] : groups) block(row, column) -= a * b.transpose();
+    }
+
+    void factorise() {
+        std::vector<Eigen::Triplet<double>> entries;
+        for (const auto& [at, m] : blocks_)
+            for (int r = 0; r < 6; ++r)
+                for (int c = 0; c < 6; ++c) entries.emplace_back(int(6 * at.first) + r, int(6 * at.second) + c, m(r, c));
+        Eigen::SparseMatrix<double> h(6 * Eigen::Index(n_groups()), 6 * Eigen::Index(n_groups()));
+        h.setFromTriplets(entries.begin(), entries.end());
+        solver_.compute(h);
+    }
+};
+
+Eigen::VectorXd PoseEquations::solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const {
+    const std::size_t n = diagonal_.size();
+    const Vector6 pull = pull_of(prior);
+    std::vector<Eigen::LLT<Matrix6>> inverse;
+    for (const Matrix6& d : diagonal_) inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
+    const GroupMotions groups(*this, track, pull);
+    const auto preconditioned = [&](const Eigen::VectorXd& r) {
+        Eigen::VectorXd z(r.size());
+        for (std::size_t k = 0; k < n; ++k) z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
+        groups.add_solution(r, z);
+        return z;
+    };
+    const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
+    Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()), r = -gradient_ - pulls.cwiseProduct(correction), z = preconditioned(r),
+                    p = z;
+    const double start = r.dot(z);
+    double rz = start;
+    for (int i = 0; i < kMostIterations && rz > kTolerance * kTolerance * start && rz > 0.0; ++i) {
+        const Eigen::VectorXd q = times(p) + pulls.cwiseProduct(p);
+        const double step = rz / p.dot(q);
+        x += step * p;
+        r -= step * q;
+        z = preconditioned(r);
+        const double next = r.dot(z);
+        p = z + next / rz * p;
+        rz = next;
+    }
+    return x;
+}
+
+}  // namespace relidar

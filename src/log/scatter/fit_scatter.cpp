@@ -1,0 +1,303 @@
+// SPDX-License-Identifier: Apache-2.0
+// The tree is grown from all returns, layer by layer. A node is parted at the feature and value that lower the entropy of its classes most,
+//   gain = sum n_c ln(n_c / n) of both children - that of the node,   c a class of 24 quantiles of all intensities,
+// as long as that is more than chance gives.
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/scatter.hpp>
+
+#include "base/joined.hpp"
+#include "base/parallel.hpp"
+#include "base/random.hpp"
+#include "log/scatter/context.hpp"
+
+namespace relidar {
+namespace {
+
+using scatter_detail::Context;
+using scatter_detail::Features;
+using scatter_detail::kFeatures;
+
+constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
+constexpr std::size_t kFewestOfLeaf = 50;
+constexpr double kLeastGain = 20.0;   // twice it is chi-square with 23 degrees of freedom: one in 100 by chance, of the best of all cuts
+constexpr std::size_t kClasses = 24, kBins = 64;
+constexpr std::size_t kQuantileReturns = 100000;   // that quantiles are taken from
+
+/// What is known of a return.
+struct Return {
+    std::array<std::uint8_t, kFeatures> bins;
+    std::uint8_t of_class;
+    float value;
+};
+
+/// Those of a node lie side by side, so that whoever counts them reads memory in its order.
+struct Returns {
+    std::vector<Return> all;
+    std::array<std::vector<float>, kFeatures> cuts = {};   ///< upper ends of all bins but the last
+};
+
+/// Where a sorted list is parted into n parts; none twice.
+std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
+    sort_parallel(values, std::less<>());
+    std::vector<float> cuts;
+    for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
+    cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
+    return cuts;
+}
+
+std::uint8_t bin(const std::vector<float>& cuts, float value) {
+    return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
+}
+
+/// A return of the images.
+struct ReturnPlace {
+    std::uint32_t image, ray;
+};
+
+bool is_return(const MeasuredIntensities& image, std::size_t ray) {
+    return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
+}
+
+/// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are more.
+std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
+    std::size_t n = 0;
+    for (const MeasuredIntensities& image : images)
+        for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
+    const double share = double(most) / double(std::max<std::size_t>(n, 1));
+    std::vector<std::vector<ReturnPlace>> of_images(images.size());
+    run_parallel(int(images.size()), [&](int image) {
+        const auto k = std::size_t(image);
+        for (std::size_t i = 0; i < images[k].measured.size(); ++i)
+            if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
+                of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
+    });
+    return joined(std::move(of_images));
+}
+
+Features features_of(std::span<const MeasuredIntensities> images, ReturnPlace place) {
+    const MeasuredIntensities& image = images[place.image];
+    const int columns = image.rendered.columns, ray = int(place.ray);
+    return Context(image.rendered, image.measured).of(ray / columns, ray % columns);
+}
+
+Returns read_returns(std::span<const MeasuredIntensities> images, const std::vector<ReturnPlace>& places) {
+    Returns result{std::vector<Return>(places.size())};
+    const std::size_t stride = places.size() / kQuantileReturns + 1;
+    std::vector<Features> some((places.size() + stride - 1) / stride);
+    for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
+    run_parallel(int(kFeatures), [&](int f) {
+        std::vector<float> values;
+        for (const Features& features : some) values.push_back(features[std::size_t(f)]);
+        result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
+    });
+    std::vector<float> values;
+    for (const ReturnPlace& place : places) values.push_back(images[place.image].measured[place.ray]);
+    const std::vector<float> classes = quantiles(values, kClasses);
+    for_each_block(places.size(), [&](std::size_t i) {
+        const Features features = features_of(images, places[i]);
+        Return& one = result.all[i];
+        for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = bin(result.cuts[f], features[f]);
+        one.of_class = bin(classes, values[i]);
+        one.value = values[i];
+    });
+    return result;
+}
+
+/// k ln k of whole numbers.
+class Terms {
+public:
+    explicit Terms(std::size_t most) : of_(most + 1, 0.0) {
+        for (std::size_t k = 1; k <= most; ++k) of_[k] = double(k) * std::log(double(k));
+    }
+    double operator()(std::uint32_t k) const { return of_[k]; }
+
+private:
+    std::vector<double> of_;
+};
+
+/// Returns counted by class.
+struct Counts {
+    std::array<std::uint32_t, kClasses> of{};
+
+    std::uint32_t n() const { return std::accumulate(of.begin(), of.end(), 0u); }
+    void add(const Counts& other) {
+        for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
+    }
+    Counts without(const Counts& other) const {
+        Counts rest = *this;
+        for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
+        return rest;
+    }
+    /// Sum of n_c ln(n_c / n).
+    double order(const Terms& terms) const {
+        double sum = -terms(n());
+        for (const std::uint32_t k : of) sum += terms(k);
+        return sum;
+    }
+};
+
+/// Where a node is parted: up to the end of a bin of a feature.
+struct Cut {
+    double gain = kLeastGain;
+    int feature = -1;
+    std::size_t bin = 0;
+};
+
+constexpr std::size_t kTogether = 4;   // features whose counts stay in the first cache
+using Bins = std::array<Counts, kBins>;
+
+/// The best cut of a feature, by the counts of its bins.
+Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
+    Cut best;
+    Counts all, low;
+    for (const Counts& of_bin : counts) all.add(of_bin);
+    const std::uint32_t n = all.n();
+    const double before = all.order(terms);
+    std::uint32_t n_low = 0;
+    for (std::size_t b = 0; b < n_cuts; ++b) {
+        const std::uint32_t of_bin = counts[b].n();
+        if (of_bin == 0) continue;   // as good as the cut before
+        low.add(counts[b]);
+        n_low += of_bin;
+        if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
+        const double gain = low.order(terms) + all.without(low).order(terms) - before;
+        if (gain > best.gain) best = {gain, int(feature), b};
+    }
+    return best;
+}
+
+/// The best cut of a few features from `first` on.
+Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first, const Terms& terms) {
+    const std::size_t n = std::min(kTogether, kFeatures - first);
+    std::array<Bins, kTogether> counts{};
+    for (const Return& one : of_node)
+        for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first + f]].of[one.of_class];
+    Cut best;
+    for (std::size_t f = 0; f < n; ++f)
+        if (const Cut cut = find_cut_of(counts[f], first + f, returns.cuts[first + f].size(), terms); cut.gain > best.gain) best = cut;
+    return best;
+}
+
+/// The best cut of a node; of equal ones that of the first feature. @param each  runs a task for 0, 1, ... below a number
+template <class Each>
+Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
+    Cut best;
+    if (of_node.size() < 2 * kFewestOfLeaf) return best;
+    std::array<Cut, (kFeatures + kTogether - 1) / kTogether> cuts;
+    each(int(cuts.size()), [&](int k) {
+        cuts[std::size_t(k)] = find_cut_of_some(returns, of_node, std::size_t(k) * kTogether, terms);
+    });
+    for (const Cut& cut : cuts)
+        if (cut.gain > best.gain) best = cut;
+    return best;
+}
+
+/// Cuts of the nodes from `first` on, at the same time; of a large node the features as well.
+std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms, std::span<const IntensityScatter::Node> nodes) {
+    constexpr std::size_t kLarge = 65536;
+    std::vector<Cut> cuts(nodes.size());
+    const auto part = [&](std::size_t k) { return std::span(returns.all).subspan(nodes[k].first, nodes[k].count); };
+    run_parallel(int(nodes.size()), [&](int k) {
+        const bool is_large = nodes[std::size_t(k)].count >= kLarge;
+        cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
+            if (is_large) return run_parallel(n, task);
+            for (int i = 0; i < n; ++i) task(i);
+        });
+    });
+    return cuts;
+}
+
+/// Parts the nodes from `first` on where it pays, and their returns with them.
+void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes, std::size_t first) {
+    const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
+    std::vector<std::uint32_t> n_low(cuts.size(), 0);
+    run_parallel(int(cuts.size()), [&](int k) {
+        const Cut& cut = cuts[std::size_t(k)];
+        if (cut.feature < 0) return;
+        const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
+        const auto own = std::span(returns.all).subspan(node.first, node.count);
+        const auto is_low = [&](const Return& one) { return one.bins[std::size_t(cut.feature)] <= cut.bin; };
+        n_low[std::size_t(k)] = std::uint32_t(std::stable_partition(own.begin(), own.end(), is_low) - own.begin());
+    });
+    for (std::size_t k = 0; k < cuts.size(); ++k) {
+        if (cuts[k].feature < 0) continue;
+        IntensityScatter::Node& node = nodes[first + k];
+        node.feature = cuts[k].feature;
+        node.at = returns.cuts[std::size_t(cuts[k].feature)][cuts[k].bin];
+        node.child = std::int32_t(nodes.size());
+        const std::uint32_t begin = node.first, count = node.count;
+        nodes.push_back({.first = begin, .count = n_low[k]});
+        nodes.push_back({.first = begin + n_low[k], .count = count - n_low[k]});
+    }
+}
+
+void check_sizes(std::span<const MeasuredIntensities> images) {
+    for (const auto& [r, measured] : images) {
+        const std::size_t n = std::size_t(r.rows) * std::size_t(r.columns);
+        for (const std::size_t size :
+             {r.intensity.size(), r.range_m.size(), r.spread_m.size(), r.cosine.size(), r.elevation_rad.size(), measured.size()})
+            if (size != n)
+                throw DataError(fmt::format("finding how intensities scatter: found an array of {} rays, expected {} x {}", size, r.rows,
+                                            r.columns));
+    }
+}
+
+/// The common divisor of two numbers, but for what is less than `error`.
+double common_divisor(double a, double b, double error) {
+    while (b > error) {
+        const double rest = std::abs(std::remainder(a, b));
+        a = b;
+        b = rest;
+    }
+    return a;
+}
+
+}  // namespace
+
+double find_step(std::vector<float> values) {
+    constexpr double kError = 1e-6, kFinest = 1e-5;   // of the largest value
+    constexpr std::size_t kFewestLevels = 8;
+    sort_parallel(values, std::less<>());
+    values.erase(std::unique(values.begin(), values.end()), values.end());
+    if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
+    const double largest = double(values.back());
+    double step = 0.0;
+    for (const float value : values) {
+        step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
+        if (value > 0.0f && step < kFinest * largest) return 0.0;
+        if (step > 0.0) step = double(value) / std::round(double(value) / step);   // as exact as the largest value so far tells it
+    }
+    const auto is_multiple = [&](float v) { return std::abs(std::remainder(double(v), step)) <= kError * largest; };
+    return std::ranges::all_of(values, is_multiple) ? step : 0.0;
+}
+
+float IntensityScatter::quantised(float intensity) const {
+    return step > 0.0 ? static_cast<float>(std::round(double(intensity) / step) * step) : intensity;
+}
+
+IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
+    check_sizes(images);
+    const std::vector<ReturnPlace> places = returns_of(images, kMostReturns);
+    IntensityScatter result;
+    if (places.size() < kFewestReturns) return result;
+    Returns returns = read_returns(images, places);
+    result.nodes = {{.first = 0, .count = std::uint32_t(places.size())}};
+    const Terms terms(places.size());
+    for (std::size_t first = 0; first < result.nodes.size();) {
+        const std::size_t end = result.nodes.size();
+        part_layer(returns, terms, result.nodes, first);
+        first = end;
+    }
+    for (const Return& one : returns.all) result.values.push_back(one.value);
+    result.step = find_step(result.values);
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// The measurement model of a beam, both directions side by side:
+//   range_measured = range + range_offset,   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
+#include <relidar/log/sensor.hpp>
+
+#include <algorithm>
+
+namespace relidar {
+
+double Beam::measured_range(double surface_m) const {
+    return surface_m > 0.0 ? std::max(surface_m + range_offset_m, 0.0) : surface_m;
+}
+
+double Beam::surface_range(double measured_m) const {
+    return measured_m > 0.0 ? std::max(measured_m - range_offset_m, 1e-3) : measured_m;
+}
+
+double Beam::measured_intensity(double of_surface, double fall) const {
+    return std::clamp(intensity_gain * fall * of_surface + intensity_offset, 0.0, 1.0);
+}
+
+double Beam::surface_intensity(double measured, double fall) const {
+    return (measured - intensity_offset) / intensity_gain / fall;
+}
+
+const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel) {
+    static const Beam ideal;
+    return channel < beams.size() ? beams[channel] : ideal;
+}
+
+}  // namespace relidar

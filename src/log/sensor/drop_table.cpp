@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+// Look-up of sensor-level ray-drop by beam and azimuth.
+#include <relidar/log/sensor.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+
+std::size_t DropTable::index(std::uint16_t channel, const glm::vec3& direction) const {
+    const double turn = (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;   // 0 at +180 degrees, falling azimuth
+    const int bin = std::clamp(static_cast<int>(turn * bins), 0, bins - 1);
+    return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);
+}
+
+float DropTable::at(std::uint16_t channel, const glm::vec3& direction) const {
+    return empty() || channel >= channels ? 0.0f : probability[index(channel, direction)];
+}
+
+}  // namespace relidar

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// Projection of points into a linear image of elevation by azimuth (Eq. 6-7), bins centred on the pixel rays:
+//   row = round((fov_up - elevation) / fov * rows),  column = round((1 - azimuth / pi) / 2 * columns) mod columns
+#include <relidar/log/sensor.hpp>
+
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+
+RangeGrid kitti360_grid() {
+    return {.name = "kitti360",
+            .rows = 66,
+            .columns = 1030,
+            .fov_up_rad = 2.0 * kPi / 180.0,
+            .fov_rad = 26.9 * kPi / 180.0,
+            .max_range_m = 80.0};
+}
+
+RangeGrid find_grid(const std::string& name) {
+    if (known_name(name, {"kitti360"})) return kitti360_grid();
+    throw UsageError(fmt::format("grid '{}': unknown name, expected kitti360", name));
+}
+
+std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
+    const double range = glm::length(point_m);
+    if (!(range > 0.0) || range > grid.max_range_m) return std::nullopt;
+    const double elevation = std::asin(glm::clamp(point_m.z / range, -1.0, 1.0));  // Eq. 6
+    const double azimuth = std::atan2(point_m.y, point_m.x);
+    const double row = std::round((grid.fov_up_rad - elevation) / grid.fov_rad * grid.rows);  // Eq. 7
+    if (!(row >= 0.0) || row >= grid.rows) return std::nullopt;
+    const long column = std::lround((1.0 - azimuth / kPi) / 2.0 * grid.columns) % grid.columns;
+    return static_cast<int>(row) * grid.columns + static_cast<int>(column);
+}
+
+GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m, const std::vector<float>& intensity) {
+    if (points_m.size() != intensity.size()) {
+        throw UsageError(
+            fmt::format("project_points: intensity has {} entries, expected {} as points_m", intensity.size(), points_m.size()));
+    }
+    GridImage image;
+    image.rows = grid.rows;
+    image.columns = grid.columns;
+    const std::size_t n = static_cast<std::size_t>(grid.rows) * static_cast<std::size_t>(grid.columns);
+    image.range_m.assign(n, 0.0f);
+    image.intensity.assign(n, 0.0f);
+    image.source.assign(n, -1);
+    for (std::size_t i = 0; i < points_m.size(); ++i) {
+        const std::optional<int> pixel = project(grid, glm::dvec3(points_m[i]));
+        if (!pixel) continue;
+        const std::size_t at = static_cast<std::size_t>(*pixel);
+        const float range = glm::length(points_m[i]);
+        if (image.source[at] >= 0 && image.range_m[at] <= range) continue;
+        image.range_m[at] = range;
+        image.intensity[at] = intensity[i];
+        image.source[at] = static_cast<int>(i);
+    }
+    return image;
+}
+
+}  // namespace relidar

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tables of rays, whatever made them.
+#include <relidar/log/sensor.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+
+double RayTable::largest_divergence() const {
+    return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
+}
+
+void RayTable::append(const RayTable& from, std::size_t ray) {
+    origin.push_back(from.origin[ray]);
+    direction.push_back(from.direction[ray]);
+    time_offset_s.push_back(from.time_offset_s[ray]);
+    channel.push_back(from.channel[ray]);
+    divergence_rad = from.divergence_rad;
+    if (!from.ray_divergence_rad.empty()) ray_divergence_rad.push_back(from.ray_divergence_rad[ray]);
+}
+
+std::vector<glm::dvec2> footprint_pattern(int n) {
+    std::vector<glm::dvec2> offsets{{0.0, 0.0}};
+    const auto add_ring = [&](double radius, double first) {
+        for (int k = 0; k < 4; ++k)
+            offsets.push_back(radius * glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
+    };
+    // sum of radius^2 = n / 2
+    if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
+    if (n == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    if (n == 1 || n == 5 || n == 9) return offsets;
+    constexpr double kGolden_rad = 2.399963229728653;
+    offsets.clear();
+    for (int k = 0; k < n; ++k)
+        offsets.push_back(std::sqrt((k + 0.5) / n) * glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
+    return offsets;
+}
+
+RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted) {
+    RayTable some;
+    some.rows = 1;
+    some.columns = static_cast<int>(wanted.size());
+    for (const std::size_t ray : wanted) some.append(rays, ray);
+    return some;
+}
+
+}  // namespace relidar

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// Ray tables of spinning LiDARs and of range grids. A clockwise head reaches azimuth theta at -theta / (2 pi) * period.
+// Image column j of a beam holds the firing whose ray, not whose head, is nearest to column j's azimuth: a beam with an
+// azimuth offset is moved by a whole number of columns, so that columns of the image stay upright.
+#include <relidar/log/sensor.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+RayTable empty_table(int rows, int columns, double divergence_rad) {
+    RayTable rays;
+    rays.rows = rows;
+    rays.columns = columns;
+    const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
+    rays.origin.resize(n);
+    rays.direction.resize(n);
+    rays.time_offset_s.resize(n);
+    rays.channel.resize(n);
+    rays.divergence_rad = static_cast<float>(divergence_rad);
+    return rays;
+}
+
+void check(const SpinningSensor& sensor) {
+    const auto fail = [&](const std::string& what) { throw UsageError(fmt::format("sensor '{}': {}", sensor.name, what)); };
+    if (sensor.beams.empty()) fail("has no beams, expected at least one");
+    if (sensor.beams.size() > 65535) fail(fmt::format("has {} beams, expected at most 65535", sensor.beams.size()));
+    if (sensor.columns <= 0) fail(fmt::format("has {} columns, expected at least one", sensor.columns));
+    if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
+        fail(fmt::format("has {} beams and {} columns, expected at most {} rays a sweep", sensor.beams.size(), sensor.columns, kMaxRays));
+    }
+    if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
+        fail(fmt::format("sees from {} to {} m, expected 0 <= min_range_m < max_range_m", sensor.min_range_m, sensor.max_range_m));
+    }
+    if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s)) {
+        fail(fmt::format("has a period of {} s, expected a positive number", sensor.period_s));
+    }
+    if (!std::isfinite(sensor.first_azimuth_rad) || !std::isfinite(sensor.divergence_rad)) {
+        fail("first_azimuth_rad or divergence_rad is not finite");
+    }
+    for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
+        const Beam& beam = sensor.beams[b];
+        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m + beam.origin_left_m +
+                           beam.intensity_gain + beam.intensity_offset + beam.range_offset_m;
+        if (!std::isfinite(sum)) fail(fmt::format("beam {} holds a value that is not finite", b));
+    }
+}
+
+/// Azimuth in [-pi, pi]; both ends are kept.
+double wrapped(double azimuth_rad) {
+    return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
+}
+
+}  // namespace
+
+RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) { return {std::max(a.min_m, b.min_m), std::min(a.max_m, b.max_m)}; }
+
+BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
+    const double azimuth = head_azimuth_rad + beam.azimuth_offset_rad;
+    const double c = std::cos(azimuth), s = std::sin(azimuth);
+    const double ce = std::cos(beam.elevation_rad), se = std::sin(beam.elevation_rad);
+    const double forward = -beam.origin_up_m * se, left = beam.origin_left_m;
+    BeamRay ray;
+    ray.origin_m = glm::dvec3(beam.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
+                              beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c, beam.origin_up_m * ce);
+    ray.direction = glm::dvec3(ce * c, ce * s, se);
+    return ray;
+}
+
+double head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
+    const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
+    const double left = beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad);   // of the beam from the axis
+    return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left / reach, -1.0, 1.0)) - beam.azimuth_offset_rad;
+}
+
+int column_shift(const Beam& beam, int columns) {
+    return static_cast<int>(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * columns));
+}
+
+RayTable make_rays(const SpinningSensor& sensor) {
+    check(sensor);
+    const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
+    RayTable rays = empty_table(rows, columns, sensor.divergence_rad);
+    const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
+    run_parallel(rows, [&](int row) {
+        const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
+        const int shift = column_shift(beam, columns);
+        std::size_t at = std::size_t(row) * std::size_t(columns);
+        for (int column = 0; column < columns; ++column, ++at) {
+            const int firing = ((column + shift) % columns + columns) % columns;
+            const double head = wrapped(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
+            const BeamRay ray = beam_ray(beam, head);
+            rays.origin[at] = glm::vec3(ray.origin_m);
+            rays.direction[at] = glm::vec3(ray.direction);
+            rays.time_offset_s[at] = static_cast<float>(head * seconds_per_rad);
+            rays.channel[at] = static_cast<std::uint16_t>(row);
+        }
+    });
+    return rays;
+}
+
+RayTable make_rays(const RangeGrid& grid) {
+    SpinningSensor sensor;
+    sensor.name = grid.name;
+    sensor.columns = grid.columns;
+    sensor.first_azimuth_rad = kPi;
+    for (int row = 0; row < grid.rows; ++row) {
+        sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
+    }
+    return make_rays(sensor);
+}
+
+}  // namespace relidar

@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/sensor_files/ray_arrays.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+
+#include <fmt/format.h>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+#include "base/files.hpp"
+
+namespace relidar::sensor_files {
+namespace {
+
+constexpr double kUnit = 1e-3;              // by which the length of a direction may differ from 1
+constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0, kWidestBeam_rad = 1.0;
+
+void check_length(const std::vector<double>& values, std::size_t wanted, const char* what, const std::string& where) {
+    if (!values.empty() && values.size() != wanted)
+        throw DataError(fmt::format("{}: {} has {} numbers, expected {}", where, what, values.size(), wanted));
+}
+
+void check_reach(const std::vector<double>& values, double low, double high, const char* what, const std::string& where) {
+    const auto bad = std::find_if(values.begin(), values.end(), [&](double v) { return !(v >= low && v <= high); });
+    if (bad != values.end()) {
+        throw DataError(fmt::format("{}: {} number {} is {}, expected a number in [{}, {}]", where, what, bad - values.begin(), *bad, low,
+                                    high));
+    }
+}
+
+glm::dvec3 vector_at(const std::vector<double>& values, std::size_t i) {
+    return values.empty() ? glm::dvec3(0.0) : glm::dvec3(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
+}
+
+void check(const RayColumns& c, const std::string& where) {
+    const std::size_t n = c.direction.size() / 3;
+    if (n == 0 || n > kMaxRays || n * 3 != c.direction.size())
+        throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", where, n, kMaxRays));
+    if (c.rows < 1 || c.columns < 1 || std::size_t(c.rows) * std::size_t(c.columns) != n)
+        throw DataError(fmt::format("{}: found {} rays, expected {} rows of {}", where, n, c.rows, c.columns));
+    check_length(c.origin, 3 * n, "origin", where);
+    check_length(c.time_s, n, "time", where);
+    check_length(c.channel, n, "ring", where);
+    if (c.divergence_rad.size() != 1) check_length(c.divergence_rad, n, "divergence", where);
+    check_reach(c.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", where);
+    check_reach(c.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
+    check_reach(c.channel, 0.0, 65535.0, "ring", where);
+    check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence in radians,", where);
+    check_reach({c.limits.min_m, std::isinf(c.limits.max_m) ? kMostRange_m : c.limits.max_m}, 0.0, kMostRange_m, "range limits", where);
+    if (!(c.limits.min_m < c.limits.max_m))
+        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, c.limits.min_m,
+                                    c.limits.max_m));
+}
+
+/// One number where all rays have the same.
+void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
+    if (divergence_rad.empty()) return;
+    if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) == divergence_rad.end())
+        rays.divergence_rad = static_cast<float>(divergence_rad[0]);
+    else
+        rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
+}
+
+}  // namespace
+
+std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad, const std::string& where) {
+    if (!of_rays_rad.empty() && of_all_mrad)
+        throw DataError(fmt::format("{}: found both divergence and divergence_mrad, expected one of them", where));
+    if (of_all_mrad) return {1e-3 * *of_all_mrad};
+    return of_rays_rad;
+}
+
+SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::string& where) {
+    check(c, where);
+    const std::size_t n = c.direction.size() / 3;
+    RayTable rays;
+    rays.rows = c.rows;
+    rays.columns = c.columns;
+    set_divergence(rays, c.divergence_rad);
+    for (std::size_t i = 0; i < n; ++i) {
+        const glm::dvec3 direction = vector_at(c.direction, i);
+        const double length = glm::length(direction);
+        if (!(std::abs(length - 1.0) <= kUnit))
+            throw DataError(fmt::format("{}: directions number {} has length {}, expected 1", where, i, length));
+        rays.direction.emplace_back(direction / length);
+        rays.origin.emplace_back(vector_at(c.origin, i));
+        rays.time_offset_s.push_back(c.time_s.empty() ? 0.0f : static_cast<float>(c.time_s[i]));
+        rays.channel.push_back(c.channel.empty() ? std::uint16_t(0) : static_cast<std::uint16_t>(c.channel[i]));
+    }
+    return {name, "", c.limits, std::move(rays)};
+}
+
+SensorModel read_ray_npz(const std::string& path, const std::string& name) {
+    const std::vector<NamedArray> arrays = read_npz(path);
+    const auto values = [&](const std::string& wanted) {
+        const NamedArray* array = find_array(arrays, wanted);
+        return array ? array->as_double() : std::vector<double>{};
+    };
+    const auto one = [&](const std::string& wanted) -> std::optional<double> {
+        const std::vector<double> found = values(wanted);
+        if (found.size() > 1) throw DataError(fmt::format("{}: {} has {} numbers, expected one", path, wanted, found.size()));
+        return found.empty() ? std::nullopt : std::optional(found[0]);
+    };
+    const NamedArray* directions = find_array(arrays, "directions");
+    if (!directions) throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
+    const std::vector<std::size_t>& shape = directions->shape;
+    if ((shape.size() != 2 && shape.size() != 3) || shape.back() != 3 || shape[0] > kMaxRays || shape[1] > kMaxRays) {
+        throw DataError(fmt::format("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path, fmt::join(shape, ",")));
+    }
+    RayColumns c{.direction = values("directions"), .origin = values("origin"), .time_s = values("time"), .channel = values("ring")};
+    c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
+    c.columns = static_cast<int>(shape[shape.size() - 2]);
+    c.divergence_rad = divergence_of(values("divergence"), one("divergence_mrad"), path);
+    c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
+    return ray_sensor(c, name, path);
+}
+
+}  // namespace relidar::sensor_files

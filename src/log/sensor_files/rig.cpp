@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rigs: several sensors, and how they are mounted.
+#include <relidar/log/sensor_files.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include "base/files.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+constexpr std::size_t kMostSensors = 64;
+constexpr double kFarthest_m = 1000.0;
+
+/// Three numbers, 0 where the key is missing.
+glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const std::string& where) {
+    if (!sensor.contains(key)) return glm::dvec3(0.0);
+    const Json& list = sensor.at(key);
+    glm::dvec3 v(0.0);
+    const bool numbers =
+        list.is_array() && list.size() == 3 && std::all_of(list.begin(), list.end(), [](const Json& n) { return n.is_number(); });
+    for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
+    if (!numbers || !(std::abs(v.x) <= largest && std::abs(v.y) <= largest && std::abs(v.z) <= largest))
+        throw DataError(fmt::format("{}: {}: expected three numbers of at most {}", where, key, largest));
+    return v;
+}
+
+std::string text_of(const Json& sensor, const char* key, const std::string& where) {
+    if (!sensor.is_object() || !sensor.contains(key) || !sensor.at(key).is_string())
+        throw DataError(fmt::format("{}: {}: expected a text", where, key));
+    return sensor.at(key).get<std::string>();
+}
+
+Pose mounting(const Json& sensor, const std::string& where) {
+    const glm::dvec3 angle = vector_of(sensor, "yaw_pitch_roll_deg", 360.0, where) * (kPi / 180.0);
+    return {rotation_of(angle.x, angle.y, angle.z), vector_of(sensor, "translation_m", kFarthest_m, where)};
+}
+
+int returns_of(const Json& sensor, const std::string& where) {
+    if (!sensor.contains("returns")) return 1;
+    const Json& returns = sensor.at("returns");
+    if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", where));
+    return returns.get<int>();
+}
+
+/// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it is.
+std::string beside(const std::string& sensor, const std::string& rig) {
+    const fs::path path = fs::path(rig).parent_path() / sensor;
+    const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
+    return !known_name(sensor, sensor_names()) && (path_exists(path) || path_exists(without_columns)) ? path.string() : sensor;
+}
+
+void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& where) {
+    const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_' || c == '.'; };
+    if (name.empty() || name.size() > 64 || name.starts_with('.') || !std::all_of(name.begin(), name.end(), allowed))
+        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", where, excerpt(name)));
+    if (taken.contains(name)) throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
+}
+
+/// Refuses other keys: a misspelt mounting would leave a sensor at the rig's origin without a message.
+void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
+    for (const auto& [key, value] : object.items())
+        if (std::find(known.begin(), known.end(), key) == known.end())
+            throw DataError(fmt::format("{}: unknown key '{}'{} (known: {})", where, excerpt(key),
+                                        did_you_mean(key, known, "'"), fmt::join(known, ", ")));
+}
+
+}  // namespace
+
+std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
+    if (fs::path(path).extension() != ".json") return {};
+    Json json;
+    try {
+        json = Json::parse(read_text(path));
+    } catch (const std::exception&) {
+        return {};   // find_sensor() says what is wrong with it
+    }
+    if (!json.is_object() || !json.contains("sensors")) return {};
+    check_keys(json, {"sensors"}, path);
+    if (!json.at("sensors").is_array() || json.at("sensors").empty() || json.at("sensors").size() > kMostSensors)
+        throw DataError(fmt::format("{}: expected a list \"sensors\" of 1 to {}", path, kMostSensors));
+    std::vector<MountedSensor> rig;
+    std::set<std::string> names;
+    for (const Json& sensor : json.at("sensors")) {
+        const std::string where = fmt::format("{}: sensor {}", path, rig.size());
+        const std::string name = text_of(sensor, "name", where);
+        check_name(name, names, where);
+        names.insert(name);
+        check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
+        const SensorModel model = find_sensor(beside(text_of(sensor, "sensor", where), path));
+        rig.push_back({name, model, mounting(sensor, where), returns_of(sensor, where)});
+    }
+    return rig;
+}
+
+}  // namespace relidar

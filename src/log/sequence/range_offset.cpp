@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: Apache-2.0
+// Range offsets of the beams of a log: what each adds to every range, from planes that several beams have seen.
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <span>
+
+#include <relidar/log/sequence.hpp>
+
+#include "base/cell_key.hpp"
+#include "base/cell_numbers.hpp"
+#include "base/joined.hpp"
+#include "base/plane_sums.hpp"
+#include "log/sequence/beam_returns.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kCell_m = 0.3;             // large enough for a plane to be told from noise, small enough for a street to be flat in
+constexpr double kMaxRange_m = 40.0;        // farther out a cell has too few returns
+constexpr std::size_t kMostOffsetReturns = 6000000;
+constexpr int kMinReturns = 20;             // of a cell that may be a plane
+constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
+constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
+constexpr double kPriorReturns = 20.0;      // a beam starts as if so many of its returns, met squarely, had shown no offset
+constexpr double kLeastGain = 0.97;         // beams whose planes do not get this much thinner have no offsets: what was found is noise
+constexpr int kRounds = 30;                // planes that few beams share follow them only slowly
+
+/// One return in the world, by its beam's own word.
+struct Observation {
+    glm::vec3 point_m;       ///< from the world's origin, which is in the middle of the log
+    glm::vec3 direction;
+    std::uint32_t beam;
+};
+
+std::vector<Observation> observations_of(const Sequence& sequence, const Frame& frame) {
+    std::vector<Observation> result;
+    for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        const auto beam = beam_that_saw(sequence, frame, ray, kMaxRange_m);
+        if (!beam) continue;
+        const WorldReturn w = world_return(sequence, frame, ray);
+        result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), *beam});
+    }
+    return result;
+}
+
+/// Returns cell by cell, in the order of their frames. A cell keeps its returns while they move by centimetres.
+struct Cells {
+    std::vector<Observation> seen;
+    std::vector<std::size_t> first;   ///< [cells + 1] in `seen`
+
+    std::size_t size() const { return first.size() - 1; }
+    std::span<const Observation> of(std::size_t cell) const { return std::span(seen).subspan(first[cell], first[cell + 1] - first[cell]); }
+};
+
+Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
+    const std::vector<Observation> all =
+        joined(read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); }));
+    const ItemsOfCells items(number_cells(all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i].point_m), kCell_m); }));
+    Cells cells{std::vector<Observation>(all.size()), {0}};
+    for (std::size_t cell = 0; cell < items.size(); ++cell) cells.first.push_back(cells.first.back() + items.of(cell).size());
+    for_each_block(items.size(), [&](std::size_t cell) {
+        for (std::size_t k = 0; k < items.of(cell).size(); ++k) cells.seen[cells.first[cell] + k] = all[items.of(cell)[k]];
+    });
+    return cells;
+}
+
+glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) {
+    return glm::dvec3(o.point_m) - offset_m[o.beam] * glm::dvec3(o.direction);
+}
+
+/// A cell's plane.
+struct Plane {
+    glm::dvec3 point;
+    glm::dvec3 normal;
+};
+
+std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vector<double>& offset_m) {
+    if (seen.size() < std::size_t(kMinReturns)) return std::nullopt;
+    const glm::dvec3 about = moved(seen[0], offset_m);
+    PlaneSums sums;
+    for (const Observation& o : seen) sums.add(moved(o, offset_m) - about);
+    const PlaneFit fit = sums.fit();
+    if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m || fit.variance[1] < kMaxThickness_m * kMaxThickness_m) return std::nullopt;
+    return Plane{about + fit.mean, fit.axes[0]};
+}
+
+/// Sums of one beam's returns: residuals across their planes, by how squarely they were met.
+struct OffsetFit {
+    double weight = 0.0;
+    double sum = 0.0;
+};
+
+/// Sums over the residuals of some cells.
+struct Residuals {
+    std::vector<OffsetFit> fits;   ///< [beams]
+    std::size_t n = 0;
+    double squares = 0.0;
+
+    void add(const Observation& o, const Plane& plane, const std::vector<double>& offset_m) {
+        const double facing = glm::dot(plane.normal, glm::dvec3(o.direction)),
+                     residual = glm::dot(plane.normal, moved(o, offset_m) - plane.point);
+        if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
+        ++n;
+        squares += residual * residual;
+        fits[o.beam].weight += facing * facing;
+        // of the whole offset, so that the prior holds it, not the step
+        fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
+    }
+    Residuals& operator+=(const Residuals& other) {
+        n += other.n;
+        squares += other.squares;
+        for (std::size_t b = 0; b < fits.size(); ++b) {
+            fits[b].weight += other.fits[b].weight;
+            fits[b].sum += other.fits[b].sum;
+        }
+        return *this;
+    }
+};
+
+/// Residuals across the planes as they are with these offsets. Blocks of cells on all cores; their sums are added in order.
+Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
+    constexpr std::size_t kBlock = 2048;
+    Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
+    all += sum_parallel(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
+        Residuals block{.fits = std::vector<OffsetFit>(offset_m.size())};
+        for (std::size_t cell = begin; cell < end; ++cell) {
+            const std::span<const Observation> seen = cells.of(cell);
+            const std::optional<Plane> plane = plane_of(seen, offset_m);
+            if (!plane) continue;
+            for (const Observation& o : seen) block.add(o, *plane, offset_m);
+        }
+        return block;
+    });
+    return all;
+}
+
+/// One step of every beam's offset towards the planes. @return count and mean square of the residuals that come in
+std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
+    const Residuals r = residuals_of(cells, offset_m);
+    double mean = 0.0, weight = 0.0;
+    for (std::size_t b = 0; b < offset_m.size(); ++b) {
+        offset_m[b] = r.fits[b].sum / r.fits[b].weight;
+        mean += r.fits[b].weight * offset_m[b];
+        weight += r.fits[b].weight;
+    }
+    for (double& offset : offset_m) offset -= mean / weight;   // all ranges longer by the same: hardly to be told from another scene
+    return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
+}
+
+}  // namespace
+
+LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
+    const std::vector<Beam*> beams = beams_of(sequence);
+    for (Beam* beam : beams) beam->range_offset_m = 0.0;
+    const Cells cells = gather(sequence, positions);
+    LaserCalibration result;
+    if (cells.seen.empty()) return result;
+    std::vector<double> offset_m(beams.size(), 0.0);
+    for (int round = 0; round < kRounds; ++round) {
+        const auto [n, mean_square] = fit_offsets(cells, offset_m);
+        result.returns = n;
+        result.rms_after = std::sqrt(mean_square);
+        if (round == 0) result.rms_before = result.rms_after;
+    }
+    if (result.rms_after > kLeastGain * result.rms_before) return result;
+    result.adopted = true;
+    for (std::size_t b = 0; b < offset_m.size(); ++b) beams[b]->range_offset_m = offset_m[b];
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,343 @@
+// SPDX-License-Identifier: Apache-2.0
+// Poses and boxes between their observations, rays in the world, and the train/test split (paper Sec. 4).
+//   pose(t) = slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
+#include <relidar/log/sequence.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <limits>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+TrackPlace find_place(const std::vector<double>& time_s, double t_s) {
+    const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
+    const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
+    const std::size_t left = static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - time_s.begin() - 1, 0, last));
+    const double span = time_s[left + 1] - time_s[left];
+    return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
+}
+
+}  // namespace
+
+bool BoxTrack::present(double t_s) const {
+    const PoseTrack& track = world_from_box;
+    if (track.pose.size() < 2) return track.covers(t_s);
+    const double half_step = 0.5 * (track.time_s.back() - track.time_s.front()) / static_cast<double>(track.time_s.size() - 1);
+    return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
+}
+
+BoxTrack BoxTrack::labelled_part() const {
+    BoxTrack part = *this;
+    part.n_before = part.n_after = 0;
+    const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
+    part.world_from_box.time_s = {world_from_box.time_s.begin() + first, world_from_box.time_s.begin() + last};
+    part.world_from_box.pose = {world_from_box.pose.begin() + first, world_from_box.pose.begin() + last};
+    return part;
+}
+
+bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
+    const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
+    const PoseTrack& track = world_from_box;
+    if (track.pose.size() > 1) {  // the centre alone rules most points out, without a slerp
+        const TrackPlace at = find_place(track.time_s, t_s);
+        const glm::dvec3 centre = glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
+        const glm::dvec3 d = point_m - centre;
+        if (glm::dot(d, d) > glm::dot(half, half)) return false;
+    }
+    const glm::dvec3 local = glm::abs(inverse(track.at(t_s)) * point_m);
+    return local.x <= half.x && local.y <= half.y && local.z <= half.z;
+}
+
+TrackPlace PoseTrack::place(double t_s) const {
+    if (pose.empty() || pose.size() != time_s.size()) {
+        throw DataError(fmt::format("pose track: {} poses at {} times, expected at least one of each", pose.size(), time_s.size()));
+    }
+    return pose.size() == 1 ? TrackPlace{} : find_place(time_s, t_s);
+}
+
+Pose PoseTrack::at(double t_s) const {
+    const auto [left, s] = place(t_s);
+    return pose.size() == 1 ? pose.front() : interpolate(pose[left], pose[left + 1], s);
+}
+
+Pose PoseTrack::at(double t_s, const Pose& mounted) const {
+    const auto [left, s] = place(t_s);
+    return pose.size() == 1 ? pose.front() * mounted : interpolate(pose[left] * mounted, pose[left + 1] * mounted, s);
+}
+
+std::size_t Scan::count_returns() const {
+    return static_cast<std::size_t>(std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
+}
+
+void drop_outside(Scan& scan, const RangeLimits& limits) {
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) scan.range_m[i] = scan.intensity[i] = 0.0f;
+        for (SecondReturn& f : scan.second_returns)
+            if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i])) f.range_m[i] = f.intensity[i] = 0.0f;
+    }
+}
+
+std::size_t Sequence::pose_of(const Frame& frame) const {
+    const std::vector<double>& times = world_from_vehicle.time_s;
+    const auto at = std::ranges::lower_bound(times, frame.time_s);
+    if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
+        throw DataError(fmt::format("{}: {} poses of the vehicle at {} times, none of frame {} at {} s, expected one", name,
+                                    world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
+    return std::size_t(at - times.begin());
+}
+
+PoseTrack Sequence::world_from_sensor(int lidar) const {
+    return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
+}
+
+int find_lidar(const Sequence& sequence, const std::string& name) {
+    std::vector<std::string> known;
+    for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
+    const auto it = std::find(known.begin(), known.end(), name);
+    if (it == known.end() && !name.empty()) {
+        const std::string expected = known.size() == 1 ? "none: the log has one LiDAR" : fmt::format("one of {}", fmt::join(known, ", "));
+        throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
+    }
+    return name.empty() ? 0 : static_cast<int>(it - known.begin());
+}
+
+std::size_t Sequence::count_beams() const {
+    return std::accumulate(lidars.begin(), lidars.end(), std::size_t(0),
+                           [](std::size_t n, const Lidar& lidar) { return n + lidar.sensor.beams.size(); });
+}
+
+std::optional<std::uint16_t> Sequence::beam_number(int lidar, std::uint16_t channel) const {
+    std::size_t number = channel;
+    if (number >= lidars[std::size_t(lidar)].sensor.beams.size()) return std::nullopt;
+    for (int i = 0; i < lidar; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
+    return static_cast<std::uint16_t>(number);
+}
+
+const BoxTrack* find_box(const Sequence& sequence, const std::string& id) {
+    if (id.empty()) return nullptr;
+    const auto box = std::ranges::find(sequence.boxes, id, &BoxTrack::id);
+    return box == sequence.boxes.end() ? nullptr : &*box;
+}
+
+Sequence without_frames(const Sequence& all) {
+    return {all.name,
+            all.source,
+            all.lidars,
+            {},
+            all.world_from_vehicle,
+            all.boxes,
+            all.world_offset_m,
+            all.intensity_response,
+            all.conventions,
+            all.notes,
+            all.test_frames,
+            all.has_poses,
+            all.rolling_shutter};
+}
+
+PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
+    for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
+    return track;
+}
+
+PoseTrack with_fine_turns(const PoseTrack& track) {
+    constexpr double kTurn_rad = 5e-3;   // between two poses: the chord of a thing 10 m away is 0.03 mm off its arc
+    PoseTrack fine;
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        if (i > 0) {
+            const Twist twist = twist_between(track.pose[i - 1], track.pose[i]);
+            const double turn_rad = glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
+            const int n = 1 + static_cast<int>(turn_rad / kTurn_rad);
+            for (int k = 1; k < n; ++k) {
+                const double s = double(k) / n;
+                fine.time_s.push_back(track.time_s[i - 1] + s * (track.time_s[i] - track.time_s[i - 1]));
+                fine.pose.push_back(interpolate(track.pose[i - 1], track.pose[i], s));
+            }
+        }
+        fine.time_s.push_back(track.time_s[i]);
+        fine.pose.push_back(track.pose[i]);
+    }
+    return fine;
+}
+
+PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
+    for (Pose& pose : track.pose) pose.translation += by_m;
+    return track;
+}
+
+namespace {
+
+/// Mean position of the observations in a stretch of time; nothing where there is none.
+std::optional<glm::dvec3> mean_place(const PoseTrack& track, double first_s, double last_s) {
+    constexpr double kSame_s = 1e-6;
+    glm::dvec3 sum(0.0);
+    std::size_t n = 0;
+    for (auto i = std::size_t(std::ranges::lower_bound(track.time_s, first_s - kSame_s) - track.time_s.begin());
+         i < track.time_s.size() && track.time_s[i] <= last_s + kSame_s; ++i, ++n)
+        sum += track.pose[i].translation;
+    return n == 0 ? std::nullopt : std::optional(sum / double(n));
+}
+
+}  // namespace
+
+bool BoxTrack::moves() const {
+    constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5;
+    const std::vector<double>& t = world_from_box.time_s;
+    if (t.size() < 2) return false;
+    const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front())), last_s = t.back() - window_s;
+    const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
+    const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
+    const auto place = [&](double first_s) { return mean_place(world_from_box, first_s, first_s + window_s); };
+    const std::optional<glm::dvec3> start = place(t.front());
+    for (const double time_s : t) {
+        const double first_s = std::min(time_s, last_s);   // the last window ends with the track
+        const std::optional<glm::dvec3> here = place(first_s), next = place(std::min(first_s + window_s, last_s));
+        if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m)) return true;
+        if (time_s >= last_s) break;
+    }
+    return false;
+}
+
+void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
+    for (BoxTrack& box : sequence.boxes)
+        for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
+            const double t_s = box.world_from_box.time_s[k];
+            box.world_from_box.pose[k] =
+                world_from_vehicle.at(t_s) * (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
+        }
+    sequence.world_from_vehicle = std::move(world_from_vehicle);
+}
+
+namespace {
+
+double firing_time(double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+    return rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
+}
+
+WorldRay placed_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
+    return {pose * glm::dvec3(rays.origin[ray]), glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
+}
+
+}  // namespace
+
+WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+    return placed_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
+}
+
+namespace {
+
+constexpr double kUsual = 0.02;     // of a period: so near to the usual start is the usual start
+
+/// What rays tell of the turn of a head.
+struct HeadTurn {
+    std::complex<double> at_zero = 0.0;   ///< sum over some rays of the azimuth that the head had at time 0
+    float first_s = std::numeric_limits<float>::infinity();
+
+    HeadTurn& operator+=(const HeadTurn& other) {
+        at_zero += other.at_zero;
+        first_s = std::min(first_s, other.first_s);
+        return *this;
+    }
+};
+
+}  // namespace
+
+std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
+    constexpr double kTogether = 0.9;   // resultant of the phases: beams' own azimuths and uneven turns take little of it
+    if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
+    const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
+    const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
+    const HeadTurn turn = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {
+        HeadTurn part;
+        const std::size_t last = std::min(end * step, rays.size());
+        for (std::size_t i = begin * step; i < last; i += step) {
+            const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
+            part.at_zero += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+        }
+        for (std::size_t i = begin * step; i < last; ++i) part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
+        return part;
+    });
+    const float first_s = turn.first_s;
+    if (std::abs(turn.at_zero) < kTogether * double(n)) return {};
+    const double at_zero = std::arg(turn.at_zero);
+    const bool usual =
+        std::abs(at_zero) < 2.0 * kPi * kUsual && std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
+    if (usual) return {};
+    return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
+}
+
+std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
+    if (!lidar.pattern) return find_start(rays, lidar.sensor);
+    const double period_s = lidar.period_s();
+    if (!(period_s > 0.0) || rays.size() == 0) return {};
+    const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
+    if (first == last) return {};   // of a motion-compensated scan
+    const double first_s = double(first);
+    if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
+    return SweepStart{0.0, first_s};
+}
+
+RayTable nominal_rays(const Lidar& lidar, double time_s) {
+    if (lidar.pattern) return make_rays(*lidar.pattern, time_s);
+    return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
+}
+
+namespace {
+
+/// How long after the frame's time a LiDAR that does not spin faces an azimuth.
+double facing_offset(const FixedPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
+    const double period_s = period_of(pattern), middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
+    const auto* window = std::get_if<ScanningWindow>(&pattern);
+    if (!window || window->columns < 2) return middle_s;
+    const double share = glm::clamp((azimuth - window->left_rad) / (window->right_rad - window->left_rad), 0.0, 1.0);
+    return middle_s + (share - 0.5) * period_s * (window->columns - 1) / window->columns;
+}
+
+}  // namespace
+
+double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep) {
+    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
+    const SpinningSensor& sensor = lidar.sensor;
+    if (!sequence.rolling_shutter) return sweep.time_s;
+    const double azimuth = std::atan2(point_m.y, point_m.x);
+    if (lidar.pattern) return sweep.time_s + facing_offset(*lidar.pattern, azimuth, sweep.start);
+    if (sweep.start) {
+        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
+        return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
+    }
+    const double after_s = azimuth / (2.0 * kPi) * sensor.period_s;
+    return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
+}
+
+SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
+    const Scan& scan = frame.scan;
+    const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
+    const double measured_m = number == 0 ? scan.range_m[ray] : scan.second_returns[number - 1].range_m[ray],
+                 measured = number == 0 ? scan.intensity[ray] : scan.second_returns[number - 1].intensity[ray];
+    const float range_m = static_cast<float>(beam.surface_range(measured_m));
+    return {range_m, static_cast<float>(beam.surface_intensity(measured, sequence.intensity_response.at_range(double(range_m))))};
+}
+
+WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
+    const double t_s = firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+    const WorldRay w = placed_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor), frame.scan.rays, ray);
+    const SurfaceReturn surface = surface_return(sequence, frame, ray, number);
+    return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s, surface.intensity};
+}
+
+bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double margin_m) {
+    return std::any_of(boxes.begin(), boxes.end(),
+                       [&](const BoxTrack& box) { return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.moves(); });
+}
+
+}  // namespace relidar

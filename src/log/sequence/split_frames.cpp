@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which frames of a log are held out of training: every so many, or those that a list names.
+#include <relidar/log/sequence.hpp>
+
+#include <algorithm>
+#include <optional>
+#include <set>
+#include <string_view>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include "base/csv.hpp"
+#include "base/files.hpp"
+#include "base/list_text.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kPublishedEvery = 10;   // what papers say of their splits, whatever the first frame
+constexpr const char* kSetting = "dataset.test_frames";
+
+/// Indices from first to before end.
+struct IndexRange {
+    int first, end;
+};
+
+/// From "13" or "40:45". @throws UsageError
+IndexRange parse_range(std::string_view text) {
+    const std::size_t colon = text.find(':');
+    const std::optional<int> first = file_number(std::string(text.substr(0, colon)));
+    const std::optional<int> end =
+        colon == std::string_view::npos ? first.value_or(0) + 1 : file_number(std::string(text.substr(colon + 1)));
+    if (!first || !end || *first >= *end)
+        throw UsageError(fmt::format("{}: found \"{}\", expected a frame's number, or first:end with first < end, as in 13,26,40:45",
+                                     kSetting, excerpt(text)));
+    return {*first, *end};
+}
+
+/// Indices of the frames, each once, in the order of the log.
+std::vector<int> sweeps_of(const Sequence& sequence) {
+    std::vector<int> sweeps;
+    std::set<int> seen;
+    for (const Frame& frame : sequence.frames)
+        if (seen.insert(frame.index).second) sweeps.push_back(frame.index);
+    return sweeps;
+}
+
+/// Every so many, the first excepted. @throws UsageError
+std::set<int> every(int test_every, const std::vector<int>& sweeps) {
+    if (test_every < 0 || test_every == 1)
+        throw UsageError(fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
+    std::set<int> held_out;
+    for (auto i = std::size_t(test_every); test_every > 0 && i < sweeps.size(); i += std::size_t(test_every)) held_out.insert(sweeps[i]);
+    return held_out;
+}
+
+/// Those of a published part that the log has.
+std::set<int> published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
+    std::set<int> held_out;
+    for (const int index : sweeps)
+        if (std::ranges::find(test_frames, index) != test_frames.end()) held_out.insert(index);
+    return held_out;
+}
+
+/// Those that a list names. @throws UsageError
+std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
+    const std::set<int> known(sweeps.begin(), sweeps.end());
+    std::set<int> held_out;
+    for (const std::string_view cell : csv_cells(list)) {
+        const IndexRange range = parse_range(cell);
+        for (int index = range.first; index < range.end; ++index) {
+            if (!known.contains(index))
+                throw UsageError(
+                    fmt::format("{}: found {}, expected frames that are read of the log: {}", kSetting, index, list_text(sweeps)));
+            if (!held_out.insert(index).second) throw UsageError(fmt::format("{}: found {} twice, expected it once", kSetting, index));
+        }
+    }
+    if (held_out.size() == known.size())
+        throw UsageError(fmt::format("{}: found all frames of the log, expected some to be left to train on: {}", kSetting,
+                                     list_text(sweeps)));
+    return held_out;
+}
+
+}  // namespace
+
+Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames) {
+    const std::vector<int> sweeps = sweeps_of(sequence);
+    const bool as_published = test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
+    const std::set<int> held_out = as_published          ? published(sequence.test_frames, sweeps)
+                                   : test_frames.empty() ? every(test_every, sweeps)
+                                                         : named(test_frames, sweeps);
+    Split split;
+    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
+        (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);
+    return split;
+}
+
+}  // namespace relidar

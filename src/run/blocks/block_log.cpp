@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// The part of a log that one block is trained on.
+#include <relidar/run/blocks.hpp>
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "run/blocks/frame_places.hpp"
+#include "base/list_text.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kSeen_m = 100.0;   // of a box from the sensor: what lies farther out has hardly a return
+
+/// Frames that train, and own ones that are held out, in the order of the log.
+std::vector<int> frames_of(const Block& block, const Split& split) {
+    std::vector<int> frames = block.train;
+    for (const int position : block.own)
+        if (std::find(split.test.begin(), split.test.end(), position) != split.test.end()) frames.push_back(position);
+    std::sort(frames.begin(), frames.end());
+    return frames;
+}
+
+/// Poses at the times of some frames, and one before and after each, so that a sweep beside a gap moves as it did in the log.
+PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
+    const PoseTrack& all = sequence.world_from_vehicle;
+    std::vector<bool> wanted(all.time_s.size(), false);
+    for (const int position : frames) {
+        const double time_s = sequence.frames[std::size_t(position)].time_s;
+        const auto at = std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
+        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, wanted.size() - 1); ++i) wanted[i] = true;
+    }
+    PoseTrack track;
+    for (std::size_t i = 0; i < wanted.size(); ++i)
+        if (wanted[i]) track.time_s.push_back(all.time_s[i]), track.pose.push_back(all.pose[i]);
+    return track;
+}
+
+bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector<int>& frames) {
+    return std::any_of(frames.begin(), frames.end(), [&](int position) { return is_within(box, sequence, position, kSeen_m); });
+}
+
+/// The words of a list that name a box. Where none is left, no class is wanted either: the list has named others alone.
+void keep_known(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
+    if (options.actor_tracks.empty()) return;
+    std::vector<std::string> kept;
+    for (const std::string& track : words_of(options.actor_tracks))
+        if (std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; })) kept.push_back(track);
+    options.actor_tracks = fmt::format("{}", fmt::join(kept, ","));
+    if (kept.empty()) options.actor_classes.clear();
+}
+
+}  // namespace
+
+BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config) {
+    const std::vector<int> frames = frames_of(block, split);
+    BlockLog log{without_frames(sequence), {}, config};
+    Sequence& part = log.sequence;
+    part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
+    part.world_from_vehicle = poses_around(sequence, frames);
+    part.boxes.clear();
+    for (const int position : frames) {
+        const bool trains = std::binary_search(block.train.begin(), block.train.end(), position);
+        (trains ? log.split.train : log.split.test).push_back(static_cast<int>(part.frames.size()));
+        part.frames.push_back(sequence.frames[std::size_t(position)]);
+    }
+    std::copy_if(sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
+                 [&](const BoxTrack& box) { return comes_near(box, sequence, frames); });
+    log.config.blocks.length_m = 0.0;
+    keep_known(log.config.init, part.boxes);
+    return log;
+}
+
+}  // namespace relidar

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+// One run of trained blocks.
+#include <relidar/run/blocks.hpp>
+
+#include <algorithm>
+#include <map>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "run/blocks/frame_places.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kWellSeen_m = 60.0;   // of a box from the sensor: what lies farther out has a few returns
+
+/// Training frames of a block that have a box near enough to teach what is in it.
+std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
+    return std::size_t(std::count_if(block.train.begin(), block.train.end(),
+                                     [&](int position) { return is_within(box, sequence, position, kWellSeen_m); }));
+}
+
+/// Surfels of a block's background with the box around them.
+SceneBlock background_of(const Scene& scene, const fs::path& file) {
+    SceneBlock block{file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
+    for (std::uint32_t i = 0; i < block.count; ++i) {
+        const glm::vec2 log_scale = scene.surfels.log_scale[i];
+        const glm::vec3 reach(3.0f * std::exp(std::max(log_scale.x, log_scale.y))), mean = scene.surfels.mean[i];
+        block.low_m = i == 0 ? mean - reach : glm::min(block.low_m, mean - reach);
+        block.high_m = i == 0 ? mean + reach : glm::max(block.high_m, mean + reach);
+    }
+    return block;
+}
+
+/// Mean of the tables of blocks, each counting as many times as it had training frames.
+class MeanDrop {
+public:
+    void add(const DropTable& table, std::size_t n_frames) {
+        if (table.empty()) return;
+        if (sum_.empty()) sum_ = {table.channels, table.bins, std::vector<float>(table.probability.size(), 0.0f)};
+        for (std::size_t i = 0; i < sum_.probability.size(); ++i) sum_.probability[i] += float(n_frames) * table.probability[i];
+        n_frames_ += n_frames;
+    }
+    DropTable mean() const {
+        DropTable table = sum_;
+        for (float& p : table.probability) p /= float(std::max<std::size_t>(n_frames_, 1));
+        return table;
+    }
+
+private:
+    DropTable sum_;
+    std::size_t n_frames_ = 0;
+};
+
+/// An actor as one of the blocks has learnt it.
+struct Candidate {
+    std::size_t sightings = 0;
+    Model model;
+    Surfels surfels;
+    BoxTrack box;
+};
+
+/// Those of a block that are better than what blocks before had.
+void take_actors(const Run& part, const Sequence& sequence, const Block& block, std::map<std::string, Candidate>& best) {
+    for (const Instance& instance : part.scene.instances) {
+        if (instance.track.empty()) continue;
+        const BoxTrack* box = find_box(part.sequence, instance.track);
+        if (!box)
+            throw DataError(fmt::format("{}: instance \"{}\" has no box, expected one", part.folder.string(), instance.track));
+        const std::size_t sightings = count_sightings(*box, sequence, block);
+        Candidate& candidate = best[instance.track];
+        if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;
+        const Model& model = part.scene.models[instance.model];
+        candidate = {sightings, model, part.scene.surfels.slice(model.first, model.count), *box};
+    }
+}
+
+/// Poses of a block's own sweeps, as its training has left them.
+void take_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
+    for (const int position : block.own) {
+        const double time_s = sequence.frames[std::size_t(position)].time_s;
+        const PoseTrack& found = part.sequence.world_from_vehicle;
+        const auto from = std::lower_bound(found.time_s.begin(), found.time_s.end(), time_s);
+        const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
+        if (from == found.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s) continue;   // an unused frame
+        track.pose[std::size_t(to - track.time_s.begin())] = found.pose[std::size_t(from - found.time_s.begin())];
+    }
+}
+
+}  // namespace
+
+void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<fs::path>& folders) {
+    Scene scene = make_background_scene({});
+    MeanDrop drop;
+    std::map<std::string, Candidate> actors;
+    PoseTrack poses = run.sequence.world_from_vehicle;
+    for (std::size_t k = 0; k < blocks.size(); ++k) {
+        const Run part = load_run(folders[k]);
+        scene.blocks.push_back(background_of(part.scene, folders[k] / kModelFile));
+        drop.add(part.scene.sensor_drop, blocks[k].train.size());
+        take_actors(part, run.sequence, blocks[k], actors);
+        take_poses(part, run.sequence, blocks[k], poses);
+        run.coverage.add(part.coverage);
+        if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
+    }
+    scene.sensor_drop = drop.mean();
+    run.sequence.world_from_vehicle = std::move(poses);
+    for (BoxTrack& box : run.sequence.boxes) {   // in the order of the log, as a scene in one piece has them
+        const auto found = actors.find(box.id);
+        if (found == actors.end()) continue;
+        Candidate& actor = found->second;
+        actor.model.first = static_cast<std::uint32_t>(scene.surfels.size());
+        scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
+        scene.models.push_back(actor.model);
+        scene.surfels.append(actor.surfels);
+        box = std::move(actor.box);
+    }
+    run.scene = std::move(scene);
+}
+
+}  // namespace relidar

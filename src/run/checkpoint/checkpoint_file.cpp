@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: Apache-2.0
+// A checkpoint as a safetensors file with a checksum over all it says: a flipped bit anywhere is noticed, in numbers and texts alike.
+#include <relidar/run/checkpoint.hpp>
+
+#include <algorithm>
+#include <charconv>
+#include <limits>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <zlib.h>
+
+#include "base/files.hpp"
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+using Texts = std::map<std::string, std::string>;
+
+constexpr const char* kFormat = "relidar checkpoint";
+constexpr const char* kVersion = "1";
+constexpr const char* kChecksum = "crc32";
+
+class Crc32 {
+public:
+    void add(const void* bytes, std::size_t n) {
+        if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);   // for a null pointer zlib would start over
+    }
+    void add(const std::string& text) { add(text.c_str(), text.size() + 1); }   // the end of a text counts
+    std::string hex() const { return fmt::format("{:08x}", crc_); }
+
+private:
+    uLong crc_ = ::crc32_z(0, nullptr, 0);
+};
+
+std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) {
+    Crc32 crc;
+    for (const auto& [key, value] : texts) {
+        if (key == kChecksum) continue;
+        crc.add(key);
+        crc.add(value);
+    }
+    for (const NamedArray& array : arrays) {
+        crc.add(array.name);
+        crc.add(array.dtype);
+        crc.add(fmt::format("{}", fmt::join(array.shape, ",")));
+        crc.add(array.bytes.data(), array.bytes.size());
+    }
+    return crc.hex();
+}
+
+/// Takes a text that only the file needs out of its metadata.
+std::string take(Texts& texts, const std::string& key) {
+    const auto it = texts.find(key);
+    if (it == texts.end()) throw DataError(fmt::format("metadata {}: missing, expected it", key));
+    std::string value = std::move(it->second);
+    texts.erase(it);
+    return value;
+}
+
+void expect(const std::string& what, const std::string& found, const std::string& expected) {
+    if (found != expected) throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", what, excerpt(found), expected));
+}
+
+int iteration_of(const std::string& text) {
+    int iteration = -1;
+    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
+    if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
+        throw DataError(fmt::format("metadata iteration: found \"{}\", expected a count", excerpt(text)));
+    return iteration;
+}
+
+Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
+    const auto format = texts.find("format"), version = texts.find("version");
+    expect("metadata format", format == texts.end() ? "" : format->second, kFormat);
+    // before the checksum: a newer one may count it otherwise
+    expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
+    const std::string found = checksum(texts, arrays);
+    expect("checksum of what was read", found, take(texts, kChecksum));
+    for (const char* key : {"format", "version", "relidar"}) take(texts, key);
+    const int iteration = iteration_of(take(texts, "iteration"));
+    Checkpoint checkpoint{iteration, std::move(texts), std::move(arrays)};
+    check_finite(checkpoint);
+    return checkpoint;
+}
+
+/// Iteration in the name of a checkpoint, or nothing for any other file.
+std::optional<int> iteration_in_name(const std::filesystem::path& path) {
+    const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
+    if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size()) return std::nullopt;
+    int iteration = 0;
+    const char* last = name.data() + name.size() - end.size();
+    const auto [stop, error] = std::from_chars(name.data() + start.size(), last, iteration);
+    return error == std::errc() && stop == last && iteration >= 0 ? std::optional(iteration) : std::nullopt;
+}
+
+}  // namespace
+
+void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint) {
+    Texts texts = checkpoint.texts;
+    texts["format"] = kFormat;
+    texts["version"] = kVersion;
+    texts["relidar"] = RELIDAR_VERSION;
+    texts["iteration"] = fmt::format("{}", checkpoint.iteration);
+    texts[kChecksum] = checksum(texts, checkpoint.arrays);
+    write_safetensors(path, checkpoint.arrays, texts);
+}
+
+Checkpoint read_checkpoint(const std::filesystem::path& path) {
+    Texts texts;
+    std::vector<NamedArray> arrays = read_safetensors(path, &texts);
+    try {
+        return parse(std::move(texts), std::move(arrays));
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("reading checkpoint '{}': {}", path.string(), error.what()));
+    }
+}
+
+std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder) {
+    std::vector<std::filesystem::path> paths;
+    std::error_code failed;
+    for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
+        if (iteration_in_name(entry.path())) paths.push_back(entry.path());
+    }
+    std::sort(paths.begin(), paths.end(), [](const auto& a, const auto& b) { return *iteration_in_name(a) < *iteration_in_name(b); });
+    return paths;
+}
+
+void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
+    std::error_code failed;
+    std::filesystem::create_directories(folder, failed);   // where that fails, writing says so
+    const std::filesystem::path path = folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
+    write_checkpoint(path, checkpoint);
+    std::vector<std::filesystem::path> older;
+    for (const std::filesystem::path& other : list_checkpoints(folder)) {
+        const int iteration = *iteration_in_name(other);
+        if (iteration < checkpoint.iteration) older.push_back(other);
+        if (iteration > checkpoint.iteration) std::filesystem::remove(other, failed);
+    }
+    const std::size_t n_older = static_cast<std::size_t>(std::max(keep, 1) - 1);
+    for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
+}
+
+std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder, const std::function<void(const std::string&)>& note) {
+    const std::vector<std::filesystem::path> paths = list_checkpoints(folder);
+    for (auto path = paths.rbegin(); path != paths.rend(); ++path) {
+        try {
+            return read_checkpoint(*path);
+        } catch (const DataError& error) {
+            note(fmt::format("{}; taking the checkpoint before it", error.what()));
+        }
+    }
+    if (!paths.empty())
+        throw DataError(
+            fmt::format("resuming from {}: found {} checkpoints and none that can be read, expected one", folder.string(), paths.size()));
+    return std::nullopt;
+}
+
+void remove_checkpoints(const std::filesystem::path& folder) {
+    std::error_code failed;
+    for (const std::filesystem::path& path : list_checkpoints(folder)) std::filesystem::remove(path, failed);
+    std::filesystem::remove(folder, failed);   // refuses where something else is in it
+}
+
+}  // namespace relidar

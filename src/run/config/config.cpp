@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: Apache-2.0
+// Settings from text, TOML and back, all by walking the one table of fields.hpp. TOML tables are the first part of a key.
+#include <relidar/run/config.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <map>
+#include <set>
+#include <sstream>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#define TOML_EXCEPTIONS 1
+#include <toml++/toml.h>
+
+#include "run/config/field_text.hpp"
+#include "base/files.hpp"
+#include "base/number_text.hpp"
+#include "base/toml_depth.hpp"
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+using config_detail::Accepts;
+using config_detail::describe;
+using config_detail::from_text;
+using config_detail::Help;
+using config_detail::is_text;
+using config_detail::to_text;
+using config_detail::visit;
+
+/// A value as it was found: text, and whether it stood in quotes (a TOML file says; a command line does not).
+struct Found {
+    std::string text;
+    enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
+};
+
+std::vector<std::string> all_keys() {
+    std::vector<std::string> keys;
+    visit(static_cast<const Config&>(Config{}), [&](const char* key, const auto&, const Accepts&, const Help&) { keys.emplace_back(key); });
+    return keys;
+}
+
+std::string unknown_key(const std::string& key) {
+    return fmt::format("setting {}: unknown key{}", excerpt(key),
+                       did_you_mean(key, all_keys(), "", ", expected one that `relidar list settings --all` lists"));
+}
+
+template <class T>
+void assign(T& field, const std::string& key, const Accepts& accepts, const Found& found) {
+    const bool wrong_kind = found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
+    if (wrong_kind || !from_text(found.text, accepts, field)) {
+        const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text), describe<T>(accepts), hint));
+    }
+}
+
+void set_found(Config& config, const std::string& key, const Found& found) {
+    bool known = false;
+    visit(config, [&](const char* name, auto& field, const Accepts& accepts, const Help&) {
+        if (known || key != name) return;
+        known = true;
+        assign(field, key, accepts, found);
+    });
+    if (!known) throw UsageError(unknown_key(key));
+    if (key == "preset") config = make_preset(config.preset);
+}
+
+/// A TOML scalar as text.
+Found found_in(const toml::node& node, const std::string& key) {
+    if (const auto* text = node.as_string()) return {text->get(), Found::Quotes::yes};
+    if (const auto* integer = node.as_integer()) return {fmt::format("{}", integer->get()), Found::Quotes::no};
+    if (const auto* number = node.as_floating_point()) return {number_text(number->get()), Found::Quotes::no};
+    if (const auto* boolean = node.as_boolean()) return {boolean->get() ? "true" : "false", Found::Quotes::no};
+    std::ostringstream kind;
+    kind << node.type();
+    throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
+}
+
+/// All of a table, in the order of the alphabet.
+void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, Found>& settings) {
+    for (const auto& [name, node] : table) {
+        const std::string key = prefix + std::string(name.str());
+        if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
+        else settings.emplace(key, found_in(node, key));
+    }
+}
+
+/// @throws UsageError unless the file names every setting and nothing else, as to_toml() writes it
+void check_complete(const std::map<std::string, Found>& settings) {
+    constexpr const char* kAdvice = "a run of another version of relidar must be trained again";
+    const std::vector<std::string> keys = all_keys();
+    for (const auto& [key, found] : settings)
+        if (std::ranges::find(keys, key) == keys.end()) throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
+    for (const std::string& key : keys)
+        if (!settings.contains(key))
+            throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
+}
+
+/// Text in TOML's basic quotes.
+std::string quoted(const std::string& text) {
+    std::string result = "\"";
+    for (const char c : text) {
+        if (c == '"' || c == '\\') result += '\\';
+        if (std::iscntrl(static_cast<unsigned char>(c)))
+            result += fmt::format("\\u{:04X}", static_cast<unsigned>(static_cast<unsigned char>(c)));
+        else result += c;
+    }
+    return result + '"';
+}
+
+template <class T>
+std::string toml_value(const T& value, const Accepts& accepts) {
+    const std::string text = to_text(value, accepts);
+    return is_text<T> ? quoted(text) : text;
+}
+
+}  // namespace
+
+std::vector<ConfigKey> config_keys(const Config& config) {
+    std::vector<ConfigKey> keys;
+    visit(config, [&](const char* key, const auto& field, const Accepts& accepts, const Help& help) {
+        using T = std::decay_t<decltype(field)>;
+        keys.push_back({key, to_text(field, accepts), fmt::format("{} ({})", help.text, describe<T>(accepts)), help.expert});
+    });
+    return keys;
+}
+
+void set_key(Config& config, const std::string& key, const std::string& value) { set_found(config, key, {value, Found::Quotes::unknown}); }
+
+namespace {
+
+/// @param check  called with the settings of the file before they are read
+template <class Check>
+void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
+    const std::string text = read_text(path);
+    check_toml_depth(text, path.string());
+    Config result = config;   // all or nothing
+    try {
+        const toml::table table = toml::parse(text, path.string());
+        std::map<std::string, Found> settings;
+        flatten(table, "", settings);
+        check(settings);
+        if (const auto preset = settings.extract("preset")) set_found(result, "preset", preset.mapped());
+        for (const auto& [key, found] : settings) set_found(result, key, found);
+    } catch (const toml::parse_error& error) {
+        throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));
+    } catch (const UsageError& error) {
+        throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
+    }
+    config = std::move(result);
+}
+
+}  // namespace
+
+void load_config(Config& config, const std::filesystem::path& path) {
+    read_config(config, path, [](const std::map<std::string, Found>&) {});
+}
+
+Config load_saved_config(const std::filesystem::path& path) {
+    Config config;
+    try {
+        read_config(config, path, check_complete);
+    } catch (const UsageError& error) {
+        throw DataError(error.what());
+    }
+    return config;
+}
+
+namespace {
+
+/// Settings with a comment each, by table. @param is_shown  (key)
+template <class Shown>
+std::string toml_of(const Config& config, const Shown& is_shown) {
+    std::string text, table;
+    visit(config, [&](const std::string& key, const auto& field, const Accepts& accepts, const Help& help) {
+        using T = std::decay_t<decltype(field)>;
+        if (!is_shown(key)) return;
+        const std::size_t dot = key.find('.');
+        const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
+        if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
+        table = key_table;
+        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe<T>(accepts), key.substr(dot + 1), toml_value(field, accepts));
+    });
+    return text;
+}
+
+}  // namespace
+
+std::string to_toml(const Config& config) {
+    return "# Settings of a relidar run: every value used. Read back by `relidar train --config`.\n" +
+           toml_of(config, [](const std::string&) { return true; });
+}
+
+std::string to_short_toml(const Config& config) {
+    std::set<std::string> left_out;
+    const std::vector<ConfigKey> keys = config_keys(config), preset = config_keys(make_preset(config.preset));
+    for (std::size_t i = 0; i < keys.size(); ++i)
+        if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
+    return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
+           fmt::format("\n# {} expert settings, all as the preset has them, are not shown: relidar list settings --all\n", left_out.size());
+}
+
+}  // namespace relidar

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// A setting's value as text and back: shortest decimal form that reads back to the same value, and one clear line where a
+// text is not what the setting accepts. Private to config.
+#pragma once
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <cstdint>
+#include <string>
+#include <type_traits>
+
+#include <fmt/format.h>
+
+#include "run/config/fields.hpp"
+#include "base/list_text.hpp"
+#include "base/number_text.hpp"
+
+namespace relidar::config_detail {
+
+/// Whether a field is written in quotes in a TOML file.
+template <class T>
+constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
+
+template <class T>
+std::string to_text(const T& value, const Accepts& accepts) {
+    if constexpr (std::is_enum_v<T>) return accepts.choices.at(static_cast<std::size_t>(value));
+    else if constexpr (std::is_floating_point_v<T>) return number_text(value);
+    else return fmt::format("{}", value);
+}
+
+/// "a number >= 0", "an integer in 1..64", "one of ray, surfel".
+template <class T>
+std::string describe(const Accepts& accepts) {
+    if constexpr (std::is_same_v<T, bool>) return "true or false";
+    if (accepts.several) return fmt::format("some of {}, separated by commas", fmt::join(accepts.choices, ", "));
+    if (!accepts.choices.empty()) return fmt::format("one of {}", fmt::join(accepts.choices, ", "));
+    if constexpr (is_text<T>) return "text";
+    const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
+    const bool open_end = accepts.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
+    const char* above = accepts.above_low ? ">" : ">=";
+    if (open_end) return fmt::format("{} {} {:.15g}", kind, above, accepts.low);
+    if (accepts.above_low) return fmt::format("{} > {:.15g} and <= {:.15g}", kind, accepts.low, accepts.high);
+    return fmt::format("{} in {:.15g}..{:.15g}", kind, accepts.low, accepts.high);
+}
+
+template <class T>
+bool parse_number(const std::string& text, const Accepts& accepts, T& value) {
+    T parsed{};
+    const char* begin = text.data();
+    const char* end = begin + text.size();
+    if (begin != end && *begin == '+') ++begin;
+    const auto [stop, error] = std::from_chars(begin, end, parsed);
+    if (begin == end || error != std::errc() || stop != end) return false;
+    if constexpr (std::is_floating_point_v<T>) {
+        if (!std::isfinite(parsed)) return false;
+    }
+    const auto number = static_cast<double>(parsed);
+    if (number > accepts.high || number < accepts.low || (accepts.above_low && number <= accepts.low)) return false;
+    value = parsed;
+    return true;
+}
+
+/// @return whether the text is a value the field accepts; the field is unchanged where it is not
+template <class T>
+bool from_text(const std::string& text, const Accepts& accepts, T& value) {
+    const auto find = [&](const std::string& word) { return std::find(accepts.choices.begin(), accepts.choices.end(), word); };
+    const auto choice = find(text);
+    const auto is_choice = [&](const std::string& word) { return find(word) != accepts.choices.end(); };
+    if (accepts.several ? !std::ranges::all_of(words_of(text), is_choice) : !accepts.choices.empty() && choice == accepts.choices.end())
+        return false;
+    if constexpr (std::is_enum_v<T>) {
+        value = static_cast<T>(choice - accepts.choices.begin());
+    } else if constexpr (std::is_same_v<T, std::string>) {
+        if (text.find_first_of("\n\r") != std::string::npos) return false;
+        value = text;
+    } else if constexpr (std::is_same_v<T, bool>) {
+        if (text != "true" && text != "false") return false;
+        value = text == "true";
+    } else {
+        return parse_number(text, accepts, value);
+    }
+    return true;
+}
+
+}  // namespace relidar::config_detail

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/run/stage_options.hpp>
+
+namespace relidar {
+
+Config with_farthest(Config config, const Sequence& sequence) {
+    if (config.dataset.max_range_m > 0.0) return config;
+    for (const Lidar& lidar : sequence.lidars)
+        config.dataset.max_range_m = std::max(config.dataset.max_range_m, lidar.sensor.max_range_m);
+    return config;
+}
+
+TraceOptions trace_options(const Config& config) {
+    TraceOptions options;
+    options.chunk = config.trace.chunk;
+    return options;
+}
+
+TraceOptions training_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = config.loss.uses_geometry();
+    if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
+    return options;
+}
+
+TraceOptions rendering_trace_options(const Config& config) {
+    TraceOptions options = trace_options(config);
+    options.geometry = kind_of(config.image.primitive).has_normals;   // of channels and of ray-drop networks
+    if (config.render.range == "mode") options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
+    return options;
+}
+
+BackwardOptions backward_options(const Config& config) {
+    BackwardOptions options;
+    if (config.train.deterministic) options.reduction = Reduction::gather;
+    return options;
+}
+
+}  // namespace relidar

@@ -1,0 +1,213 @@
+// SPDX-License-Identifier: Apache-2.0
+// Edits of instances and tracks. The surfels of a model are copied only into a scene that has not got it, and left out once no
+// instance places them.
+#include <relidar/run/edit.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+namespace {
+
+/// Why a labelled box cannot be edited, and what to set so that it can.
+std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
+    actors.push_back(track);
+    return fmt::format("editing track \"{}\": the log has its box, but it has no surfels of its own: it is parked, of a class that "
+                       "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with "
+                       "init.actor_tracks = {}, which makes actors of these tracks whether they move or not",
+                       track, fmt::join(actors, ","));
+}
+
+/// Index of the instance with a track.
+std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
+    std::vector<std::string> known;
+    for (std::size_t i = 0; i < driving.scene.instances.size(); ++i) {
+        const std::string& name = driving.scene.instances[i].track;
+        if (!name.empty() && name == track) return i;
+        if (!name.empty()) known.push_back(name);
+    }
+    if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
+    const std::string found = fmt::format("editing track \"{}\": found no such track", track);
+    if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
+    throw UsageError(fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
+}
+
+BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
+    find_actor(driving, track);
+    std::vector<BoxTrack>& boxes = driving.sequence.boxes;
+    if (const BoxTrack* box = find_box(driving.sequence, track)) return boxes[std::size_t(box - boxes.data())];
+    throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
+}
+
+/// Leaves out models that no instance places; the background stays.
+void drop_unused_models(Scene& scene) {
+    Surfels surfels;
+    std::vector<Model> models;
+    std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
+    for (std::size_t m = 0; m < scene.models.size(); ++m) {
+        const Model& model = scene.models[m];
+        const bool used =
+            m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
+        if (!used) continue;
+        moved_to[m] = static_cast<std::uint32_t>(models.size());
+        models.push_back(model);
+        models.back().first = static_cast<std::uint32_t>(surfels.size());
+        surfels.append(scene.surfels.slice(model.first, model.count));
+    }
+    for (Instance& instance : scene.instances) instance.model = moved_to[instance.model];
+    scene.models = std::move(models);
+    scene.surfels = std::move(surfels);
+}
+
+/// Leaves out the actors that are not to be kept, and their boxes.
+template <class Keep>
+void keep_instances(DrivingScene& driving, const Keep& keep) {
+    std::vector<Instance> kept;
+    for (const Instance& instance : driving.scene.instances) {
+        if (instance.track.empty() || keep(instance.track)) kept.push_back(instance);
+        else std::erase_if(driving.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
+    }
+    driving.scene.instances = std::move(kept);
+    drop_unused_models(driving.scene);
+}
+
+bool is_taken(const DrivingScene& driving, const std::string& id) {
+    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == id; });
+}
+
+std::string free_id(const DrivingScene& driving, const std::string& stem) {
+    int n = 1;
+    while (is_taken(driving, fmt::format("{}-{}", stem, n))) ++n;
+    return fmt::format("{}-{}", stem, n);
+}
+
+/// One pose a frame, straight ahead at constant speed.
+PoseTrack straight_track(const Sequence& sequence, const Start& start) {
+    PoseTrack track;
+    for (const Frame& frame : sequence.frames) {
+        Pose pose = start.dataset_from_box;
+        pose.translation += pose.rotation * glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) -
+                            sequence.world_offset_m;
+        track.time_s.push_back(frame.time_s);
+        track.pose.push_back(pose);
+    }
+    return track;
+}
+
+void check_trajectory(const PoseTrack& track, const std::string& id) {
+    const auto fail = [&](const std::string& found, const char* expected) {
+        throw DataError(fmt::format("trajectory of track \"{}\": {}, expected {}", id, found, expected));
+    };
+    if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
+        fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "at least two");
+    for (std::size_t i = 0; i < track.pose.size(); ++i) {
+        const glm::dvec3& p = track.pose[i].translation;
+        if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))
+            fail(fmt::format("entry {} is not finite", i + 1), "finite numbers");
+        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1]))
+            fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]), "times that rise");
+    }
+}
+
+/// The same trajectory with entries no farther apart than a step, so that half a step beside its ends is no more than half a turn.
+PoseTrack refined(const PoseTrack& track, double step_s) {
+    PoseTrack fine;
+    for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
+        const double span = track.time_s[i + 1] - track.time_s[i];
+        const int n = std::max(1, static_cast<int>(std::ceil(span / step_s - 1e-9)));
+        for (int k = 0; k < n; ++k) {
+            fine.time_s.push_back(track.time_s[i] + span * k / n);
+            fine.pose.push_back(interpolate(track.pose[i], track.pose[i + 1], double(k) / n));
+        }
+    }
+    fine.time_s.push_back(track.time_s.back());
+    fine.pose.push_back(track.pose.back());
+    return fine;
+}
+
+/// Adds an instance of a model with a track of its own.
+void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
+    box.world_from_box = straight_track(driving.sequence, start);
+    box.n_before = box.n_after = 0;
+    driving.scene.instances.push_back({model, box.id});
+    driving.sequence.boxes.push_back(std::move(box));
+}
+
+}  // namespace
+
+DrivingScene remove_track(DrivingScene driving, const std::string& track) {
+    find_actor(driving, track);
+    keep_instances(driving, [&](const std::string& name) { return name != track; });
+    return driving;
+}
+
+DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved) {
+    for (Pose& pose : box_of(driving, track).world_from_box.pose) pose = pose * box_from_moved;
+    return driving;
+}
+
+DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds) {
+    for (double& time_s : box_of(driving, track).world_from_box.time_s) time_s += seconds;
+    return driving;
+}
+
+std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
+    const BoxTrack* box = find_box(edited, before.id);
+    std::set<int> lost;   // LiDARs that sweep together share a number
+    for (const Frame& frame : edited.frames)
+        if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);
+    if (lost.empty()) return "";
+    const std::vector<double>& times_s = box->world_from_box.time_s;
+    return fmt::format("track {} is absent from {} frames in which it was present, of {} to {}: it is there from {:.2f} to {:.2f} s now",
+                       before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
+}
+
+DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {
+    BoxTrack& box = box_of(driving, track);
+    check_trajectory(dataset_from_box, track);
+    box.n_before = box.n_after = 0;
+    box.world_from_box = refined(shifted_track(dataset_from_box, -driving.sequence.world_offset_m),
+                                 std::max(driving.sequence.lidars[0].period_s(), 1e-3));
+    return driving;
+}
+
+DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start) {
+    BoxTrack box = box_of(driving, track);
+    box.id = free_id(driving, track + "-copy");
+    const std::uint32_t model = driving.scene.instances[find_actor(driving, track)].model;
+    add_instance(driving, model, std::move(box), start);
+    return driving;
+}
+
+DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track, const Start& start) {
+    DrivingScene source = other;
+    BoxTrack box = box_of(source, track);
+    if (is_taken(driving, box.id)) box.id = free_id(driving, track + "-insert");
+    add_instance(driving, append_model(driving.scene, other.scene, other.scene.instances[find_actor(other, track)].model), std::move(box),
+                 start);
+    return driving;
+}
+
+DrivingScene keep_background(DrivingScene driving) {
+    keep_instances(driving, [](const std::string&) { return false; });
+    return driving;
+}
+
+DrivingScene keep_actors(DrivingScene driving) {
+    Scene& scene = driving.scene;
+    const std::uint32_t background = scene.models.front().count;
+    scene.surfels = scene.surfels.slice(background, scene.surfels.size() - background);
+    for (Model& model : scene.models) model.first -= model.first >= background ? background : 0;
+    scene.models.front().count = 0;
+    scene.blocks.clear();
+    return driving;
+}
+
+}  // namespace relidar

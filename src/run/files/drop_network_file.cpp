@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// A ray-drop network as safetensors: its numbers as arrays, its shape in the metadata.
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+#include <relidar/run/run.hpp>
+
+#include "base/files.hpp"
+#include "base/json_field.hpp"
+#include "run/files/file_format.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr const char* kNetworkFormat = "relidar drop network";
+constexpr const char* kNetworkVersion = "1";
+
+std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* name, const std::string& file) {
+    const NamedArray* array = find_array(arrays, name);
+    if (!array || array->dtype != "f4") throw DataError(fmt::format("{}: array {}: missing or not f4, expected it", file, name));
+    std::vector<float> values = array->as_float();
+    for (std::size_t i = 0; i < values.size(); ++i)
+        if (!std::isfinite(values[i]))
+            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected finite numbers", file, name, i, values[i]));
+    return values;
+}
+
+void read_shape(const JsonField& shape, DropNetwork& network) {
+    network.image = shape.at("image").text();
+    const JsonField inputs = shape.at("inputs"), widths = shape.at("widths");
+    if (inputs.size() < 1 || inputs.size() > 64) inputs.fail(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
+    if (widths.size() < 1 || widths.size() > 8) widths.fail(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
+    for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).text());
+    for (std::size_t i = 0; i < widths.size(); ++i) network.widths.push_back(std::uint32_t(widths.at(i).integer(2, 4096)));
+    network.heads = std::uint32_t(shape.at("heads").integer(0, network.widths.back()));
+    if (network.heads > 0 && network.widths.back() % network.heads != 0)
+        shape.at("heads").fail(fmt::format("found {}", network.heads), fmt::format("expected a divisor of {}", network.widths.back()));
+    network.taps = std::uint32_t(shape.at("taps").integer(1, 9));
+    network.residual = shape.at("residual").integer(0, 1) != 0;
+}
+
+}  // namespace
+
+void save_drop_network(const std::filesystem::path& path, const DropNetwork& network) {
+    const auto array = [](const char* name, const std::vector<float>& values) {
+        return make_array(name, {values.size()}, values.data(), values.size());
+    };
+    const nlohmann::ordered_json shape = {{"image", network.image},
+                                          {"inputs", network.inputs},
+                                          {"widths", network.widths},
+                                          {"heads", network.heads},
+                                          {"taps", network.taps},
+                                          {"residual", int(network.residual)}};
+    write_safetensors(path,
+                      {array("normalisation", network.normalisation), array("parameters", network.parameters),
+                       array("running", network.running)},
+                      {{"format", kNetworkFormat}, {"version", kNetworkVersion}, {"relidar", RELIDAR_VERSION}, {"shape", shape.dump()}});
+}
+
+DropNetwork load_drop_network(const std::filesystem::path& path) {
+    const std::string file = path.string();
+    std::map<std::string, std::string> metadata;
+    const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
+    run_detail::check_format(metadata, file, kNetworkFormat, kNetworkVersion);
+    DropNetwork network;
+    const std::string where = file + ": metadata shape";
+    const nlohmann::json shape = parse_json(metadata["shape"], where);
+    read_shape(JsonField(shape, where, ""), network);
+    network.normalisation = values_of(arrays, "normalisation", file);
+    network.parameters = values_of(arrays, "parameters", file);
+    network.running = values_of(arrays, "running", file);
+    return network;
+}
+
+}  // namespace relidar

@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+// What makes the rays of a LiDAR that does not spin, as scene.json has it. Private to run.
+#pragma once
+
+#include <nlohmann/json_fwd.hpp>
+
+#include <relidar/log/sensor.hpp>
+
+namespace relidar {
+class JsonField;
+}
+
+namespace relidar::run_detail {
+
+nlohmann::ordered_json pattern_json(const FixedPattern& pattern);
+/// @throws DataError naming the field that is wrong
+FixedPattern read_pattern(const JsonField& field);
+
+}  // namespace relidar::run_detail

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+// Blocks of a background, read from their files when they are wanted.
+#include <relidar/run/run.hpp>
+
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+Surfels read_block(const SceneBlock& block) {
+    const Scene scene = load_model(block.file);
+    const Model& background = scene.models.front();
+    if (background.count != block.count)
+        throw DataError(fmt::format("{}: found {} surfels of the background, expected {} as its run says", block.file.string(),
+                                    background.count, block.count));
+    return scene.surfels.slice(0, background.count);
+}
+
+Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks) {
+    Surfels background = scene.surfels.slice(0, scene.models.front().count);
+    for (const std::size_t i : blocks) background.append(read_block(scene.blocks[i]));
+    return with_background(scene, background);
+}
+
+Scene whole_scene(const Scene& scene) {
+    if (scene.blocks.empty()) return scene;
+    std::vector<std::size_t> all(scene.blocks.size());
+    std::iota(all.begin(), all.end(), std::size_t(0));
+    return read_blocks(scene, all);
+}
+
+}  // namespace relidar

@@ -1,0 +1,259 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/score/evaluation.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <functional>
+#include <memory>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/range_image.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/score/metrics.hpp>
+#include "score/evaluation/people.hpp"
+#include "score/evaluation/tails.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kSameTime_s = 1e-3;
+constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames have their images in memory
+
+/// The sensor that config.sensor names, with the native grid on the rays of the scan. @param frame  with its scan
+SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
+    SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
+    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan it is compared with
+    return sensor;
+}
+
+/// The pixels of some returns. They are binned as points are, with the flag in the place of the intensity.
+std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
+    Scan flags = frame.scan;
+    std::copy(returns.begin(), returns.end(), flags.intensity.begin());
+    const RangeImage binned = real_image(config, flags);
+    return {binned.intensity.begin(), binned.intensity.end()};
+}
+
+/// A frame that is rendered but not scored yet.
+struct RenderedFrame {
+    ScoredFrame frame;
+    std::vector<bool> moving;      ///< [n] pixels whose return lies in a labelled box that moves
+    std::vector<bool> discovered;  ///< [n] pixels whose return lies in a discovered one; empty if the run has none
+
+    std::vector<Region> regions() const {
+        std::vector<Region> regions = standard_regions(frame.real, moving);
+        if (!discovered.empty()) regions.push_back({"discovered_boxes", discovered});
+        return regions;
+    }
+};
+
+RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+    RenderedFrame result;
+    result.frame.frame = frame.index;
+    result.frame.lidar = frame.lidar;
+    result.frame.time_s = frame.time_s;
+    result.frame.start = frame.start;
+    result.frame.real = real_image(config, frame.scan);
+    result.moving = pixels_of(moving_returns(sequence, frame, sensor_offset), config, frame);
+    if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
+        result.discovered = pixels_of(discovered_returns(sequence, frame, sensor_offset), config, frame);
+    return result;
+}
+
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
+                           const Pose& sensor_offset) {
+    RenderedFrame result = real_frame(config, sequence, frame, sensor_offset);
+    const SensorChoice sensor = sensor_of_frame(config, sequence, frame);
+    result.frame.n_rays = sensor.rays.size();
+    result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
+    return result;
+}
+
+/// LPIPS where there are weights.
+std::unique_ptr<Lpips> load_lpips() {
+    const std::string file = lpips_weights_file();
+    return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
+}
+
+/// False for a scan whose returns all have intensity 0: its log has none.
+bool has_intensities(const RangeImage& real) {
+    return std::ranges::any_of(real.intensity, [](float intensity) { return intensity > 0.0f; });
+}
+
+/// Metrics of all frames at once, on all cores. @param lpips or nothing
+std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config, const Sequence& sequence,
+                               const Lpips* lpips) {
+    MetricOptions options;
+    options.max_range_m = with_farthest(config, sequence).dataset.max_range_m;
+    if (config.sensor.grid != "native") options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
+    options.lpips = lpips;
+    std::vector<Comparison> comparisons;
+    for (const RenderedFrame& r : rendered)
+        comparisons.push_back(
+            {&r.frame.rendered.image, &r.frame.real, r.regions(), point_ranges(r.frame.rendered, config)});
+    const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
+    std::vector<ScoredFrame> frames;
+    for (std::size_t i = 0; i < rendered.size(); ++i) {
+        frames.push_back(std::move(rendered[i].frame));
+        frames.back().metrics = rows[i];
+        if (!has_intensities(frames.back().real))
+            std::erase_if(frames.back().metrics, [](const auto& metric) { return metric.first.find("intensity") != std::string::npos; });
+    }
+    return frames;
+}
+
+void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
+    for (ScoredFrame& frame : frames) {
+        const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
+        const RangeImage& rendered = frame.rendered.image;
+        frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
+        const std::vector<float>& points_m = point_ranges(frame.rendered, config);   // none of a baseline
+        frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep));
+    }
+}
+
+RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
+    constexpr auto& kRanges = RangeErrorCounts::kRangeEdges_m;
+    constexpr auto& kErrors = RangeErrorCounts::kErrorEdges_m;
+    RangeErrorCounts counts;
+    for (std::size_t i = 0; i < real.range_m.size(); ++i) {
+        const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
+        if (!(range_m > kRanges.front() && range_m <= kRanges.back())) continue;
+        const auto row = std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
+        const auto band = std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
+        counts.rays[row][returned(rendered.drop_prob[i], rendered.range_m[i]) ? band : RangeErrorCounts::kBands - 1] += 1.0;
+    }
+    return counts;
+}
+
+void drop_images(ScoredFrame& frame) {
+    const double trace_ms = frame.rendered.trace_ms;
+    frame.rendered = {};
+    frame.rendered.trace_ms = trace_ms;
+    frame.real = {};
+}
+
+/// What all evaluations of many frames are: a few are rendered, scored, seen and forgotten.
+struct ManyFrames {
+    const std::vector<int>& positions;   ///< in the sequence
+    const Sequence& sequence;
+    const Config& config;
+    const Progress& progress;
+    const SeeFrame& see;
+};
+
+/// @param what  is done with a frame, for the progress @param render  makes the frame at a position
+std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
+                                   const std::function<RenderedFrame(int position, const Frame&)>& render) {
+    const std::unique_ptr<Lpips> lpips = load_lpips();
+    const std::size_t n = many.positions.size();
+    std::vector<ScoredFrame> scored;
+    for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
+        std::vector<RenderedFrame> some;
+        for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
+            if (many.progress) many.progress(what, double(i) / double(n));
+            some.push_back(render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
+        }
+        std::vector<ScoredFrame> done = score(std::move(some), many.config, many.sequence, lpips.get());
+        add_actor_scores(done, many.sequence, many.config);
+        for (ScoredFrame& frame : done) {
+            frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
+            if (many.see) many.see(frame);
+            if (scored.size() != n / 2) drop_images(frame);
+            scored.push_back(std::move(frame));
+        }
+    }
+    if (many.progress && n > 0) many.progress(what, 1.0);
+    return scored;
+}
+
+}  // namespace
+
+void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
+    for (const int position : positions) {
+        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        const auto it = std::find_if(log.frames.begin(), log.frames.end(),
+                                     [&](const Frame& f) { return f.index == frame.index && f.lidar == frame.lidar; });
+        if (it == log.frames.end())
+            throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained", run.config.dataset.path,
+                                        frame.index, run.folder.string()));
+        if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
+            throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained", run.config.dataset.path,
+                                        frame.index, it->time_s, frame.time_s, run.folder.string()));
+        }
+        frame.scan = it->scan;
+        frame.start = it->start;
+    }
+}
+
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
+                        const Pose& sensor_offset) {
+    const std::unique_ptr<Lpips> lpips = load_lpips();
+    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence, lpips.get()).front();
+}
+
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
+                           const Progress& progress, const SeeFrame& see) {
+    if (see && renderer.refines(configured_sensor(config, sequence))) renderer.want_channels("surfel_drop_prob");   // pictures show both
+    std::vector<ScoredFrame> scored =
+        score_all({positions, sequence, config, progress, see}, "rendering held-out frames",
+                  [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
+    return summarise(std::move(scored), renderer.times());
+}
+
+BoxMotion find_baseline(const std::string& name) {
+    if (name == "nearest") return BoxMotion::stay;
+    if (name == "nearest-actors") return BoxMotion::follow;
+    throw UsageError(fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", name));
+}
+
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
+                             const Progress& progress, const SeeFrame& see) {
+    const BoxMotion boxes = find_baseline(name);
+    const auto project = [&](int position, const Frame& frame) {
+        RenderedFrame result = real_frame(config, sequence, frame, {});
+        Scan points = neighbour_points(sequence, position, split.train, boxes);
+        drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
+        result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
+        return result;
+    };
+    Evaluation evaluation =
+        summarise(score_all({split.test, sequence, config, progress, see}, "projecting neighbours of held-out frames", project), {});
+    evaluation.title = "baseline " + name;
+    return evaluation;
+}
+
+void check_lpips_weights() { load_lpips(); }
+
+std::string lpips_weights_file() {
+    const char* file = std::getenv("RELIDAR_LPIPS_WEIGHTS");
+    return file ? file : "";
+}
+
+MetricRow mean_times(const KernelTimes& times) {
+    MetricRow row;
+    for (const auto& [kernel, total] : times.totals) row[kernel] = total.ms / total.launches;
+    return row;
+}
+
+Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times) {
+    Evaluation evaluation;
+    std::vector<MetricRow> rows;
+    double n_rays = 0.0;
+    for (const ScoredFrame& frame : frames) {
+        rows.push_back(frame.metrics);
+        evaluation.trace_ms += frame.rendered.trace_ms / static_cast<double>(frames.size());
+        n_rays += static_cast<double>(frame.n_rays) / static_cast<double>(frames.size());
+    }
+    evaluation.mean = mean(rows);
+    evaluation.kernel_ms = mean_times(times);
+    if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
+    evaluation.frames = std::move(frames);
+    return evaluation;
+}
+
+}  // namespace relidar

@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: Apache-2.0
+// The two metric protocols of docs/method.md section 8 on one pair of range images.
+//   peer    every pixel, dropped ones at 0, clamped; how published tables are made
+//   strict  only pixels returned in both; ray drop scored by itself
+// Chamfer distance and F-score always use the points of returned pixels only: placing dropped pixels at the origin, as the
+// peer's released script does, dilutes the first and inflates the second.
+#include <relidar/log/range_image.hpp>
+#include <relidar/score/metrics.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "base/parallel.hpp"
+#include "pixel_errors.hpp"
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+using namespace metrics_detail;
+using Points = std::vector<glm::dvec3>;
+
+constexpr double kMinSquaredError = 1e-20;                      // caps PSNR of identical images at a finite value
+constexpr double kFineThreshold_m = 0.05;
+constexpr double kPeerThreshold_m = 0.22360679774997896964;     // sqrt(0.05): the peer compares the squared distance with 0.05
+constexpr int kSsimWindow = 7;
+constexpr int kLpipsEdge = 31;                                   // below this its poolings leave no pixel
+
+Points points(const RangeImage& image, const Mask& mask) {
+    Points result;
+    for (std::size_t i = 0; i < mask.size(); ++i)
+        if (mask[i]) result.push_back(glm::dvec3(image.origin[i]) + double(image.range_m[i]) * glm::dvec3(image.direction[i]));
+    return result;
+}
+
+/// A whole image and what it is compared with.
+struct ImagePair {
+    Values rendered, real;
+    int rows, columns;
+    double peak;
+};
+
+/// The images of one threshold: every pixel, dropped ones at 0.
+ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold, double max_range_m) {
+    return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
+            masked(real.range_m, not_dropped(real, kRealDropThreshold), max_range_m), real.rows, real.columns, max_range_m};
+}
+ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, double threshold) {
+    return {masked(rendered.intensity, not_dropped(rendered, threshold), kMaxIntensity),
+            masked(real.intensity, not_dropped(real, kRealDropThreshold), kMaxIntensity), real.rows, real.columns, kMaxIntensity};
+}
+
+/// Errors, PSNR, SSIM and LPIPS of whole images. SSIM is left out where it is undefined (image below the window, constant truth).
+void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image, const Lpips* lpips) {
+    const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
+    row[prefix + "psnr_db"] = 10.0 * std::log10(image.peak * image.peak / std::max(squared, kMinSquaredError));
+    const auto [low, high] = std::minmax_element(image.real.begin(), image.real.end());
+    if (image.rows >= kSsimWindow && image.columns >= kSsimWindow && *high > *low)
+        row[prefix + "ssim"] = ssim(image.rendered, image.real, image.rows, image.columns, *high - *low);
+    if (lpips && image.rows >= kLpipsEdge && image.columns >= kLpipsEdge)
+        row[prefix + "lpips"] = lpips->distance(image.rendered, image.real, image.rows, image.columns);
+}
+
+double share_below(const Values& distances, double threshold) {
+    const auto n = std::count_if(distances.begin(), distances.end(), [=](double d) { return d < threshold; });
+    return double(n) / double(distances.size());
+}
+
+/// Nearest distances both ways between two clouds.
+struct CloudDistances {
+    Values to_truth, to_rendered;
+
+    CloudDistances(const Points& rendered, const Points& truth) {
+        if (rendered.empty() || truth.empty()) return;
+        to_truth = nearest_distances(rendered, truth);
+        to_rendered = nearest_distances(truth, rendered);
+    }
+    bool defined() const { return !to_truth.empty(); }
+    double chamfer() const { return mean_of(to_truth) + mean_of(to_rendered); }
+    double chamfer_squared() const { return mean_square(to_truth) + mean_square(to_rendered); }
+    /// Harmonic mean of precision and recall; 0 where one cloud is empty.
+    double f_score(double threshold_m) const {
+        if (!defined()) return 0.0;
+        const double precision = share_below(to_truth, threshold_m), recall = share_below(to_rendered, threshold_m);
+        return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
+    }
+};
+
+void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    const double threshold = options.peer_drop_threshold;
+    add_image(row, "peer/depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), options.lpips);
+    add_image(row, "peer/intensity_", "", intensity_pair(rendered, real, threshold), options.lpips);
+
+    const Points a = points(rendered, returned(rendered, threshold));
+    const Points b = points(real, returned(real, kRealDropThreshold));
+    if (a.empty() && b.empty()) return;
+    const CloudDistances distances(a, b);
+    if (distances.defined()) row["peer/cd_sq_m2"] = distances.chamfer_squared();
+    row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
+}
+
+/// Distance of the probabilities of a drop from what happened, over all pixels; no threshold.
+double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
+    Values error(real.drop_prob.size());
+    for (std::size_t i = 0; i < error.size(); ++i) error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
+    return std::sqrt(mean_square(error));
+}
+
+/// Ray drop as a classification; positive = dropped.
+void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
+    std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
+    for (std::size_t i = 0; i < real.size(); ++i) {
+        hits += !rendered[i] && !real[i];
+        false_drops += !rendered[i] && real[i];
+        missed_drops += rendered[i] && !real[i];
+        equal += rendered[i] == real[i];
+    }
+    const auto ratio = [](std::size_t a, std::size_t b) { return double(a) / double(std::max<std::size_t>(b, 1)); };
+    row["strict/drop_accuracy"] = ratio(equal, real.size());
+    row["strict/drop_precision"] = ratio(hits, hits + false_drops);
+    row["strict/drop_recall"] = ratio(hits, hits + missed_drops);
+    row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
+}
+
+/// Ranges of pixels returned in both, and distances between the clouds of returned points.
+void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
+                const MetricOptions& options) {
+    const Mask kept = returned(rendered, options.strict_drop_threshold), truth = returned(real, kRealDropThreshold);
+    Mask both(truth.size());
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
+    add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
+               selected(real.range_m, both, options.max_range_m));
+    const Points a = points(rendered, kept), b = points(real, truth);
+    if (a.empty() && b.empty()) return;
+    const CloudDistances distances(a, b);
+    if (distances.defined()) {
+        row[prefix + "cd_mean_m"] = distances.chamfer();
+        row[prefix + "cd_sq_m2"] = distances.chamfer_squared();
+    }
+    row[prefix + "f_5cm"] = distances.f_score(kFineThreshold_m);
+    row[prefix + "f_22cm"] = distances.f_score(kPeerThreshold_m);
+}
+
+void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    const Mask kept = returned(rendered, options.strict_drop_threshold);
+    const Mask truth = returned(real, kRealDropThreshold);
+    Mask both(truth.size());
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
+    add_errors(row, "strict/intensity_", "", selected(rendered.intensity, both, kMaxIntensity),
+               selected(real.intensity, both, kMaxIntensity));
+    add_drop(row, kept, truth);
+    row["strict/drop_rmse"] = drop_rmse(rendered, real);
+    const double threshold = options.strict_drop_threshold;
+    add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
+    add_image(row, "strict/image_intensity_", "", intensity_pair(rendered, real, threshold), nullptr);
+    add_points(row, "strict/", rendered, real, options);
+}
+
+}  // namespace
+
+MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    check_pair(rendered, real);
+    MetricRow row;
+    add_peer(row, rendered, real, options);
+    add_strict(row, rendered, real, options);
+    return row;
+}
+
+MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    check_pair(rendered, real);
+    MetricRow row;
+    add_points(row, "points/", rendered, real, options);
+    return row;
+}
+
+std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, const MetricOptions& options) {
+    std::vector<MetricRow> rows(comparisons.size());
+    run_parallel(static_cast<int>(comparisons.size()), [&](int i) {
+        const Comparison& c = comparisons[static_cast<std::size_t>(i)];
+        MetricRow& row = rows[static_cast<std::size_t>(i)];
+        row = evaluate(*c.rendered, *c.real, options);
+        row.merge(evaluate_regions(*c.rendered, *c.real, c.regions, options));
+        if (c.point_range_m.empty()) return;
+        RangeImage points = *c.rendered;
+        points.range_m = c.point_range_m;
+        row.merge(evaluate_points(points, *c.real, options));
+    });
+    return rows;
+}
+
+MetricRow mean(const std::vector<MetricRow>& rows) {
+    MetricRow sum;
+    std::map<std::string, int> count;
+    for (const MetricRow& row : rows)
+        for (const auto& [name, value] : row) {
+            sum[name] += value;
+            ++count[name];
+        }
+    for (auto& [name, value] : sum) value /= count[name];
+    return sum;
+}
+
+}  // namespace relidar

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// Weights of LPIPS from a safetensors file: arrays conv{0..4}.weight, conv{0..4}.bias, lin{0..4}.weight, half or single precision.
+#include <relidar/base/arrays.hpp>
+#include <relidar/score/metrics.hpp>
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
+    const std::vector<NamedArray> arrays = read_safetensors(path);
+    const auto values = [&](const std::string& name) {
+        const NamedArray* array = find_array(arrays, name);
+        if (!array)
+            throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS", path.string(), name));
+        return array->as_float();
+    };
+    LpipsWeights weights;
+    for (std::size_t l = 0; l < weights.weight.size(); ++l) {
+        weights.weight[l] = values(fmt::format("conv{}.weight", l));
+        weights.bias[l] = values(fmt::format("conv{}.bias", l));
+        weights.linear[l] = values(fmt::format("lin{}.weight", l));
+    }
+    return weights;
+}
+
+}  // namespace relidar

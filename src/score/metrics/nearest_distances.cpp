@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+// Exact nearest neighbours between two clouds, for Chamfer distance and F-score: a k-d tree over the targets, the queries
+// shared out among threads. Distances are computed in double, as the points of a log may lie far from the origin.
+#include <relidar/score/metrics.hpp>
+
+#include <cmath>
+
+#include <fmt/format.h>
+#include <nanoflann.hpp>
+
+#include <relidar/base/error.hpp>
+
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+/// What the tree asks of a container; the member names are nanoflann's.
+struct TargetCloud {
+    const std::vector<glm::dvec3>& points;
+
+    std::size_t kdtree_get_point_count() const { return points.size(); }
+    double kdtree_get_pt(std::size_t i, std::size_t axis) const { return points[i][glm::length_t(axis)]; }
+    template <class Box>
+    bool kdtree_get_bbox(Box&) const {
+        return false;
+    }
+};
+
+using Metric = nanoflann::L2_Simple_Adaptor<double, TargetCloud>;
+using Tree = nanoflann::KDTreeSingleIndexAdaptor<Metric, TargetCloud, 3, std::uint32_t>;
+
+constexpr std::size_t kLeafSize = 16;
+
+void check_finite(const std::vector<glm::dvec3>& points, const char* name) {
+    for (std::size_t i = 0; i < points.size(); ++i)
+        if (!std::isfinite(points[i].x + points[i].y + points[i].z))
+            throw DataError(fmt::format("nearest distances: {} point {} is ({}, {}, {}), expected finite values", name, i,
+                                        points[i].x, points[i].y, points[i].z));
+}
+
+}  // namespace
+
+std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query, const std::vector<glm::dvec3>& target) {
+    std::vector<double> distance(query.size());
+    if (query.empty()) return distance;
+    if (target.empty()) throw DataError(fmt::format("nearest distances: {} query points, no target point", query.size()));
+    check_finite(query, "query");
+    check_finite(target, "target");
+
+    const TargetCloud cloud{target};
+    const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(kLeafSize));
+    for_each_block(query.size(), [&](std::size_t i) {
+        std::uint32_t index = 0;
+        double squared = 0.0;
+        tree.knnSearch(&query[i].x, 1, &index, &squared);
+        distance[i] = std::sqrt(squared);
+    });
+    return distance;
+}
+
+}  // namespace relidar

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "pixel_errors.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar::metrics_detail {
+namespace {
+
+constexpr double kClampLow = 1e-6;   // lower end of the peer's clamp, depth and intensity alike
+
+double clamped(float value, double high) { return std::clamp(double(value), kClampLow, high); }
+
+/// Middle value; mean of the two middle ones for an even count. Reorders its argument.
+double median(Values values) {
+    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    if (values.size() % 2 == 1) return *middle;
+    return 0.5 * (*middle + *std::max_element(values.begin(), middle));
+}
+
+void check_values(const std::vector<float>& values, std::size_t n, const char* image, const char* array) {
+    if (values.size() != n)
+        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image, array, values.size(), n));
+    const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
+    if (bad != values.end())
+        throw DataError(fmt::format("evaluating a range image: {} {} is {} at pixel {}, expected a finite value", image, array, *bad,
+                                    bad - values.begin()));
+}
+
+void check_vectors(const std::vector<glm::vec3>& values, std::size_t n, const char* image, const char* array) {
+    if (values.size() != n)
+        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image, array, values.size(), n));
+}
+
+void check_image(const RangeImage& image, const char* name) {
+    if (image.rows <= 0 || image.columns <= 0)
+        throw DataError(fmt::format("evaluating a range image: the {} one has {} x {} pixels", name, image.rows, image.columns));
+    const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
+    check_values(image.range_m, n, name, "range_m");
+    check_values(image.intensity, n, name, "intensity");
+    check_values(image.drop_prob, n, name, "drop_prob");
+    check_vectors(image.origin, n, name, "origin");
+    check_vectors(image.direction, n, name, "direction");
+}
+
+}  // namespace
+
+void check_pair(const RangeImage& rendered, const RangeImage& real) {
+    check_image(rendered, "rendered");
+    check_image(real, "real");
+    if (rendered.rows == real.rows && rendered.columns == real.columns) return;
+    throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real", rendered.rows, rendered.columns,
+                                real.rows, real.columns));
+}
+
+Mask not_dropped(const RangeImage& image, double threshold) {
+    Mask mask(image.drop_prob.size());
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = double(image.drop_prob[i]) < threshold;
+    return mask;
+}
+
+Mask returned(const RangeImage& image, double threshold) {
+    Mask mask = not_dropped(image, threshold);
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = mask[i] && image.range_m[i] > 0.0f;
+    return mask;
+}
+
+Values masked(const std::vector<float>& values, const Mask& mask, double high) {
+    Values result(values.size());
+    for (std::size_t i = 0; i < values.size(); ++i) result[i] = clamped(mask[i] ? values[i] : 0.0f, high);
+    return result;
+}
+
+Values selected(const std::vector<float>& values, const Mask& mask, double high) {
+    Values result;
+    for (std::size_t i = 0; i < values.size(); ++i)
+        if (mask[i]) result.push_back(clamped(values[i], high));
+    return result;
+}
+
+double mean_of(const Values& values) {
+    double sum = 0.0;
+    for (double v : values) sum += v;
+    return sum / double(values.size());
+}
+
+double mean_square(const Values& values) {
+    double sum = 0.0;
+    for (double v : values) sum += v * v;
+    return sum / double(values.size());
+}
+
+double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a, const Values& b) {
+    if (a.empty()) return -1.0;
+    Values error(a.size());
+    for (std::size_t i = 0; i < a.size(); ++i) error[i] = std::abs(a[i] - b[i]);
+    const double squared = mean_square(error);
+    row[prefix + "rmse" + unit] = std::sqrt(squared);
+    row[prefix + "mae" + unit] = mean_of(error);
+    row[prefix + "medae" + unit] = median(std::move(error));
+    return squared;
+}
+
+}  // namespace relidar::metrics_detail

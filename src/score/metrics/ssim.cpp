@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// Structural similarity with the defaults of scikit-image, which published LiDAR tables use: 7x7 uniform window, sample
+// covariance (divided by 48), K1 = 0.01, K2 = 0.03, mean over the pixels whose window lies inside the image.
+//   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2)),   C1 = (K1 L)^2, C2 = (K2 L)^2
+// Window sums are separable: seven columns first, then seven rows. Prefix sums would be faster and lose digits.
+#include <relidar/score/metrics.hpp>
+
+#include <array>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr int kWindow = 7;
+
+/// Sums of a, b, aa, bb, ab over a window.
+struct Moments {
+    std::array<double, 5> sum{};
+
+    void add(double a, double b) {
+        const std::array<double, 5> term{a, b, a * a, b * b, a * b};
+        for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += term[k];
+    }
+    void add(const Moments& other) {
+        for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += other.sum[k];
+    }
+};
+
+double similarity(const Moments& window, double c1, double c2) {
+    constexpr double n = kWindow * kWindow;
+    constexpr double sample = n / (n - 1.0);
+    const double ma = window.sum[0] / n, mb = window.sum[1] / n;
+    const double va = sample * (window.sum[2] / n - ma * ma);
+    const double vb = sample * (window.sum[3] / n - mb * mb);
+    const double cov = sample * (window.sum[4] / n - ma * mb);
+    return (2.0 * ma * mb + c1) * (2.0 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
+}
+
+/// Sums over 7 neighbours within each row. @return [rows * (columns - 6)]
+std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) {
+    const int width = columns - kWindow + 1;
+    std::vector<Moments> sums(std::size_t(rows) * std::size_t(width));
+    for (int row = 0; row < rows; ++row)
+        for (int column = 0; column < width; ++column) {
+            const std::size_t first = std::size_t(row) * std::size_t(columns) + std::size_t(column);
+            Moments& sum = sums[std::size_t(row) * std::size_t(width) + std::size_t(column)];
+            for (std::size_t k = 0; k < kWindow; ++k) sum.add(a[first + k], b[first + k]);
+        }
+    return sums;
+}
+
+void check(std::size_t n_a, std::size_t n_b, int rows, int columns, double data_range) {
+    if (rows < kWindow || columns < kWindow)
+        throw DataError(fmt::format("structural similarity: image of {} x {} pixels, expected at least 7 x 7", rows, columns));
+    const std::size_t n = std::size_t(rows) * std::size_t(columns);
+    if (n_a != n || n_b != n)
+        throw DataError(fmt::format("structural similarity: images of {} and {} values, expected {}", n_a, n_b, n));
+    if (!(data_range > 0.0))
+        throw DataError(fmt::format("structural similarity: data range {}, expected a positive one", data_range));
+}
+
+}  // namespace
+
+double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns, double data_range) {
+    check(a.size(), b.size(), rows, columns, data_range);
+    const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
+    const std::vector<Moments> sums = sum_along_rows(a, b, rows, columns);
+    const int width = columns - kWindow + 1, height = rows - kWindow + 1;
+    double total = 0.0;
+    for (int row = 0; row < height; ++row)
+        for (int column = 0; column < width; ++column) {
+            Moments window;
+            for (int k = 0; k < kWindow; ++k) window.add(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
+            total += similarity(window, c1, c2);
+        }
+    return total / (double(width) * double(height));
+}
+
+}  // namespace relidar

@@ -1,0 +1,199 @@
+// SPDX-License-Identifier: Apache-2.0
+// Line charts as inline SVG: axes with round ticks, grid lines, one path a curve. Colours and fonts come from the page's
+// style sheet (classes c0 ... c7, axis, grid, faint), so that a chart follows its light and dark theme.
+#include "chart.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "html.hpp"
+
+namespace relidar::export_detail {
+namespace {
+
+constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;   // margins in SVG units, as wide as the labels
+constexpr std::size_t kManyPoints = 250;                             // more are noise to the eye: draw a running mean
+constexpr std::size_t kBuckets = 500;                                // horizontal resolution of a drawn curve
+
+/// Data interval of one axis and where it lies on the page.
+struct Axis {
+    double low = 0.0, high = 1.0;
+    double at_low = 0.0, at_high = 1.0;
+    bool logarithmic = false;
+
+    double scale(double v) const { return logarithmic ? std::log10(v) : v; }
+    double place(double v) const { return at_low + (scale(v) - scale(low)) / (scale(high) - scale(low)) * (at_high - at_low); }
+};
+
+struct Extent {
+    double low = std::numeric_limits<double>::infinity();
+    double high = -std::numeric_limits<double>::infinity();
+
+    void add(double v) {
+        low = std::min(low, v);
+        high = std::max(high, v);
+    }
+    bool empty() const { return low > high; }
+};
+
+/// Finite, and not so large that the axis would overflow.
+bool drawable(const ReportCurve& curve, std::size_t i) { return std::abs(curve.x[i]) < 1e100 && std::abs(curve.y[i]) < 1e100; }
+
+double nice_step(double span, int n_ticks) {
+    const double raw = span / n_ticks, decade = std::pow(10.0, std::floor(std::log10(raw)));
+    for (double factor : {1.0, 2.0, 5.0})
+        if (raw <= factor * decade) return factor * decade;
+    return 10.0 * decade;
+}
+
+std::vector<double> linear_ticks(const Axis& axis, int n_ticks) {
+    const double step = nice_step(axis.high - axis.low, n_ticks);
+    std::vector<double> ticks;
+    for (double k = std::ceil(axis.low / step - 1e-9); k * step <= axis.high + 1e-9 * step && ticks.size() < 50; ++k)
+        ticks.push_back(k == 0.0 ? 0.0 : k * step);
+    return ticks;
+}
+
+/// Powers of ten, thinned out over many decades; 1, 2, 5 of each over few.
+std::vector<double> log_ticks(const Axis& axis) {
+    const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
+    const int every = std::max(1, (last - first) / 6);
+    std::vector<double> ticks;
+    for (int decade = first; decade <= last; decade += every)
+        for (double factor : {1.0, 2.0, 5.0}) {
+            const double tick = factor * std::pow(10.0, decade);
+            if (factor > 1.0 && last - first > 3) continue;
+            if (tick >= axis.low * (1 - 1e-9) && tick <= axis.high * (1 + 1e-9)) ticks.push_back(tick);
+        }
+    return ticks;
+}
+
+std::string tick_label(double value) {
+    const double size = std::abs(value);
+    if (size >= 1e6) return fmt::format("{:g}M", value / 1e6);
+    if (size >= 1e4) return fmt::format("{:g}k", value / 1e3);
+    return fmt::format("{:.6g}", value);
+}
+
+Axis make_y_axis(const Extent& extent, double at_low, double at_high) {
+    Axis axis{extent.low, extent.high, at_low, at_high, false};
+    if (extent.empty()) axis.low = 0.0, axis.high = 1.0;
+    axis.logarithmic = axis.low > 0.0 && axis.high > 4.0 * axis.low;
+    if (axis.logarithmic) {
+        const double margin = std::pow(axis.high / axis.low, 0.05);
+        axis.low /= margin, axis.high *= margin;
+    } else {
+        const double span = axis.high - axis.low;
+        const double margin = span > 0.0 ? 0.06 * span : std::max(0.05 * std::abs(axis.low), 1e-6);
+        axis.low -= margin, axis.high += margin;
+    }
+    return axis;
+}
+
+Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
+    Axis axis{extent.low, extent.high, at_low, at_high, false};
+    if (extent.empty()) axis.low = 0.0, axis.high = 1.0;
+    if (!(axis.high > axis.low)) axis.low -= 0.5, axis.high += 0.5;
+    return axis;
+}
+
+/// At most two points a bucket, its lowest and highest, so that spikes survive. Points that are not finite are gaps.
+std::vector<std::size_t> thinned(const ReportCurve& curve) {
+    const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
+    std::vector<std::size_t> kept;
+    for (std::size_t first = 0; first < n; first += width) {
+        std::size_t low = first, high = first;
+        for (std::size_t i = first; i < std::min(n, first + width); ++i) {
+            if (!drawable(curve, i)) low = high = i;   // shows the gap
+            else if (drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
+            else if (drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
+        }
+        kept.push_back(std::min(low, high));
+        if (low != high) kept.push_back(std::max(low, high));
+    }
+    return kept;
+}
+
+/// Mean over a centred window of 1/40 of the curve, of its finite values, at a few hundred places.
+ReportCurve running_mean(const ReportCurve& curve) {
+    const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
+    ReportCurve result{curve.name, {}, {}};
+    for (std::size_t place = 0; place < n_places; ++place) {
+        const std::size_t middle = place * (n - 1) / (n_places - 1);
+        const std::size_t reach = std::min({half, middle, n - 1 - middle});   // symmetric to the ends, or they would lag
+        double sum = 0.0, count = 0.0;
+        for (std::size_t i = middle - reach; i <= middle + reach; ++i)
+            if (drawable(curve, i)) sum += curve.y[i], ++count;
+        result.x.push_back(curve.x[middle]);
+        result.y.push_back(sum / count);   // no value at all: not a number, a gap
+    }
+    return result;
+}
+
+std::string path_of(const ReportCurve& curve, const Axis& x, const Axis& y, const std::string& style) {
+    std::string path, dots;
+    bool connected = false;
+    const std::vector<std::size_t> kept = thinned(curve);
+    for (std::size_t i : kept) {
+        if (!drawable(curve, i)) {
+            connected = false;
+            continue;
+        }
+        const double px = x.place(curve.x[i]), py = y.place(curve.y[i]);
+        path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
+        if (kept.size() <= 30) dots += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", style, px, py);
+        connected = true;
+    }
+    return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
+}
+
+std::string axes(const Axis& x, const Axis& y) {
+    std::string svg;
+    for (double tick : y.logarithmic ? log_ticks(y) : linear_ticks(y, 5))
+        svg += fmt::format("<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
+                           "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
+                           x.at_low, x.at_high, y.place(tick), x.at_low - 8, y.place(tick) + 4, tick_label(tick));
+    for (double tick : linear_ticks(x, x.at_high - x.at_low > 600 ? 10 : 5))
+        svg += fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
+                           "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
+                           x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, tick_label(tick));
+    return svg + fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n", x.at_low,
+                             x.at_high, y.at_low);
+}
+
+}  // namespace
+
+bool has_running_mean(const std::vector<const ReportCurve*>& curves) {
+    return std::any_of(curves.begin(), curves.end(), [](const ReportCurve* curve) { return curve->y.size() > kManyPoints; });
+}
+
+std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
+    Extent x_extent, y_extent;
+    for (const ReportCurve* curve : curves) {
+        if (curve->x.size() != curve->y.size())
+            throw DataError(fmt::format("report curve '{}': {} x and {} y values", curve->name, curve->x.size(), curve->y.size()));
+        for (std::size_t i = 0; i < curve->x.size(); ++i)
+            if (drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
+    }
+    const Axis x = make_x_axis(x_extent, kLeft, width - kRight), y = make_y_axis(y_extent, height - kBottom, kTop);
+    std::string names;
+    for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
+    std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}", width, height,
+                                  escape_html(names), axes(x, y));
+    for (std::size_t i = 0; i < curves.size(); ++i) {
+        const std::string colour = fmt::format("c{}", i % kChartColours);
+        const bool many = curves[i]->y.size() > kManyPoints;
+        svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
+        svg += path_of(*curves[i], x, y, many ? colour + " faint" : colour);
+        if (many) svg += path_of(running_mean(*curves[i]), x, y, colour);
+        svg += "</g>\n";
+    }
+    return svg + "</svg>\n";
+}
+
+}  // namespace relidar::export_detail

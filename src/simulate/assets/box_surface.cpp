@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: Apache-2.0
+// The surface of a box in patches, on which every point is projected from the centre.
+#include <relidar/simulate/assets.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+namespace relidar {
+namespace {
+
+constexpr double kPatch_m = 0.3;
+constexpr double kHiddenHeight = 0.2;        // of the height: what the ground hides
+/// Cosine between a ray and a side's normal below which the ray tells nothing of the side: on what is grazed returns lie streaks apart. A
+/// LiDAR on a car meets roofs of other cars no steeper than that.
+constexpr double kGrazing = 0.2, kGrazingTop = 0.02;
+constexpr double kMostPairs = 200.0;   // of patches along an axis: of a box of 120 m
+
+/// Across which axis a side lies, on which side of the centre, and along which axes its patches are counted; heights come second.
+struct SideFrame {
+    int normal;
+    double sign;
+    int first, second;
+};
+constexpr SideFrame kFrames[kBoxSides] = {{0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
+
+/// Even, so that the plane of x and z parts no patch.
+int count_patches(double length_m) { return 2 * int(std::clamp(std::round(length_m / (2.0 * kPatch_m)), 1.0, kMostPairs)); }
+
+int patch_at(double along, double half_m, int n) { return std::clamp(int(std::floor((along / half_m + 1.0) * 0.5 * n)), 0, n - 1); }
+
+}  // namespace
+
+const char* name_of(BoxSide side) {
+    constexpr const char* kNames[] = {"front", "rear", "left", "right", "top"};
+    return kNames[static_cast<int>(side)];
+}
+
+BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
+    for (std::size_t s = 0; s < kBoxSides; ++s) {
+        n_[s] = {count_patches(size_m[kFrames[s].first]), count_patches(size_m[kFrames[s].second])};
+        seen_[s].assign(std::size_t(n_[s][0] * n_[s][1]), 0);
+    }
+}
+
+/// The patch that the way from the centre through a point comes out of.
+bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
+    const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
+    const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+    if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0)) return false;
+    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + (share[axis] < 0.0 ? 1 : 0);
+    const SideFrame& frame = kFrames[side];
+    const glm::dvec3 on_surface = point_m / size[axis];
+    patch = {BoxSide(side), patch_at(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
+             patch_at(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
+    return counts(patch);
+}
+
+bool BoxSurface::counts(const Patch& patch) const {
+    return patch.side == BoxSide::top || (patch.row + 0.5) / n_[std::size_t(patch.side)][1] > kHiddenHeight;
+}
+
+BoxSurface::Patch BoxSurface::mirror(Patch patch) const {
+    if (patch.side == BoxSide::left || patch.side == BoxSide::right)
+        patch.side = patch.side == BoxSide::left ? BoxSide::right : BoxSide::left;
+    else patch.column = n_[std::size_t(patch.side)][0] - 1 - patch.column;
+    return patch;
+}
+
+bool BoxSurface::at(const Patch& patch) const {
+    return seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] != 0;
+}
+
+void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
+    Patch patch{};
+    if (!find(point_m, patch)) return;
+    const SideFrame& frame = kFrames[std::size_t(patch.side)];
+    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazing))) return;
+    seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] = 1;
+}
+
+bool BoxSurface::is_seen(const glm::dvec3& point_m) const {
+    Patch patch{};
+    return find(point_m, patch) && at(patch);
+}
+
+bool BoxSurface::is_mirrored(const glm::dvec3& point_m) const {
+    Patch patch{};
+    return find(point_m, patch) && !at(patch) && at(mirror(patch));
+}
+
+std::array<double, 2> BoxSurface::areas(BoxSide side, bool mirrored) const {
+    const SideFrame& frame = kFrames[std::size_t(side)];
+    const auto [columns, rows] = n_[std::size_t(side)];
+    const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
+    std::array<double, 2> sum{};
+    for (int row = 0; row < rows; ++row) {
+        for (int column = 0; column < columns; ++column) {
+            const Patch patch{side, column, row};
+            if (!counts(patch)) continue;
+            const bool held = mirrored ? !at(patch) && at(mirror(patch)) : at(patch);
+            sum[0] += held ? patch_m2 : 0.0, sum[1] += patch_m2;
+        }
+    }
+    return sum;
+}
+
+double BoxSurface::share(bool mirrored) const {
+    double held_m2 = 0.0, all_m2 = 0.0;
+    for (std::size_t s = 0; s < kBoxSides; ++s) {
+        const std::array<double, 2> area = areas(BoxSide(s), mirrored);
+        held_m2 += area[0], all_m2 += area[1];
+    }
+    return held_m2 / all_m2;
+}
+
+double BoxSurface::seen(BoxSide side) const {
+    const std::array<double, 2> area = areas(side, false);
+    return area[0] / area[1];
+}
+
+double BoxSurface::seen() const { return share(false); }
+double BoxSurface::mirrored() const { return share(true); }
+
+BoxSurface seen_surface(const glm::dvec3& size_m, const ActorSightings& sightings) {
+    BoxSurface surface(size_m);
+    for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
+        surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
+    return surface;
+}
+
+}  // namespace relidar

@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+// An actor of a run as a run of its own: cleaned, and completed where it is symmetric.
+#include <relidar/simulate/assets.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/run/edit.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kShortestVehicle_m = 3.0;   // of what has no class; cyclists are shorter
+/// Basis functions that are odd in y: those of negative order.
+constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
+
+bool is_vehicle(const BoxTrack& box) {
+    return object_kind(box.category) == ObjectKind::vehicle ||
+           (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
+}
+
+/// "car-3": letters, digits, dots, dashes and underscores alone, so that it is the name of a folder everywhere. What was discovered is
+/// named by its track.
+std::string asset_name(const BoxTrack& box) {
+    std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
+    for (char& c : name) {
+        const auto byte = static_cast<unsigned char>(c);
+        c = byte < 0x80 && std::isalnum(byte) ? char(std::tolower(byte)) : c == '.' || c == '_' ? c : '-';
+    }
+    return name.front() == '.' ? "-" + name : name;
+}
+
+/// Whether a surfel can show: opaque enough to be blended, and in the box it belongs in.
+bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const ImageModel& image) {
+    const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
+    const bool bounded = model.half_size_m.x > 0.0f;
+    if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
+    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
+}
+
+/// Takes the mirror image of what was seen for what was not. @return surfels that were added
+std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
+    std::vector<std::uint32_t> kept, copied;
+    for (std::uint32_t i = 0; i < surfels.size(); ++i) {
+        const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
+        if (!surface.is_mirrored(here)) kept.push_back(i);
+        if (surface.is_mirrored(there)) copied.push_back(i);
+    }
+    const Surfels more = mirrored_left_right(surfels.permuted(copied));
+    surfels = surfels.permuted(kept);
+    surfels.append(more);
+    return copied.size();
+}
+
+/// The frames of a log in which an actor is there, without what renders nothing of it.
+Sequence frames_of(const Sequence& log, const BoxTrack& box) {
+    Sequence sequence = without_frames(log);
+    sequence.boxes = {box};
+    sequence.world_from_vehicle = {};
+    for (const Frame& frame : log.frames) {
+        if (!box.present(frame.time_s)) continue;
+        Frame kept;
+        kept.index = frame.index, kept.time_s = frame.time_s, kept.lidar = frame.lidar;
+        sequence.frames.push_back(std::move(kept));
+        PoseTrack& track = sequence.world_from_vehicle;
+        if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
+        track.time_s.push_back(frame.time_s);
+        track.pose.push_back(log.world_from_vehicle.pose[log.pose_of(frame)]);
+    }
+    return sequence;
+}
+
+}  // namespace
+
+Surfels mirrored_left_right(Surfels surfels) {
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        surfels.mean[i].y *= -1.0f;
+        glm::vec4& q = surfels.rotation[i];   // w, x, y, z: the axis of a rotation is mirrored, and turns the other way
+        q = {q[0], -q[1], q[2], -q[3]};
+        for (int channel = 0; channel < kShChannels; ++channel)
+            for (const int k : kOddInY) surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] *= -1.0f;
+    }
+    return surfels;
+}
+
+Asset make_asset(const Run& run, const std::string& track, const ActorSightings& sightings) {
+    DrivingScene alone = run.driving();
+    std::vector<std::string> others;
+    for (const Instance& instance : alone.scene.instances)
+        if (!instance.track.empty() && instance.track != track) others.push_back(instance.track);
+    alone = keep_actors(std::move(alone));
+    for (const std::string& other : others) alone = remove_track(std::move(alone), other);
+    const auto box = std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
+    if (alone.scene.instances.size() != 2 || box == alone.sequence.boxes.end())
+        throw UsageError(
+            fmt::format("making an asset of \"{}\": found no such actor, expected one of: {}", track, fmt::join(others, ", ")));
+
+    const BoxSurface surface = seen_surface(box->size_m, sightings);
+    Asset asset;
+    AssetFacts& facts = asset.facts;
+    facts = {asset_name(*box), box->category, is_vehicle(*box) ? ObjectKind::vehicle : object_kind(box->category), box->size_m,
+             run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(), track,
+             run.sequence.lidars.front().sensor.name};
+    for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.seen(BoxSide(s));
+    facts.seen = surface.seen();
+    facts.nearest_m = sightings.nearest_m;
+    facts.clearance_m = ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
+
+    Model& model = alone.scene.models[1];
+    Surfels& surfels = alone.scene.surfels;
+    std::vector<std::uint32_t> shown;
+    for (std::uint32_t i = 0; i < surfels.size(); ++i)
+        if (can_show(surfels, i, model, run.config.image)) shown.push_back(i);
+    surfels = surfels.permuted(shown);
+    if (facts.kind == ObjectKind::vehicle) {
+        facts.mirrored = complete(surfels, surface);
+        facts.completed = surface.mirrored();
+    }
+    surfels = surfels.permuted(kd_order(surfels.mean));
+    facts.surfels = surfels.size();
+
+    BoxTrack named = *box;
+    named.id = facts.name;
+    model = {facts.name, 0, std::uint32_t(surfels.size()), model.half_size_m};
+    alone.scene.models[0].first = 0;
+    alone.scene.instances[1].track = facts.name;
+    alone.scene.sensor_drop = {};
+    asset.run.config = run.config;
+    asset.run.sequence = frames_of(alone.sequence, named);
+    for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);
+    asset.run.scene = std::move(alone.scene);
+    asset.run.edits = run.edits;
+    asset.run.edits.push_back({facts.source_run, fmt::format("asset of {}", track)});
+    asset.run.refined_poses = run.refined_poses;
+    return asset;
+}
+
+std::string only_track(const Run& run) {
+    std::vector<std::string> tracks;
+    for (const Instance& instance : run.scene.instances)
+        if (!instance.track.empty()) tracks.push_back(instance.track);
+    if (tracks.size() == 1) return tracks.front();
+    throw UsageError(fmt::format("{}: found {} actors and none of them named, expected an asset, or RUN#TRACK{}", run.folder.string(),
+                                 tracks.size(), tracks.empty() ? "" : fmt::format(" with one of {}", fmt::join(tracks, ", "))));
+}
+
+}  // namespace relidar

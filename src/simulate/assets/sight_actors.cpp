@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a log has seen of its actors, found by taking its scans again in the trained scene: whatever stands before an actor hides it.
+#include <relidar/simulate/assets.hpp>
+
+#include <algorithm>
+
+#include <relidar/simulate/render.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr const char* kStandIn = "HDL-64E";   // for a LiDAR whose rays are known scan by scan alone
+
+std::vector<SensorChoice> sensors_of(const Run& run) {
+    std::vector<SensorChoice> sensors;
+    for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
+        sensors.push_back(choose_sensor("native", run.config, run.sequence, i));
+        const SensorChoice& own = sensors.back();
+        if (own.rays.size() == 0 && !own.pattern) sensors.back() = choose_sensor(kStandIn, run.config, run.sequence, i);
+    }
+    return sensors;
+}
+
+/// By instance; null for the background and for one without a box.
+std::vector<const BoxTrack*> boxes_of(const Run& run) {
+    std::vector<const BoxTrack*> boxes;
+    for (const Instance& instance : run.scene.instances) boxes.push_back(find_box(run.sequence, instance.track));
+    return boxes;
+}
+
+/// The frames that train in which there is any actor.
+std::vector<int> frames_to_look_at(const Run& run, const std::vector<const BoxTrack*>& boxes) {
+    std::vector<int> positions;
+    for (const int i : run.split.train) {
+        const double time_s = run.sequence.frames[std::size_t(i)].time_s;
+        if (std::ranges::any_of(boxes, [&](const BoxTrack* b) { return b && b->present(time_s); })) positions.push_back(i);
+    }
+    return positions;
+}
+
+void add_returns(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
+                 std::map<std::string, ActorSightings>& sightings) {
+    FiringPoses firing(scan);
+    for (std::size_t i = 0; i < scan.instance.size(); ++i) {
+        const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
+        const float range_m = scan.median_range_m[i];
+        if (!box || !(range_m > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
+        const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[i]) + double(range_m) * glm::dvec3(scan.image.direction[i]);
+        const Pose box_from_world = inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
+        const Pose& world_from_firing = firing.at(i);
+        ActorSightings& actor = sightings[box->id];
+        actor.points_m.push_back(glm::vec3(box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m)));
+        actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
+        actor.nearest_m = std::min(actor.nearest_m, double(range_m));
+    }
+}
+
+}  // namespace
+
+std::map<std::string, ActorSightings> sight_actors(Device& device, const Run& run, const Progress& progress) {
+    const std::vector<const BoxTrack*> boxes = boxes_of(run);
+    const std::vector<int> positions = frames_to_look_at(run, boxes);
+    const std::vector<SensorChoice> sensors = sensors_of(run);
+    std::map<std::string, ActorSightings> sightings;
+    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    for (std::size_t k = 0; k < positions.size(); ++k) {
+        if (progress) progress("looking at actors", double(k) / double(positions.size()));
+        const Frame& frame = run.sequence.frames[std::size_t(positions[k])];
+        add_returns(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s), run, boxes, sightings);
+    }
+    return sightings;
+}
+
+}  // namespace relidar

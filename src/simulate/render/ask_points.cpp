@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points of scans that are asked for ahead: the device renders one while the host takes another.
+#include <algorithm>
+#include <cstddef>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/accel.hpp>
+
+#include "base/parallel.hpp"
+#include "simulate/render/scan_renderer.hpp"
+
+namespace relidar {
+namespace {
+
+/// The same motion seen from another frame.
+PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame) {
+    const Pose frame_from_world = inverse(world_from_frame);
+    for (Pose& pose : track.pose) pose = frame_from_world * pose;
+    return track;
+}
+
+// A point is what the device writes, byte by byte.
+static_assert(sizeof(ScanPoint) == sizeof(shared::ReturnedPoint) && std::int32_t(RELIDAR_NO_INSTANCE) == ScanPoint().instance);
+static_assert(offsetof(ScanPoint, position_m) == offsetof(shared::ReturnedPoint, position));
+static_assert(offsetof(ScanPoint, intensity) == offsetof(shared::ReturnedPoint, intensity));
+static_assert(offsetof(ScanPoint, time_offset_s) == offsetof(shared::ReturnedPoint, time_offset_s));
+static_assert(offsetof(ScanPoint, ring) == offsetof(shared::ReturnedPoint, ring));
+static_assert(offsetof(ScanPoint, instance) == offsetof(shared::ReturnedPoint, instance));
+
+}  // namespace
+
+/// Whether the device makes the points of a scan of this sensor.
+bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
+    const SensorConfig own = config_of(sensor);
+    return !sampled && weather.clear() && !sensor.grid && own.sub_rays == 1 && own.returns == 1 && sensor.rays.size() > 0;
+}
+
+/// Where the next of the scans goes that are sent together.
+ScanStrand& ScanRenderer::Impl::next_strand() {
+    if (!together) {
+        while (1 + std::ssize(others) < most_strands) {
+            try {
+                others.emplace_back(device).copy = scene.copy();
+            } catch (const DeviceError&) {   // no memory for so many copies of the scene
+                others.pop_back();
+                most_strands = 1 + int(others.size());
+            }
+        }
+        together.emplace(scene.renderer().stream(), 1 + others.size());
+        n_together = 0;
+    }
+    const std::size_t strand = n_together++ % (1 + others.size());
+    together->choose(strand);
+    return strand == 0 ? first : others[strand - 1];
+}
+
+/// The device is told of scans that were asked for.
+void ScanRenderer::Impl::send() {
+    if (!together) return;
+    together.reset();
+    scene.renderer().stream().submit();
+}
+
+void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
+                              std::optional<std::uint64_t> sample, Send when) {
+    Impl& s = *impl_;
+    if (s.asked.size() >= kScansInFlight)
+        throw UsageError(fmt::format("asking for the points of a scan: found {} scans that were not taken, expected fewer than {}",
+                                     s.asked.size(), kScansInFlight));
+    AskedPoints asked;
+    if (!s.gathers_points(sensor, sample.has_value())) {
+        const RenderedScan scan = render(sensor, request, sample);
+        asked.ready = returned_points(scan, s.config, request.dataset_from_sensor.at(points_at_s));
+        s.asked.push_back(std::move(asked));
+        return;
+    }
+    std::vector<InstancePose> placed = drive(sensor, request);
+    asked.dataset_from_points = request.dataset_from_sensor.at(points_at_s);
+    const bool joins = side_by_side() > 1 && (s.together || when == Send::with_next);
+    ScanStrand& strand = joins ? s.next_strand() : s.first;
+    s.bring(strand, sensor, request.time_s, std::move(placed));
+    asked.renderer = &s.renderer_of(strand);
+    Stream& stream = asked.renderer->stream();
+    const bool refined = s.refines_rays(sensor, sensor.rays);
+    const std::optional<RayTable> of_now = s.rays_of_scan(sensor, request.time_s);
+    const Impl::Cast cast = s.record(strand, sensor, of_now ? *of_now : sensor.rays, request.time_s, refined);
+    asked.rays = cast.rays;
+    asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
+    asked.time_s = request.time_s;
+    asked.max_range_m = std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m));
+    const PoseTrack points_from_sensor = seen_from(asked.dataset_from_sensor, asked.dataset_from_points);
+    asked.points = strand.points.record(stream, *cast.rays,
+                                        {.points_from_sensor = points_from_sensor,
+                                         .time_s = request.time_s,
+                                         .of_image = s.config.render.points != "median",
+                                         .refined = refined,
+                                         .step = float(s.scatter[std::size_t(sensor.lidar)].step)},
+                                        asked.renderer->forward_pass().pass_cap_count());
+    s.asked.push_back(std::move(asked));
+    if (!joins) stream.submit();
+    else if (when == Send::now) s.send();
+}
+
+/// Waits for what the device has of a scan.
+PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint> memory) {
+    if (scan.ready) return std::move(*scan.ready);
+    send();
+    const PointsOnDevice::Gathered gathered = PointsOnDevice::wait(scan.renderer->stream(), *scan.points);
+    if (gathered.n_capped > 0) scan.renderer->check_passes();
+    const RayTable& rays = scan.rays->table();
+    PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
+    result.points.resize(gathered.points.size());
+    constexpr std::size_t kTogether = 1 << 13;   // points: 0.2 MB
+    for_each_part(result.points.size(), kTogether, [&](std::size_t begin, std::size_t end) {
+        std::memcpy(static_cast<void*>(&result.points[begin]), &gathered.points[begin], (end - begin) * sizeof(ScanPoint));
+    });
+    if (coverage.empty()) return result;
+    const auto ray_at = [&](std::size_t k) {
+        const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());
+        return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])), glm::dvec3(rays.origin[i]),
+                          glm::dvec3(rays.direction[i]), gathered.asked_m[k]};
+    };
+    result.unseen_share = relidar::unseen_share(gathered.asked_m.size(), ray_at, {coverage, sweep.world_offset_m, scan.max_range_m});
+    return result;
+}
+
+/// Has nothing in flight any more.
+void ScanRenderer::Impl::settle() {
+    if (together) {   // perhaps with a scan that was refused half-way, for which nobody waits
+        send();
+        scene.renderer().stream().finish();
+    }
+    for (AskedPoints& scan : asked) scan.ready = points_of(scan);
+}
+
+ScanRenderer::~ScanRenderer() {
+    const auto in_flight = [](const AskedPoints& scan) { return !scan.ready; };
+    if (std::ranges::none_of(impl_->asked, in_flight)) return;
+    try {
+        impl_->send();
+        impl_->scene.renderer().stream().finish();   // the device may still write what goes with this
+    } catch (const DeviceError&) {   // a lost device writes nothing any more
+    }
+}
+
+PointScan ScanRenderer::take_points(std::vector<ScanPoint> memory) {
+    Impl& s = *impl_;
+    if (s.asked.empty()) throw UsageError("taking the points of a scan: found none that was asked for, expected ask_points() before");
+    AskedPoints first = std::move(s.asked.front());
+    s.asked.pop_front();
+    return s.points_of(first, std::move(memory));
+}
+
+}  // namespace relidar

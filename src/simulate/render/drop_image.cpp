@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Inputs of a ray-drop network, from a rendered scan.
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include <relidar/simulate/render.hpp>
+
+#include "base/parallel.hpp"
+#include "simulate/render/channel_makers.hpp"
+#include "simulate/render/sensor_rays.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr float kLeastProbability = 1e-4f;   // of either answer: logits stay within 9.2
+
+float logit(float probability) {
+    const float p = std::clamp(probability, kLeastProbability, 1.0f - kLeastProbability);
+    return std::log(p / (1.0f - p));
+}
+
+/// Returns the value of one input (RELIDAR_DROP_*) at each ray, as simulate/render/drop_channels computes it.
+std::function<float(std::size_t)> channel_of(const RenderedScan& scan, std::uint32_t channel, const glm::vec3& origin_m) {
+    if (channel == RELIDAR_DROP_LOG_RANGE) return [&](std::size_t i) { return std::log1p(std::max(scan.median_range_m[i], 0.0f)); };
+    if (channel == RELIDAR_DROP_INTENSITY) return [&](std::size_t i) { return scan.image.intensity[i]; };
+    if (channel == RELIDAR_DROP_LOGIT) return [&](std::size_t i) { return logit(scan.image.drop_prob[i]); };
+    if (channel == RELIDAR_DROP_WEIGHT) return [&](std::size_t i) { return scan.weight[i]; };
+    if (channel == RELIDAR_DROP_SPREAD)
+        return [&](std::size_t i) { return std::log1p(std::abs(scan.median_range_m[i] - scan.mean_range_m[i])); };
+    if (channel == RELIDAR_DROP_COSINE) {
+        const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidence);
+        return [cosine](std::size_t i) { return cosine ? (*cosine)[i] : 0.0f; };
+    }
+    if (channel == RELIDAR_DROP_ELEVATION) return [&](std::size_t i) { return scan.image.direction[i].z; };
+    return [of_all = origin_m[int(channel - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
+}
+
+}  // namespace
+
+glm::dvec3 first_origin(const Sequence& sequence) {
+    const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
+    return sequence.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
+}
+
+DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m) {
+    DropImage image{scan.image.rows, scan.image.columns, {}, {}};
+    const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
+    const std::size_t n = scan.median_range_m.size();
+    image.channels.resize(channels.size() * n);
+    std::size_t first = 0;
+    for (const std::uint32_t number : drop_channels(channels)) {
+        const auto channel = channel_of(scan, number, origin_m);
+        for_each_block(n, [&](std::size_t i) { image.channels[first + i] = channel(i); });
+        first += n;
+    }
+    return image;
+}
+
+}  // namespace relidar

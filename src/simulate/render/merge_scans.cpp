@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/simulate/render.hpp>
+
+#include <algorithm>
+#include <type_traits>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "simulate/render/channel_pairs.hpp"
+
+namespace relidar {
+namespace {
+
+template <class T>
+void append(std::vector<T>& to, const std::vector<T>& from) {
+    to.insert(to.end(), from.begin(), from.end());
+}
+
+/// Gives merged scans the channels of one more, so far without anything to say.
+void add_channels(RenderedScan& merged, const RenderedScan& scan) {
+    for (const ScanChannel& channel : emptied(scan.channels)) {
+        const auto known =
+            std::ranges::find(merged.channels, channel.info.name, [](const ScanChannel& c) -> const std::string& { return c.info.name; });
+        if (known == merged.channels.end()) {
+            merged.channels.push_back(channel);
+            std::visit(
+                [&]<class T>(std::vector<T>& values) { values.assign(merged.image.range_m.size(), nothing_of<T>(channel.info)); },
+                       merged.channels.back().values);
+        } else if (known->values.index() != channel.values.index()) {
+            throw UsageError(fmt::format("merging scans: found channel {} of two types, expected one", channel.info.name));
+        }
+    }
+}
+
+/// What a channel says of second returns.
+void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
+    const auto add = [&]<class T>(const std::vector<T>& values) {
+        if (size(merged.second) == 0) merged.second = std::vector<T>{};
+        auto& all = std::get<std::vector<T>>(merged.second);
+        all.resize(first_ray, nothing_of<T>(merged.info));
+        append(all, values);
+    };
+    std::visit(add, own.second);
+}
+
+/// The rig, as if it had fired a scan's rays.
+RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
+    RenderedScan rig;
+    rig.image.rows = scan.image.rows;
+    rig.image.columns = scan.image.columns;
+    rig.time_offset_s = scan.time_offset_s;
+    rig.time_s = merged.time_s;
+    rig.track = merged.track;
+    rig.world_from_sensor = merged.world_from_sensor;
+    return rig;
+}
+
+/// Where a sensor was in the rig's frame when it fired a ray, by where both were then: between poses a sensor moves along a chord and so
+/// does the rig, which is not quite the same.
+class RigPoses {
+public:
+    /// @param scan  of the sensor, outlives this
+    RigPoses(const RenderedScan& merged, const RenderedScan& scan)
+        : rig_(rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
+    RigPoses(const RigPoses&) = delete;
+    RigPoses& operator=(const RigPoses&) = delete;
+    Pose rig_from_firing(std::size_t ray) { return inverse(world_from_rig_.at(ray)) * world_from_firing_.at(ray); }
+
+private:
+    const RenderedScan rig_;
+    FiringPoses world_from_rig_, world_from_firing_;
+};
+
+/// @param first_ray  of the scan in the merged one, where the rays are already
+void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
+    const std::size_t n = scan.image.range_m.size();
+    for (ScanChannel& channel : merged.channels) {
+        const ChannelInfo& info = channel.info;   // clang 14 captures no structured bindings
+        const auto add = [&]<class T>(std::vector<T>& all) {
+            const std::vector<T>* own = find_values<T>(scan.channels, info.name);
+            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
+            if constexpr (std::is_same_v<T, glm::vec3>)
+                for (std::size_t i = 0; own && info.turns && i < n; ++i)
+                    all[first_ray + i] = glm::vec3(poses.rig_from_firing(i).rotation * glm::dvec3((*own)[i]));
+        };
+        std::visit(add, channel.values);
+        for (const ScanChannel& own : scan.channels)
+            if (own.info.name == info.name && size(own.second) > 0) append_second(channel, own, first_ray);
+    }
+}
+
+/// Gives scans without second returns none, and rays whose channels say nothing of them nothing.
+void fill_second_returns(RenderedScan& merged) {
+    const std::size_t n = merged.image.range_m.size();
+    for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
+    for (ScanChannel& channel : merged.channels)
+        if (size(channel.second) > 0)
+            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(channel.info)); }, channel.second);
+}
+
+/// Rays in the rig's frame when each was fired. @param first_ring  number of the scan's ring 0 in the merged one
+void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
+    for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
+        merged.time_offset_s.push_back(scan.time_offset_s[i]);
+        merged.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
+        const Pose rig_from_firing = poses.rig_from_firing(i);
+        merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
+        merged.image.direction.emplace_back(glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
+    }
+}
+
+}  // namespace
+
+RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
+    if (scans.empty() || scans.size() != rig_from_sensor.size())
+        throw UsageError(
+            fmt::format("merging scans: found {} scans and {} mountings, expected as many of both", scans.size(), rig_from_sensor.size()));
+    RenderedScan merged;
+    const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
+    merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
+    merged.track = moved_track(scans[0].track, sensor_from_rig);
+    merged.time_s = scans[0].time_s;
+    std::size_t rings = 0;
+    double unseen_rays = 0.0;
+    for (const RenderedScan& scan : scans) {
+        check_channels(scan.channels, scan.image.range_m.size(), "a scan of a rig");
+        add_channels(merged, scan);
+        RigPoses poses(merged, scan);
+        append_rays(merged, scan, poses, rings);
+        if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
+        if (rings > 65536) throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
+        const std::size_t first_ray = merged.image.range_m.size();
+        append_channels(merged, scan, poses, first_ray);
+        for_each_basic_pair(scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
+        if (scan.unseen_share) {
+            unseen_rays += *scan.unseen_share * double(scan.instance.size());
+            merged.unseen_share = unseen_rays / double(merged.instance.size());
+        }
+        merged.second_returns.resize(std::max(merged.second_returns.size(), scan.second_returns.size()));
+        for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
+            merged.second_returns[k].range_m.resize(first_ray), merged.second_returns[k].intensity.resize(first_ray);
+            append(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
+            append(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
+        }
+        merged.trace_ms += scan.trace_ms;
+    }
+    fill_second_returns(merged);
+    merged.image.rows = 1;
+    merged.image.columns = static_cast<int>(merged.image.range_m.size());
+    return merged;
+}
+
+}  // namespace relidar

@@ -1,0 +1,466 @@
+// SPDX-License-Identifier: Apache-2.0
+// Any pose, time and sensor to a scan: rays of the sensor at their own times, traced, turned into range, intensity and ray-drop.
+#include <relidar/simulate/render.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/accel.hpp>
+#include <relidar/run/run.hpp>
+#include "gpu/context.hpp"
+#include "simulate/render/channel_makers.hpp"
+#include "simulate/render/empty_scan.hpp"
+#include "simulate/render/footprint.hpp"
+#include "simulate/render/level_ground.hpp"
+#include "simulate/render/scan_renderer.hpp"
+#include "simulate/render/stray_light.hpp"
+#include "simulate/render/sunlight.hpp"
+
+namespace relidar {
+
+namespace {
+
+constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
+
+float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
+
+void check_has_normals(const Config& config, const ChannelInfo& channel, const char* doing) {
+    if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
+    throw UsageError(fmt::format("{}: found {} with image.primitive={}, which has no normals, expected surfels, or other channels", doing,
+                                 channel.name, kind_of(config.image.primitive).name));
+}
+
+TraceOptions traced_with(const Config& config) {
+    for (const ChannelInfo& channel : wanted_channels(config.render.channels))
+        check_has_normals(config, channel, "setting render.channels");
+    return rendering_trace_options(config);
+}
+
+/// @param thing  whose poses they are, for the message
+void check_track(const PoseTrack& track, const std::string& thing) {
+    const auto fail = [&](const std::string& found, const char* expected) {
+        throw DataError(fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected));
+    };
+    const std::size_t n = track.pose.size();
+    if (n == 0 || n != track.time_s.size())
+        fail(fmt::format("{} poses at {} times", n, track.time_s.size()), "as many of each, and one at least");
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto& [q, t] = track.pose[i];
+        bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
+        for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
+        if (!is_pose) fail(fmt::format("no finite pose at entry {}", i), "a unit quaternion, metres and seconds within 1e10");
+        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
+            fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "times that rise");
+        }
+    }
+}
+
+Sequence without_scans(const Sequence& sequence) {
+    Sequence result;
+    result.lidars = sequence.lidars;
+    result.boxes = sequence.boxes;
+    result.world_offset_m = sequence.world_offset_m;
+    result.intensity_response = sequence.intensity_response;
+    return result;
+}
+
+std::vector<Frame> shifted_sweeps(const Sequence& sequence) {
+    std::vector<Frame> sweeps;
+    for (const Frame& frame : sequence.frames) {
+        if (frame.azimuth_shift_rad.empty()) continue;
+        sweeps.push_back(without_scan(frame));
+    }
+    return sweeps;
+}
+
+/// The rays to cast where they are not those of the sensor: parts of their footprints. @throws UsageError for a beam without divergence
+std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
+    if (config.sub_rays == 1 && config.returns > 1)
+        throw UsageError("sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one return");
+    if (config.sub_rays == 1) return {};
+    if (config.sub_rays != 5 && config.sub_rays != 9)
+        throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
+    if (!(config.divergence_mrad > 0.0 || rays.largest_divergence() > 0.0))
+        throw UsageError(
+            fmt::format("sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad", sensor));
+    if (rays.size() * std::size_t(config.sub_rays) > kMaxRays)
+        throw UsageError(
+            fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} in all", config.sub_rays, rays.size(), kMaxRays));
+    return split_rays(rays, config.sub_rays, 1e-3 * config.divergence_mrad);
+}
+
+/// Puts what was measured into the arrays of a scan.
+void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured) {
+    const std::size_t n = measured.size();
+    for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m, &scan.image.intensity,
+                                       &scan.image.drop_prob, &scan.weight})
+        values->resize(n);
+    scan.instance.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        const shared::MeasuredRay& ray = measured[i];
+        scan.image.range_m[i] = ray.range_m;
+        scan.median_range_m[i] = ray.median_range_m;
+        scan.mean_range_m[i] = ray.mean_range_m;
+        scan.image.intensity[i] = ray.intensity;
+        scan.image.drop_prob[i] = ray.drop_prob;
+        scan.weight[i] = ray.weight;
+        scan.instance[i] = ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance);
+    }
+}
+
+/// Beams of which some parts are within the limits of the sensor, but not what they measure together.
+void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
+    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+        if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i])) scan.image.drop_prob[i] = 1.0f;
+}
+
+/// Replaces drop probabilities by those of a network. A probability of 1 stays, because such a ray met nothing that the sensor sees.
+void take_refined(RenderedScan& scan, std::span<const float> refined) {
+    std::vector<float>& drop_prob = scan.image.drop_prob;
+    for (std::size_t i = 0; i < drop_prob.size(); ++i)
+        if (drop_prob[i] < 1.0f) drop_prob[i] = refined[i];
+}
+
+}  // namespace
+
+Pose RenderedScan::world_from_firing(std::size_t ray) const {
+    return track.pose.empty() ? world_from_sensor : track.at(time_s + static_cast<double>(time_offset_s[ray]));
+}
+
+const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config) {
+    return config.render.points == "median" ? scan.median_range_m : scan.image.range_m;
+}
+
+std::vector<float> range_spread(const RenderedScan& scan) {
+    std::vector<float> spread_m(scan.mean_range_m.size());
+    for (std::size_t i = 0; i < spread_m.size(); ++i) spread_m[i] = std::abs(scan.median_range_m[i] - scan.mean_range_m[i]);
+    return spread_m;
+}
+
+ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
+    : impl_(new Impl{with_farthest(config, sequence), layout_of(scene), without_scans(sequence),
+                     sequence.world_from_vehicle, first_origin(sequence),
+                     shifted_sweeps(sequence), wanted_channels(config.render.channels),
+                     ResidentScene(device, scene, config, {.accel = {}, .trace = traced_with(config)}),
+                     std::vector<bool>(scene.instances.size(), true), device}) {}
+ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
+    if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
+    compare_with(run.coverage);
+    scatter_intensities(run.intensity_scatter);
+}
+
+void ScanRenderer::show_only(const std::vector<bool>& shown) {
+    if (shown.size() != impl_->shown.size())
+        throw UsageError(
+            fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance", shown.size(), impl_->shown.size()));
+    impl_->shown = shown;
+}
+
+void ScanRenderer::refine_drops(const DropNetwork& network) {
+    drop_channels(network.inputs);   // refuses inputs that are not rendered
+    impl_->settle();
+    impl_->first.refiner.reset();
+    for (ScanStrand& strand : impl_->others) strand.refiner.reset();
+    if (!network.empty()) impl_->first.refiner.emplace(impl_->device, network);
+}
+
+void ScanRenderer::want_channels(const std::string& names) {
+    for (const ChannelInfo& channel : wanted_channels(names)) {
+        if (impl_->wants(channel.name)) continue;
+        check_has_normals(impl_->config, channel, "choosing channels");
+        impl_->wanted.push_back(channel);
+    }
+}
+
+void ScanRenderer::side_by_side(int n) {
+    if (n < 1) throw UsageError(fmt::format("rendering scans side by side: found {} of them, expected 1 at least", n));
+    impl_->settle();
+    impl_->most_strands = n;
+    while (std::ssize(impl_->others) >= n) impl_->others.pop_back();
+}
+
+int ScanRenderer::default_side_by_side(const Device& device) {
+    return impl_of(device).forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
+}
+
+int ScanRenderer::side_by_side() const { return impl_->layout.blocks.empty() ? impl_->most_strands : 1; }
+
+void ScanRenderer::compare_with(const Coverage& coverage) { impl_->coverage = coverage; }
+
+void ScanRenderer::scatter_intensities(const std::vector<IntensityScatter>& scatter) {
+    impl_->scatter = scatter;
+    impl_->scatter.resize(impl_->sweep.lidars.size());
+}
+
+void ScanRenderer::set_weather(const Weather& weather) {
+    check_weather(weather);
+    if (!weather.clear() && !impl_->has_intensities())
+        throw UsageError("weather: the run's log has no intensities, expected a log that has them: weather acts by the brightness of "
+                         "surfaces");
+    impl_->weather = weather;
+}
+
+bool ScanRenderer::refines(const SensorChoice& sensor) const {
+    const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
+    return impl_->refines({sensor.rays.rows, sensor.rays.columns, kNative}) ||
+           impl_->refines(
+               {grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns, grid ? grid->name : sensor.name});
+}
+
+const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }
+
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset,
+                                  std::optional<std::uint64_t> sample) {
+    Impl& s = *impl_;
+    const SensorChoice followed = sensor_in_sweep(sensor, s.sweeps, s.sweep.lidars, time_s);
+    s.sweep.world_from_vehicle = s.log_world_from_vehicle;
+    const bool is_elsewhere = sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
+    const PoseTrack log = s.sweep.world_from_sensor(sensor.lidar);
+    s.drive(is_elsewhere ? moved_track(with_fine_turns(log), sensor_offset) : log, followed);
+    return take(followed, time_s, s.place(s.moment(followed, time_s)), sample);
+}
+
+std::vector<InstancePose> ScanRenderer::drive(const SensorChoice& sensor, const ScanRequest& request) {
+    Impl& s = *impl_;
+    const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
+        check_track(dataset_from_thing, thing);
+        return shifted_track(dataset_from_thing, -s.sweep.world_offset_m);
+    };
+    if (!(std::abs(request.time_s) <= kFarthest)) {
+        throw DataError(
+            fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
+    }
+    s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor);
+    const SweepMoment sweep = s.moment(sensor, request.time_s);
+    if (!request.dataset_from_actor) return s.place(sweep);
+    ActorPoses world_from_actor;
+    for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
+    return s.place(sweep, &world_from_actor);
+}
+
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
+    return take(sensor, request.time_s, drive(sensor, request), sample);
+}
+
+/// The rays of a sensor on the device, which keeps those of the sensors used last.
+std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table) {
+    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;   // 0.2 GB
+    std::vector<std::shared_ptr<SensorRays>>& known_rays = strand.known_rays;
+    const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
+    const auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
+    if (found != known_rays.end()) {
+        std::rotate(known_rays.begin(), found, found + 1);
+        return known_rays.front();
+    }
+    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {   // what is in flight keeps its own
+        return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
+    };
+    auto place = std::ranges::find_if(known_rays, is_free);   // this sensor has other rays in every scan
+    if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
+    std::rotate(known_rays.begin(), place, place + 1);
+    const std::shared_ptr<SensorRays> rays = known_rays.front();
+    rays->take(table, name, [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
+    std::size_t n_rays = 0, n_kept = 0;
+    for (const auto& kept : known_rays)
+        if ((n_rays += kept->table().size()) <= kMostRays && n_kept < kMostSensors) ++n_kept;
+    known_rays.resize(std::max<std::size_t>(n_kept, 1));
+    return rays;
+}
+
+/// Has the device cast rays of a sensor, each by itself, and measure what comes back; instances have been moved to where they are.
+/// @param refined  also asks the network
+ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table, double time_s,
+                                                    bool refined) {
+    Cast cast{rays_of(strand, sensor, table), sweep.world_from_sensor(sensor.lidar), {}};
+    cast.pose = cast.track.at(time_s);
+    if (!sweep.rolling_shutter) cast.track = {{time_s}, {cast.pose}};
+    Renderer& renderer = renderer_of(strand);
+    cast.rays->fire(renderer.stream(), cast.track, time_s);
+    renderer.record_forward(cast.rays->batch());
+    cast.rays->measure(renderer.stream(), renderer.rendered(),
+                       {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
+    if (refined) {
+        if (!strand.refiner) strand.refiner.emplace(device, first.refiner->network());
+        cast.rays->refine(renderer.stream(), strand.refiner->pass(),
+                          glm::vec3(cast.pose.translation + sweep.world_offset_m - first_origin_m));
+    }
+    return cast;
+}
+
+/// What comes back along rays of a sensor, as record() has it; what the network says of it is not in the scan yet.
+RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
+    Renderer& renderer = scene.renderer();
+    const auto start = std::chrono::steady_clock::now();
+    Cast cast = record(first, sensor, table, time_s, refined);
+    const std::span<const shared::MeasuredRay> measured = cast.rays->wait(renderer.stream());
+    renderer.check_passes();
+
+    RenderedScan scan = empty_scan(table);
+    scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    fill_scan(scan, measured);
+    scan.track = shifted_track(std::move(cast.track), sweep.world_offset_m);
+    scan.world_from_sensor = {cast.pose.rotation, cast.pose.translation + sweep.world_offset_m};
+    scan.time_s = time_s;
+    const std::vector<ChannelInfo> channels = rendered_channels();
+    add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{}, channels);
+    return scan;
+}
+
+/// The scan of whole beams, from one of their parts; beams that meet several surfaces are cast again in more parts.
+RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams) {
+    RenderedScan scan = join_footprints(parts, whole, beams);
+    const std::vector<std::size_t> edges = find_edges(parts, whole, beams);
+    if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
+        const RayTable rays = some_rays(whole, edges);
+        beams.sub_rays = kEdgeParts;
+        const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * beams.divergence_mrad), parts.time_s);
+        replace_rays(scan, edges, join_footprints(better, rays, beams));
+    }
+    drop_beyond(scan, sensor.limits);
+    return scan;
+}
+
+bool ScanRenderer::Impl::refines(const ImageOf& image) const {
+    if (!first.refiner || first.refiner->network().image != image.name) return false;
+    const DropNetwork& network = first.refiner->network();
+    const int side = network.taps == 1 ? 1 : std::max(2, network.smallest_side());   // one of single rays needs no image
+    return image.rows >= side && image.columns >= side;
+}
+
+bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable& whole) const {
+    return refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
+}
+
+/// Channels of the scan of the rays: those that were requested, and what a network reads of scans on the host.
+std::vector<ChannelInfo> ScanRenderer::Impl::rendered_channels() const {
+    std::vector<ChannelInfo> channels = wanted;
+    if (first.refiner && !wants(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
+    return channels;
+}
+
+/// Drop probabilities as the network of the run has them.
+void ScanRenderer::Impl::refine(RenderedScan& scan) {
+    take_refined(scan, first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m)));
+}
+
+/// Probability that a sensor never sees anything along a ray.
+float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const {
+    const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, channel) : std::nullopt;
+    return own_beam ? layout.sensor_drop.at(*own_beam, direction) : 0.0f;
+}
+
+/// Between which ranges a sensor sees anything; as far as the log where it does not say.
+RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
+    return {sensor.limits.min_m, std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
+}
+
+/// What the water on the ground makes of rays that meet it; empty where the ground is dry. The scene is traced once more along the rays
+/// that it mirrors strongly enough, each from a little above the ground, which is rougher than a film: what is met below kLowest_m is the
+/// ground itself.
+std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
+    constexpr double kLift_m = 0.1, kLowest_m = 0.3;
+    if (weather.wet_mm == 0.0) return {};
+    const std::vector<glm::dvec3> up = level_ground(scan);
+    const double share = film_share(weather.wet_mm);
+    std::vector<WetRay> wet(up.size());
+    std::vector<std::size_t> of_ray;
+    WorldRays mirrored;
+    FiringPoses firing(scan);
+    for (std::size_t i = 0; i < up.size(); ++i) {
+        const Pose& pose = firing.at(i);
+        const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
+        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
+        if (!(cosine > 0.0)) continue;
+        const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
+        wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
+        const double mirrors = share * std::pow(mirrored_by_water(cosine), 2);
+        if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;   // nothing farther outshines the ground
+        wet[i].mirrored = {range_m, 0.0, PointSource::nothing, mirrors};
+        const glm::dvec3 foot_m = pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
+        mirrored.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
+        mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
+        mirrored.time_s.push_back(scan.time_offset_s[i]);
+        of_ray.push_back(i);
+    }
+    if (of_ray.empty()) return wet;
+    const Rendering r = scene.renderer().forward(mirrored);
+    for (std::size_t k = 0; k < r.size(); ++k) {
+        const double on_m = r.median_depth[k];
+        const std::size_t ray = of_ray[k];
+        if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
+        if (kLift_m + on_m * glm::dot(glm::dvec3(mirrored.direction[k]), up[ray]) < kLowest_m) continue;
+        Echo& echo = wet[ray].mirrored;
+        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0), echo.source = PointSource::mirror;
+    }
+    return wet;
+}
+
+/// What a sensor makes of a scan in the end: a sample of what is likely, through the weather, and intensities in the steps that it has.
+void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
+                                 std::optional<std::uint64_t> sample) {
+    const IntensityScatter& own = scatter[std::size_t(sensor.lidar)];
+    if (sample) sample_returns(scan, sweep.lidars[std::size_t(sensor.lidar)].range_noise, own, *sample);
+    if (!weather.clear() || find_values<std::int32_t>(scan.channels, "source")) {
+        std::vector<std::uint8_t> blind;
+        for (std::size_t i = 0; i < scan.ring.size(); ++i)
+            blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
+        const std::vector<WetRay> wet = wet_rays(scan);
+        const std::vector<Echo> stray = stray_light(scan, weather.bloom, sample.value_or(0));
+        const std::vector<float> from_sun = angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
+        const RaysInWeather special = {blind, wet, stray, from_sun};
+        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, special, sample.value_or(0));
+    }
+    if (!sample || !weather.clear())
+        for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);
+    for (SecondReturn& echo : scan.second_returns)
+        for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
+}
+
+/// Puts the scene onto the device, around the sensor, and instances where they are; those that are not shown are left out.
+void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed) {
+    if (!layout.blocks.empty()) settle();   // another renderer may take this one's place
+    for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && shown[i];
+    const glm::vec3 sensor_m(sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
+    scene.bring(sensor_m, limits_of(sensor).max_m);
+    renderer_of(strand).move(placed, sensor_m);
+}
+
+/// @param placed  instances at their moments
+RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
+                                std::optional<std::uint64_t> sample) {
+    Impl& s = *impl_;
+    const std::optional<RayTable> of_now = s.rays_of_scan(sensor, time_s);
+    const RayTable& whole = of_now ? *of_now : sensor.rays;
+    const SensorConfig config = s.config_of(sensor);
+    if (sensor.grid && config.returns > 1)
+        throw UsageError(fmt::format("sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
+    const std::optional<RayTable> parts = split_beams(whole, config, sensor.name);
+    const RayTable& table = parts ? *parts : whole;
+    if (table.size() == 0)
+        throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
+    s.send();
+    s.bring(s.first, sensor, time_s, std::move(placed));
+    const bool of_rays = s.refines_rays(sensor, whole);
+    RenderedScan scan = s.cast(sensor, table, time_s, of_rays && !parts);
+    if (parts) scan = s.join(sensor, scan, whole, config);
+    const SeenByLog log{s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m))};
+    add_scan_channels(scan, log, s.wanted);
+    tell_unseen(scan, log);
+    if (of_rays && parts) s.refine(scan);
+    else if (of_rays) take_refined(scan, s.first.known_rays.front()->refined(s.scene.renderer().stream()));
+    const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
+    if (of_cells) {
+        scan = project_scan(scan, *sensor.grid);
+        s.refine(scan);
+    }
+    if (!s.wants(kIncidence)) std::erase_if(scan.channels, [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
+    s.measure(scan, sensor, whole, sample);
+    return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
+}
+
+}  // namespace relidar

@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bindings of simulate/render/fire_rays, simulate/render/measure_rays and simulate/render/drop_channels.
+#include "simulate/render/sensor_rays.hpp"
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cstring>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+/// Whether two tables have the same values. For each scan some megabytes are compared.
+template <class Values>
+bool same_bytes(const Values& a, const Values& b) {
+    if (a.size() != b.size()) return false;
+    constexpr std::size_t kPart = 1 << 14;   // values
+    std::atomic<bool> same{true};
+    for_each_part(a.size(), kPart, [&](std::size_t begin, std::size_t end) {
+        if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;
+    });
+    return same;
+}
+
+std::uint32_t range_kind(const std::string& range) {
+    if (range == "expected") return RELIDAR_RANGE_EXPECTED;
+    if (range == "mode") return RELIDAR_RANGE_MODE;
+    return range == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
+}
+
+std::vector<shared::SensorBeam> device_beams(const std::vector<Beam>& beams) {
+    std::vector<shared::SensorBeam> result;
+    for (const Beam& beam : beams)
+        result.push_back({.range_offset_m = float(beam.range_offset_m),
+                          .intensity_gain = float(beam.intensity_gain),
+                          .intensity_offset = float(beam.intensity_offset)});
+    return result;
+}
+
+std::vector<glm::vec2> device_response(const IntensityResponse& response) {
+    std::vector<glm::vec2> result;
+    for (std::size_t k = 0; k < response.factor.size(); ++k) result.emplace_back(response.range_m[k], response.factor[k]);
+    return result;
+}
+
+std::uint32_t device_channel(const std::string& name) {
+    constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
+        {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY}, {"drop_logit", RELIDAR_DROP_LOGIT},
+        {"weight", RELIDAR_DROP_WEIGHT},       {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
+        {"elevation", RELIDAR_DROP_ELEVATION}};
+    for (const auto& [known, channel] : kOfRays)
+        if (name == known) return channel;
+    for (std::uint32_t axis = 0; axis < 3; ++axis)
+        if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
+    throw DataError(fmt::format("ray-drop network: found the input \"{}\", expected inputs that this relidar renders; "
+                                "`relidar refine RUN` trains the network again",
+                                excerpt(name)));
+}
+
+}  // namespace
+
+std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names) {
+    std::vector<std::uint32_t> result;
+    for (const std::string& name : names) result.push_back(device_channel(name));
+    return result;
+}
+
+std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
+    const std::vector<Pose>& pose = world_from_sensor.pose;
+    const std::size_t first = world_from_sensor.place(time_s + first_s).left,
+                      last = std::min(world_from_sensor.place(time_s + last_s).left + 1, pose.size() - 1);
+    std::vector<shared::SensorPose> poses;
+    for (std::size_t k = first; k <= last; ++k) {
+        const glm::dquat& q = pose[k].rotation;
+        const Twist next = k < last ? twist_between(pose[k], pose[k + 1]) : Twist{};
+        poses.push_back({.rotation = glm::vec4(q.w, q.x, q.y, q.z),
+                         .position = glm::vec3(pose[k].translation),
+                         .way = glm::vec3(next[0], next[1], next[2]),
+                         .turn = glm::vec3(next[3], next[4], next[5]),
+                         .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
+                         .duration_s = k < last ? float(world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k]) : 0.0f});
+    }
+    return poses;
+}
+
+SensorRays::SensorRays(Device& device)
+    : device_(device),
+      fire_(device, "simulate/render/fire_rays"),
+      measure_(device, "simulate/render/measure_rays"),
+      drop_channels_(device, "simulate/render/drop_channels"),
+      no_geometry_(device, std::span<const shared::RenderedGeometry>(std::array{shared::RenderedGeometry{}}), "geometry of no rays") {}
+
+bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
+    return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
+           same_bytes(rays.direction, table_.direction) && same_bytes(rays.origin, table_.origin) &&
+           same_bytes(rays.time_offset_s, table_.time_offset_s) && same_bytes(rays.channel, table_.channel);
+}
+
+void SensorRays::take(const RayTable& rays, const std::string& sensor, const std::function<float(std::size_t)>& never_seen) {
+    if (has(rays, sensor)) return;
+    std::vector<shared::SensorRay> all(rays.size());
+    for_each_block(all.size(), [&](std::size_t i) {
+        all[i] = {.origin = rays.origin[i],
+                  .direction = rays.direction[i],
+                  .time_offset_s = rays.time_offset_s[i],
+                  .sees = 1.0f - never_seen(i),
+                  .channel = rays.channel[i]};
+    });
+    if (all.size() > rays_.size()) {
+        rays_ = {}, fired_ = {}, measured_ = {};   // gives their memory back first
+        rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
+        fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
+        measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
+        readback_.reset(), refined_readback_.reset();
+    }
+    rays_.upload(all);
+    table_ = rays;
+    sensor_ = sensor;
+    const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
+    first_s_ = *first, last_s_ = *last;
+}
+
+std::vector<shared::SensorPose> SensorRays::poses(const PoseTrack& track, double time_s) const {
+    return poses_through_sweep(track, time_s, double(first_s_), double(last_s_));
+}
+
+void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {
+    const auto poses = this->poses(world_from_sensor, time_s);
+    run(stream, fire_, table_.size(),
+        {.rays = rays_.address(),
+         .poses = impl_of(stream).values(poses),
+         .fired = fired_.address(),
+         .n_rays = std::uint32_t(table_.size()),
+         .n_poses = std::uint32_t(poses.size())});
+}
+
+RayBatch SensorRays::batch() const {
+    return {.rays = &fired_,
+            .n_rays = std::uint32_t(table_.size()),
+            .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
+}
+
+void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how) {
+    const auto beams = device_beams(how.beams);
+    const auto response = device_response(how.response);
+    const Array<shared::RenderedGeometry>& geometry = rendered.geometry ? rendered.geometry->rendered : no_geometry_;
+    run(stream, measure_, table_.size(),
+        {.rays = rays_.address(),
+         .fired = fired_.address(),
+         .rendered = rendered.rendered->address(),
+         .geometry = geometry.address(),
+         .beams = impl_of(stream).values(beams),
+         .response = impl_of(stream).values(response),
+         .measured = measured_.address(),
+         .n_rays = std::uint32_t(table_.size()),
+         .n_geometry = std::uint32_t(geometry.size()),
+         .n_beams = std::uint32_t(beams.size()),
+         .n_response = std::uint32_t(response.size()),
+         .range_kind = range_kind(how.range),
+         .min_weight = how.min_weight,
+         .min_range_m = float(how.limits.min_m),
+         .max_range_m = float(how.limits.max_m)});
+    refined_ = nullptr;
+}
+
+void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& origin_m) {
+    const std::vector<std::uint32_t> channels = drop_channels(network.network().inputs);
+    if (channels.size() * table_.size() > samples_.size()) {
+        stream.finish();
+        samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
+    }
+    run(stream, drop_channels_, table_.size(),
+        {.rays = rays_.address(),
+         .measured = measured_.address(),
+         .channels = impl_of(stream).values(channels).as<shared::DropChannels>(),
+         .samples = samples_.address(),
+         .origin = origin_m,
+         .n_channels = std::uint32_t(channels.size()),
+         .n_rays = std::uint32_t(table_.size())});
+    refined_ = &network.run(stream, table_.rows, table_.columns, samples_);
+}
+
+std::span<const float> SensorRays::refined(Stream& stream) {
+    return {static_cast<const float*>(refined_readback_->wait(stream)), table_.size()};
+}
+
+std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {
+    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& from, std::size_t n_bytes, const char* what) {
+        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), what);
+        readback->record(stream, from, n_bytes);
+    };
+    read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
+    if (refined_) read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
+    stream.submit();
+    return {static_cast<const shared::MeasuredRay*>(readback_->wait(stream)), table_.size()};
+}
+
+}  // namespace relidar

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "simulate/render/stray_light.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <map>
+#include <utility>
+
+#include <relidar/base/math.hpp>
+
+#include "base/parallel.hpp"
+#include "base/random.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;   // its random numbers are others than those of the weather
+constexpr float kSaturated = 0.95f;
+constexpr double kSpread = 3.0;       // standard deviation of ln X
+constexpr double kNearest_deg = 0.5;  // nearer is the reflector itself, blurred by its beam
+constexpr double kSameRange_m = 0.5;
+constexpr double kPerRad = 180.0 / kPi;
+
+/// Rays that look into one square degree, and those of them that meet a reflector.
+struct Square {
+    int rays = 0, reflectors = 0;
+    glm::dvec3 direction{0.0};   // sums over reflectors
+    double range_m = 0.0;
+};
+struct Reflector {
+    glm::dvec3 direction;
+    double range_m, deg2;
+};
+
+std::pair<int, int> square_of(const glm::dvec3& direction) {
+    const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
+    const double around = std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
+    return {int(row), int(std::floor(around))};
+}
+
+bool is_reflector(const RenderedScan& scan, std::size_t ray) {
+    return returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) && scan.image.intensity[ray] >= kSaturated;
+}
+
+std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
+    std::map<std::pair<int, int>, Square> squares;
+    for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
+        const glm::dvec3 direction(scan.image.direction[i]);
+        Square& square = squares[square_of(direction)];
+        ++square.rays;
+        if (!is_reflector(scan, i)) continue;
+        ++square.reflectors, square.direction += direction, square.range_m += double(scan.median_range_m[i]);
+    }
+    std::vector<Reflector> reflectors;
+    for (const auto& [place, square] : squares)
+        if (square.reflectors > 0)
+            reflectors.push_back({glm::normalize(square.direction), square.range_m / square.reflectors,
+                                  double(square.reflectors) / square.rays});
+    return reflectors;
+}
+
+/// Without X and bloom.
+Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
+    std::vector<double> share;
+    std::size_t most = 0;
+    const auto power = [&](std::size_t i) { return share[i] / (reflectors[i].range_m * reflectors[i].range_m); };
+    for (const Reflector& reflector : reflectors) {
+        const double off_deg = std::max(std::acos(std::clamp(glm::dot(reflector.direction, direction), -1.0, 1.0)) * kPerRad, kNearest_deg);
+        share.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
+        if (power(share.size() - 1) > power(most)) most = share.size() - 1;
+    }
+    Echo echo{reflectors[most].range_m, 0.0, PointSource::blooming};
+    for (std::size_t i = 0; i < share.size(); ++i)
+        if (std::abs(reflectors[i].range_m - echo.range_m) < kSameRange_m) echo.reflectivity += share[i];
+    return echo;
+}
+
+}  // namespace
+
+std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
+    const std::vector<Reflector> reflectors = bloom > 0.0 ? reflectors_in(scan) : std::vector<Reflector>{};
+    if (reflectors.empty()) return {};
+    const std::uint64_t of_scan = hash64(hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
+    std::vector<Echo> stray(scan.image.direction.size());
+    for_each_block(stray.size(), [&](std::size_t ray) {
+        if (is_reflector(scan, ray)) return;
+        stray[ray] = brightest(reflectors, glm::dvec3(scan.image.direction[ray]));
+        stray[ray].reflectivity *= bloom * std::exp(kSpread * Random(hash64(of_scan, scan.ring[ray])).normal());
+    });
+    return stray;
+}
+
+}  // namespace relidar

@@ -1,0 +1,338 @@
+// SPDX-License-Identifier: Apache-2.0
+// Moments as messages of Foxglove's schemas in protobuf, with the descriptors that a reader decodes them by.
+#include "recording_format.hpp"
+
+#include <initializer_list>
+#include <string_view>
+
+#include <fmt/format.h>
+#include <protozero/pbf_writer.hpp>
+
+#include "base/bytes.hpp"
+
+namespace relidar::scan_files {
+namespace {
+
+using protozero::pbf_writer;
+
+/// Types of fields, by their numbers in descriptor.proto.
+enum Type { kDouble = 1, kInt64 = 3, kInt32 = 5, kFixed32 = 7, kBool = 8, kString = 9, kMessage = 11, kBytes = 12, kEnum = 14 };
+
+struct Field {
+    int number;
+    const char* name;
+    Type type;
+    const char* type_name = "";   ///< of messages and enumerations
+    bool repeated = false;
+};
+struct MessageType {
+    const char* name;
+    std::initializer_list<Field> fields;
+};
+struct EnumType {
+    const char* name;
+    std::initializer_list<const char*> values;   ///< from 0
+};
+
+constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".google.protobuf.Duration";
+constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3", *kQuaternion = ".foxglove.Quaternion";
+
+/// Primitives that are never written are there without their fields: readers want to find the lists empty.
+const std::initializer_list<MessageType> kMessages = {
+    {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
+    {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
+    {"Pose", {{1, "position", kMessage, kVector}, {2, "orientation", kMessage, kQuaternion}}},
+    {"Color", {{1, "r", kDouble}, {2, "g", kDouble}, {3, "b", kDouble}, {4, "a", kDouble}}},
+    {"PackedElementField", {{1, "name", kString}, {2, "offset", kFixed32}, {3, "type", kEnum, ".foxglove.NumericType"}}},
+    {"PointCloud",
+     {{1, "timestamp", kMessage, kTimestamp},
+      {2, "frame_id", kString},
+      {3, "pose", kMessage, kPose},
+      {4, "point_stride", kFixed32},
+      {5, "fields", kMessage, ".foxglove.PackedElementField", true},
+      {6, "data", kBytes}}},
+    {"FrameTransform",
+     {{1, "timestamp", kMessage, kTimestamp},
+      {2, "parent_frame_id", kString},
+      {3, "child_frame_id", kString},
+      {4, "translation", kMessage, kVector},
+      {5, "rotation", kMessage, kQuaternion}}},
+    {"FrameTransforms", {{1, "transforms", kMessage, ".foxglove.FrameTransform", true}}},
+    {"KeyValuePair", {{1, "key", kString}, {2, "value", kString}}},
+    {"CubePrimitive", {{1, "pose", kMessage, kPose}, {2, "size", kMessage, kVector}, {3, "color", kMessage, ".foxglove.Color"}}},
+    {"ArrowPrimitive", {}},
+    {"SpherePrimitive", {}},
+    {"CylinderPrimitive", {}},
+    {"LinePrimitive", {}},
+    {"TriangleListPrimitive", {}},
+    {"TextPrimitive", {}},
+    {"ModelPrimitive", {}},
+    {"SceneEntityDeletion",
+     {{1, "timestamp", kMessage, kTimestamp}, {2, "type", kEnum, ".foxglove.SceneEntityDeletionType"}, {3, "id", kString}}},
+    {"SceneEntity",
+     {{1, "timestamp", kMessage, kTimestamp},
+      {2, "frame_id", kString},
+      {3, "id", kString},
+      {4, "lifetime", kMessage, kDuration},
+      {5, "frame_locked", kBool},
+      {6, "metadata", kMessage, ".foxglove.KeyValuePair", true},
+      {7, "arrows", kMessage, ".foxglove.ArrowPrimitive", true},
+      {8, "cubes", kMessage, ".foxglove.CubePrimitive", true},
+      {9, "spheres", kMessage, ".foxglove.SpherePrimitive", true},
+      {10, "cylinders", kMessage, ".foxglove.CylinderPrimitive", true},
+      {11, "lines", kMessage, ".foxglove.LinePrimitive", true},
+      {12, "triangles", kMessage, ".foxglove.TriangleListPrimitive", true},
+      {13, "texts", kMessage, ".foxglove.TextPrimitive", true},
+      {14, "models", kMessage, ".foxglove.ModelPrimitive", true}}},
+    {"SceneUpdate",
+     {{1, "deletions", kMessage, ".foxglove.SceneEntityDeletion", true}, {2, "entities", kMessage, ".foxglove.SceneEntity", true}}},
+};
+
+const std::initializer_list<EnumType> kEnums = {
+    {"NumericType", {"UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"}},
+    {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
+};
+
+/// Seconds and nanoseconds, both of google.protobuf.
+const std::initializer_list<MessageType> kTimes = {
+    {"Timestamp", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
+    {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
+};
+
+constexpr int kOptional = 1, kRepeated = 3;   // labels of fields
+
+std::string field_descriptor(const Field& field) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_string(1, field.name);
+    writer.add_int32(3, field.number);
+    writer.add_enum(4, field.repeated ? kRepeated : kOptional);
+    writer.add_enum(5, field.type);
+    if (*field.type_name) writer.add_string(6, field.type_name);
+    return bytes;
+}
+
+std::string message_descriptor(const MessageType& message) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_string(1, message.name);
+    for (const Field& field : message.fields) writer.add_message(2, field_descriptor(field));
+    return bytes;
+}
+
+std::string enum_descriptor(const EnumType& type) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_string(1, type.name);
+    int number = 0;
+    for (const char* name : type.values) {
+        std::string value;
+        pbf_writer of_value(value);
+        of_value.add_string(1, name);
+        of_value.add_int32(2, number++);
+        writer.add_message(2, value);
+    }
+    return bytes;
+}
+
+std::string file_descriptor(const char* file, const char* package, const char* imported, std::initializer_list<MessageType> messages,
+                            std::initializer_list<EnumType> enums) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_string(1, file);
+    writer.add_string(2, package);
+    if (*imported) writer.add_string(3, imported);
+    for (const MessageType& message : messages) writer.add_message(4, message_descriptor(message));
+    for (const EnumType& type : enums) writer.add_message(5, enum_descriptor(type));
+    writer.add_string(12, "proto3");
+    return bytes;
+}
+
+std::string timestamp(std::uint64_t time_ns) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
+    writer.add_int32(2, std::int32_t(time_ns % 1'000'000'000));
+    return bytes;
+}
+
+std::string numbers(std::initializer_list<double> values) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    protozero::pbf_tag_type number = 0;
+    for (const double value : values) writer.add_double(++number, value);
+    return bytes;
+}
+
+std::string vector(const glm::dvec3& v) { return numbers({v.x, v.y, v.z}); }
+std::string quaternion(const glm::dquat& q) { return numbers({q.x, q.y, q.z, q.w}); }
+
+std::string pose_message(const Pose& pose) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_message(1, vector(pose.translation));
+    writer.add_message(2, quaternion(pose.rotation));
+    return bytes;
+}
+
+/// Numbers of foxglove.NumericType.
+enum Numeric { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
+struct PointField {
+    std::string name;
+    std::uint32_t offset;
+    Numeric type;
+};
+const PointField kPointFields[] = {{"x", 0, kFloat32},          {"y", 4, kFloat32},     {"z", 8, kFloat32},
+                                       {"intensity", 12, kFloat32}, {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
+                                       {"ring", 24, kUint16},       {"return", 26, kUint8}};
+constexpr std::uint32_t kStride = 28;   // a multiple of 4, so that floats lie where processors like them; channels come behind
+
+std::vector<PointField> fields_of(const PointCloud& cloud) {
+    std::vector<PointField> fields(std::begin(kPointFields), std::end(kPointFields));
+    std::uint32_t offset = kStride;
+    for (const auto& [name, is_integer] : numbers_of(cloud.channels)) {
+        fields.push_back({name, offset, is_integer ? kInt32Number : kFloat32});
+        offset += 4;
+    }
+    return fields;
+}
+
+std::string point_bytes(const PointCloud& cloud) {
+    std::string bytes;
+    bytes.reserve(cloud.position_m.size() * kStride);
+    for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
+        append(bytes, cloud.position_m[i]);
+        append(bytes, cloud.intensity[i]), append(bytes, (*cloud.time)[i]), append(bytes, (*cloud.instance)[i]);
+        append(bytes, (*cloud.ring)[i]);
+        append(bytes, cloud.return_number ? (*cloud.return_number)[i] : std::uint8_t(1));
+        append(bytes, std::uint8_t(0));   // to a multiple of 4
+        append_row(bytes, cloud.channels, i);
+    }
+    return bytes;
+}
+
+std::string points(const RecordedCloud& cloud, const std::string& frame) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_message(1, timestamp(cloud.stamp_ns));
+    writer.add_string(2, frame);
+    writer.add_message(3, pose_message({}));
+    const std::vector<PointField> fields = fields_of(cloud.cloud);
+    writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
+    for (const PointField& field : fields) {
+        std::string of_field;
+        pbf_writer element(of_field);
+        element.add_string(1, field.name);
+        element.add_fixed32(2, field.offset);
+        element.add_enum(3, field.type);
+        writer.add_message(5, of_field);
+    }
+    writer.add_bytes(6, point_bytes(cloud.cloud));
+    return bytes;
+}
+
+/// A foxglove.FrameTransforms of one.
+std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child, const Pose& parent_from_child) {
+    std::string all, bytes;
+    pbf_writer transforms(all), writer(bytes);
+    writer.add_message(1, timestamp(time_ns));
+    writer.add_string(2, parent);
+    writer.add_string(3, child);
+    writer.add_message(4, vector(parent_from_child.translation));
+    writer.add_message(5, quaternion(parent_from_child.rotation));
+    transforms.add_message(1, bytes);
+    return all;
+}
+
+std::string box(const RecordedActor& actor) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_message(1, pose_message(actor.faced.world_from_box));
+    writer.add_message(2, vector(actor.size_m));
+    writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));   // a translucent orange, so that points inside are seen
+    return bytes;
+}
+
+std::string key_value(const char* key, const std::string& value) {
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_string(1, key);
+    writer.add_string(2, value);
+    return bytes;
+}
+
+/// "x y z"
+std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
+
+/// Boxes of the actors, which replace all earlier ones. Each box has a time; velocities are in the world.
+std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
+    constexpr int kAll = 1;   // of SceneEntityDeletionType: who has left since the last scan goes
+    std::string bytes, all;
+    pbf_writer writer(bytes), deletion(all);
+    deletion.add_message(1, timestamp(stamp_ns));
+    deletion.add_enum(2, kAll);
+    writer.add_message(1, all);
+    for (const RecordedActor& actor : actors) {
+        std::string of_actor;
+        pbf_writer entity(of_actor);
+        const auto& [time_ns, world_from_box, velocity] = actor.faced;
+        entity.add_message(1, timestamp(time_ns));
+        entity.add_string(2, kWorldFrame);
+        entity.add_string(3, actor.name);
+        entity.add_message(6, key_value("category", actor.category));
+        entity.add_message(6, key_value("velocity_mps", vector_text(world_from_box.rotation * velocity.linear_mps)));
+        entity.add_message(6, key_value("angular_velocity_radps", vector_text(world_from_box.rotation * velocity.angular_radps)));
+        entity.add_message(8, box(actor));
+        writer.add_message(2, of_actor);
+    }
+    return bytes;
+}
+
+std::string descriptors() {
+    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
+    std::string bytes;
+    pbf_writer writer(bytes);
+    writer.add_message(1, file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
+    writer.add_message(1, file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
+    return bytes;
+}
+
+std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
+    std::vector<RecordedMessage> messages;
+    for (const RecordedPose& pose : moment.poses)
+        messages.push_back({pose.time_ns, frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle)});
+    return messages;
+}
+
+/// Once a moment, so that who begins in the middle has them. Lists of messages follow each other as one list.
+std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
+    std::string bytes;
+    for (const RecordedSensor& sensor : rig.sensors)
+        bytes += frame_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+    return {{moment.first_ns, bytes}};
+}
+
+std::vector<RecordedMessage> scene_updates(const RecordedMoment& moment) {
+    std::vector<RecordedMessage> messages;
+    for (const auto& [stamp_ns, actors] : moment.actors) messages.push_back({moment.last_ns, boxes(stamp_ns, actors)});
+    return messages;
+}
+
+}  // namespace
+
+std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
+    const std::string definition = descriptors(), transforms = "foxglove.FrameTransforms";
+    std::vector<RecordedTopic> topics{
+        {"/tf_static", transforms, definition, {}, [rig](const RecordedMoment& moment) { return mountings(rig, moment); }},
+        {"/tf", transforms, definition, {}, moving_transforms},
+        {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
+    for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
+        const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
+        topics.push_back({rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedMoment& moment) {
+                              return std::vector<RecordedMessage>{{moment.last_ns, points(moment.clouds[s], frame)}};
+                          }});
+    }
+    return topics;
+}
+
+}  // namespace relidar::scan_files

@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/simulate/scan_files.hpp>
+
+#include <algorithm>
+#include <map>
+#include <type_traits>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/point_cloud.hpp>
+#include <relidar/simulate/render.hpp>
+#include "simulate/scan_files/placed_scan.hpp"
+#include "simulate/scan_files/recording_format.hpp"
+#include "simulate/scan_files/scan_entry.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using scan_files::cloud_of;
+using scan_files::place;
+using scan_files::PlacedScan;
+
+constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
+
+/// Row by row.
+std::vector<double> matrix_of(const Pose& pose) {
+    const glm::dmat4 columns = to_matrix(pose);
+    std::vector<double> numbers;
+    for (int row = 0; row < 4; ++row)
+        for (int column = 0; column < 4; ++column) numbers.push_back(columns[column][row]);
+    return numbers;
+}
+
+std::string frame_text(const ScanFormat& format) {
+    if (format.frame == PointFrame::world) return "world: the dataset's own";
+    return is_deskewed(format) ? "sensor at time_s: x forward, y left, z up" : "sensor at each ray's firing time: x forward, y left, z up";
+}
+
+FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan) {
+    return {{"relidar", RELIDAR_VERSION},
+            {"run", format.run},
+            {"sensor", format.sensor},
+            {"frame_number", fmt::format("{}", frame)},
+            {"time_s", fmt::format("{}", scan.time_s)},
+            {"points_in", frame_text(format)},
+            {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
+            {"world_from_sensor", fmt::format("{}", fmt::join(matrix_of(scan.world_from_sensor), " "))},
+            {"units", kUnits}};
+}
+
+template <class T>
+NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
+    return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)}, values.data(), values.size());
+}
+
+NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<glm::vec3>& values) {
+    const float* first = values.empty() ? nullptr : &values.front().x;
+    return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3}, first, values.size() * 3);
+}
+
+std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
+    const RenderedScan& scan = placed.scan;
+    const RangeImage& image = scan.image;
+    const std::vector<double> pose = matrix_of(scan.world_from_sensor);
+    const bool world = placed.format.frame == PointFrame::world;
+    const std::int32_t number = placed.frame, deskewed = is_deskewed(placed.format) ? 1 : 0;
+    std::vector<NamedArray> arrays{make_text_array("instance_names", placed.format.instance_names),
+                                   image_array("directions", image, placed.direction),
+                                   image_array("origin", image, placed.origin),
+                                   make_array("pose", {4, 4}, pose.data(), pose.size()),
+                                   make_array("time_s", {}, &scan.time_s, 1),
+                                   make_array("frame_number", {}, &number, 1),
+                                   make_text("frame", world ? "world" : "sensor"),
+                                   make_array("deskewed", {}, &deskewed, 1),
+                                   make_text("sensor", placed.format.sensor),
+                                   make_text("run", placed.format.run),
+                                   make_text("units", kUnits)};
+    for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) {
+        arrays.push_back(image_array(channel.name, image, values));
+    });
+    if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
+    return arrays;
+}
+
+void exr(const fs::path& path, const PlacedScan& placed) {
+    std::map<std::string, std::vector<float>> channels;
+    const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
+        if constexpr (std::is_same_v<T, glm::vec3>) {
+            for (const glm::vec3& v : values)
+                for (int axis = 0; axis < 3; ++axis) channels[fmt::format("{}.{}", name, "xyz"[axis])].push_back(v[axis]);
+        } else {
+            channels[name].assign(values.begin(), values.end());
+        }
+    };
+    add("origin", placed.origin), add("direction", placed.direction);
+    for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
+    const RangeImage& image = placed.scan.image;
+    write_exr(path, image.rows, image.columns, channels, placed.notes);
+}
+
+void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, arrays_of(placed)); }
+void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
+void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
+void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, cloud_of(placed)); }
+void png(const fs::path& path, const PlacedScan& placed) { write_png(path, scan_picture(placed.scan), placed.notes); }
+
+struct Format {
+    const char* name;   ///< and extension
+    void (*write)(const fs::path&, const PlacedScan&);
+};
+constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd", pcd}, {"bin", bin}, {"png", png}};
+
+}  // namespace
+
+std::vector<std::string> scan_formats() {
+    std::vector<std::string> names;
+    for (const Format& format : kFormats) names.emplace_back(format.name);
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) names.emplace_back(format.name);
+    return names;
+}
+
+ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
+    ScanFormat format;
+    for (const Instance& instance : run.scene.instances) {
+        format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
+    }
+    for (const BoxTrack& box : run.sequence.boxes)
+        if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) != format.instance_names.end())
+            format.actors.push_back(box);
+    format.world_offset_m = run.sequence.world_offset_m;
+    const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
+    format.vehicle_from_lidar = lidar.vehicle_from_sensor;
+    format.rolling_shutter = has_rolling_shutter(sensor, run.config);
+    name_in_recordings(format, lidar.name);
+    if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
+    format.sensor = sensor.name;
+    format.limits = sensor.limits;
+    format.config = run.config;
+    if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
+    return format;
+}
+
+bool is_deskewed(const ScanFormat& format) {
+    return format.frame == PointFrame::world || format.deskew || !format.rolling_shutter;
+}
+
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
+    return arrays_of(place(scan, format, scan.world_from_sensor, frame));
+}
+
+bool ScanFolder::wants(const std::string& format) const {
+    return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
+}
+
+void ScanFolder::write(int frame, const RenderedScan& scan) {
+    const PlacedScan placed = place(scan, format_, scan.world_from_sensor, frame, notes_of(format_, frame, scan));
+    std::vector<std::string> files;
+    for (const Format& format : kFormats) {
+        if (!wants(format.name)) continue;
+        files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
+        format.write(folder_ / files.back(), placed);
+    }
+    if (recordings_) recordings_->write({&scan, 1});
+    for (const ScanChannel& channel : scan.channels)
+        if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end()) channels_.push_back(channel.info);
+    entries_.push_back(scan_files::entry_json(frame, scan, scan_files::count_points(scan, format_.config), files));
+}
+
+}  // namespace relidar

@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+// The folder of a rendering as a whole: what is in the way of a new one, and scans.json.
+#include <relidar/simulate/scan_files.hpp>
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
+#include "simulate/scan_files/recording_format.hpp"
+#include "simulate/scan_files/scan_entry.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+constexpr const char* kSummary = "scans.json";
+
+/// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
+bool is_of_rendering(const fs::path& name) {
+    const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
+    if (name == kSummary || std::ranges::any_of(scan_files::recording_formats(), is_named)) return true;
+    const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
+    const std::vector<std::string> formats = scan_formats();
+    return stem.starts_with(prefix) && stem.size() > prefix.size() &&
+           stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos && !extension.empty() &&
+           std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
+}
+
+Json matrix_json(const Pose& pose) {
+    const glm::dmat4 columns = to_matrix(pose);
+    Json rows = Json::array();
+    for (int row = 0; row < 4; ++row) rows.push_back({columns[0][row], columns[1][row], columns[2][row], columns[3][row]});
+    return rows;
+}
+
+/// A setting as JSON: numbers and booleans as such, anything else as text.
+Json value_json(const std::string& text) {
+    const Json value = Json::parse(text, nullptr, false);
+    return value.is_number() || value.is_boolean() ? value : Json(text);
+}
+
+Json settings_json(const Config& config) {
+    Json json = Json::object();
+    for (const ConfigKey& key : config_keys(config)) json[key.key] = value_json(key.value);
+    return json;
+}
+
+/// What arrays of files are called, what they hold and in what unit.
+Json channels_json(const std::vector<ChannelInfo>& channels) {
+    Json json = Json::object();
+    const auto add = [&](const ChannelInfo& channel) { json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}}; };
+    std::ranges::for_each(file_channels(), add);
+    std::ranges::for_each(channels, add);
+    return json;
+}
+
+}  // namespace
+
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(std::move(folder)), format_(std::move(format)) {
+    const std::vector<std::string> known = scan_formats();
+    for (const std::string& name : format_.formats)
+        if (std::find(known.begin(), known.end(), name) == known.end())
+            throw UsageError(fmt::format("writing scans: found format \"{}\"{} (known: {})", name, did_you_mean(name, known),
+                                         fmt::join(known, ", ")));
+    check_writable(folder_);
+    channels_ = wanted_channels(format_.config.render.channels);
+}
+
+ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
+    ScanFolder joined(std::move(folder), std::move(format), Joining{});
+    for (const std::string& name : joined.format_.formats)
+        if (is_recording(name))
+            throw UsageError(
+                fmt::format("writing scans by several processes: found format {}, one file of all scans; expected one process", name));
+    return joined;
+}
+
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : ScanFolder(std::move(folder), std::move(format), Joining{}) {
+    recordings_ = std::make_shared<ScanRecordings>(folder_, std::vector{format_});
+}
+
+void ScanFolder::finish() {
+    if (recordings_) recordings_->finish();
+    summarise();
+}
+
+void ScanFolder::summarise() const {
+    const Config& config = format_.config;
+    const bool world = format_.frame == PointFrame::world;
+    const std::string range = config.render.points == "median" ? "median" : config.render.range;
+    const Json points = {
+        {"frame", world ? "world" : "sensor"},
+        {"deskewed", is_deskewed(format_)},
+        {"range", range},
+        {"returned", "drop_prob < 0.5"},
+        {"returns",
+         config.sensor.returns == 2 ? "1 the strongest, 2 the last, or the next strongest where that is the last" : "one a ray"}};
+    Json json = {{"format", "relidar scans"},
+                 {"version", 1},
+                 {"relidar", RELIDAR_VERSION},
+                 {"run", format_.run},
+                 {"dataset", config.dataset.path},
+                 {"sensor", {{"name", format_.sensor}, {"min_range_m", format_.limits.min_m}, {"max_range_m", format_.limits.max_m}}},
+                 {"sensor_offset", matrix_json(format_.offset)},
+                 {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
+                 {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
+                 {"points", points},
+                 {"channels", channels_json(channels_)},
+                 {"instances", format_.instance_names},
+                 {"only", format_.only},
+                 {"sample", format_.sample ? Json(*format_.sample) : Json()},
+                 {"weather", to_text(format_.weather)},
+                 {"recordings", Json::array()},
+                 {"scans", Json::array()},
+                 {"settings", settings_json(config)}};
+    if (recordings_) json["recordings"] = recordings_->names();
+    for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
+    write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::size_t n_points, const std::vector<std::string>& files) {
+    const Json entry = {{"frame_number", frame},
+                        {"time_s", scan.time_s},
+                        {"world_from_sensor", matrix_json(scan.world_from_sensor)},
+                        {"rays", scan.image.range_m.size()},
+                        {"points", n_points},
+                        {"dropped", scan.image.range_m.size() - n_points},
+                        {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
+                        {"files", files}};
+    return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+std::vector<fs::path> scans_in(const fs::path& folder) {
+    std::vector<fs::path> files;
+    std::error_code failed;
+    for (const auto& entry : fs::directory_iterator(folder, failed))
+        if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
+    std::sort(files.begin(), files.end());
+    return files;
+}
+
+void scan_files::remove_scans(const fs::path& folder) {
+    for (const fs::path& file : scans_in(folder)) {
+        std::error_code failed;
+        fs::remove(file, failed);
+        if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
+    }
+    remove_temporaries(folder);
+}
+
+}  // namespace relidar

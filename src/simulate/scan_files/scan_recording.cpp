@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "scan_recording.hpp"
+
+#include <algorithm>
+#include <map>
+#include <system_error>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <relidar/base/files.hpp>
+
+namespace relidar::scan_files {
+
+namespace fs = std::filesystem;
+
+ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig, const FileNotes& notes)
+    : path_(std::move(path)), temporary_(temporary_path(path_)), notes_(notes), writer_(temporary_, format.profile) {
+    std::map<std::string, std::uint16_t> schemas;
+    for (RecordedTopic& topic : format.topics(rig)) {
+        if (!schemas.contains(topic.type))
+            schemas[topic.type] = writer_.add_schema(topic.type, format.definition_encoding, topic.definition);
+        const std::uint16_t id = writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata);
+        channels_.push_back({id, std::move(topic)});
+    }
+    for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
+}
+
+ScanRecording::~ScanRecording() {
+    std::error_code failed;
+    fs::remove(temporary_, failed);
+}
+
+void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
+    if (!std::exchange(has_notes_, true)) {
+        McapWriter::Values values(notes_.begin(), notes_.end());
+        values["time_shift_s"] = fmt::format("{}", shift_s);  // added to times of the log
+        writer_.add_metadata("relidar", values);
+    }
+    std::vector<std::pair<std::uint16_t, RecordedMessage>> messages;
+    for (const Channel& channel : channels_)
+        for (RecordedMessage& message : channel.topic.messages(moment)) messages.emplace_back(channel.id, std::move(message));
+    std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
+    for (const auto& [channel, message] : messages) {
+        last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);  // sweeps may overlap: what is late is logged when it comes
+        writer_.add_message(channel, last_logged_ns_, message.bytes);
+    }
+    writer_.end_chunk();  // one a moment: what a player shows at a time
+}
+
+void ScanRecording::finish() {
+    writer_.close();
+    write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });  // flushes it, and gives it its name
+}
+
+}  // namespace relidar::scan_files

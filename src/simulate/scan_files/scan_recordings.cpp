@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// Recordings of a rendering: their names for sensors, and the files that were asked for.
+#include <relidar/simulate/scan_files.hpp>
+
+#include <algorithm>
+#include <cctype>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/simulate/render.hpp>
+#include "simulate/scan_files/moment_recorder.hpp"
+#include "simulate/scan_files/scan_entry.hpp"
+#include "simulate/scan_files/scan_recording.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+bool is_topic_letter(char c) {
+    return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_';
+}
+
+/// Whether ROS takes a name for a topic: /words/of/letters, digits and _, none of which begins with a digit.
+bool is_topic(const std::string& topic) {
+    if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
+    for (std::size_t i = 1; i < topic.size(); ++i) {
+        const bool begins_word = topic[i - 1] == '/';
+        if (topic[i] == '/' ? begins_word
+                            : !is_topic_letter(topic[i]) || (begins_word && std::isdigit(static_cast<unsigned char>(topic[i]))))
+            return false;
+    }
+    return true;
+}
+
+/// @throws UsageError where ROS does not take a name, or two sensors share one
+void check_names(const scan_files::RecordedRig& rig) {
+    std::set<std::string> taken{scan_files::kWorldFrame, scan_files::kVehicleFrame};
+    for (const scan_files::RecordedSensor& sensor : rig.sensors) {
+        if (!is_topic(sensor.topic))
+            throw UsageError(
+                fmt::format("recording: found topic \"{}\", expected one as /lidar/points: words of letters, digits and _, not "
+                            "beginning with a digit, each behind a /",
+                            sensor.topic));
+        if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' || !taken.insert(sensor.frame_id).second)
+            throw UsageError(
+                fmt::format("recording: found frame \"{}\" of the sensor with topic {}, expected a name without a / in front, "
+                            "other than {}",
+                            sensor.frame_id, sensor.topic, fmt::join(taken, ", ")));
+    }
+}
+
+/// @throws UsageError where two topics have one name
+void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
+    std::set<std::string> taken;
+    for (const scan_files::RecordedTopic& topic : topics)
+        if (!taken.insert(topic.name).second)
+            throw UsageError(
+                fmt::format("recording: found topic {} twice, expected another for each of {}", topic.name, fmt::join(taken, ", ")));
+}
+
+/// What a recording says of itself.
+FileNotes recording_notes(const std::vector<ScanFormat>& sensors) {
+    const ScanFormat& format = sensors.front();
+    std::vector<std::string> names;
+    for (const ScanFormat& sensor : sensors) names.push_back(sensors.size() > 1 ? sensor.frame_id + ": " + sensor.sensor : sensor.sensor);
+    return {{"relidar", RELIDAR_VERSION},
+            {"run", format.run},
+            {"dataset", format.config.dataset.path},
+            {"sensor", fmt::format("{}", fmt::join(names, ", "))},
+            {"trajectory", format.trajectory},
+            {"points_in", format.frame == PointFrame::world ? "world"
+                          : is_deskewed(format)             ? "sensor at the stamp"
+                                                            : "sensor at each ray's firing time"},
+            {"units", "metres, seconds; intensity 0 to 1"}};
+}
+
+}  // namespace
+
+std::string topic_word(const std::string& name) {
+    std::string word = name;
+    std::ranges::replace_if(
+        word, [](char c) { return !is_topic_letter(c); }, '_');
+    if (!word.empty() && std::isdigit(static_cast<unsigned char>(word.front()))) word.insert(word.begin(), '_');
+    return word;
+}
+
+void name_in_recordings(ScanFormat& format, const std::string& name) {
+    format.topic = name.empty() ? "/lidar/points" : "/lidar/" + topic_word(name) + "/points";
+    format.frame_id = name.empty() ? "lidar" : name;
+}
+
+bool is_recording(const std::string& format) {
+    return std::ranges::any_of(scan_files::recording_formats(), [&](const auto& known) { return format == known.name; });
+}
+
+struct ScanRecordings::Impl {
+    scan_files::MomentRecorder recorder;
+    std::vector<std::string> names;
+    std::vector<std::unique_ptr<scan_files::ScanRecording>> files;
+};
+
+ScanRecordings::ScanRecordings(fs::path folder, std::vector<ScanFormat> sensors) {
+    scan_files::remove_scans(folder);
+    impl_ = std::make_shared<Impl>(Impl{scan_files::MomentRecorder(sensors), {}, {}});
+    const std::vector<std::string>& wanted = sensors.front().formats;
+    const scan_files::RecordedRig rig = impl_->recorder.rig();
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) {
+        if (std::ranges::find(wanted, format.name) == wanted.end()) continue;
+        check_names(rig), check_topics(format.topics(rig));
+        impl_->names.emplace_back(format.file);
+        impl_->files.push_back(std::make_unique<scan_files::ScanRecording>(folder / format.file, format, rig, recording_notes(sensors)));
+    }
+}
+
+void ScanRecordings::write(std::span<const RenderedScan> scans) {
+    if (impl_->files.empty()) return;
+    const scan_files::RecordedMoment moment = impl_->recorder.take(scans);
+    for (const auto& file : impl_->files) file->add(moment, impl_->recorder.shift_s());
+}
+
+void ScanRecordings::finish() {
+    for (const auto& file : impl_->files) file->finish();
+}
+
+std::vector<std::string> ScanRecordings::names() const {
+    return impl_->names;
+}
+
+}  // namespace relidar

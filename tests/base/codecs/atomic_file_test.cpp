@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: Apache-2.0
+// write_atomically leaves the complete file or nothing: whatever goes wrong, no temporary file and no changed target.
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/score/report.hpp>
+#include <relidar/simulate/point_cloud.hpp>
+
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "../../support/file_size_limit.hpp"
+#include "temporary_folder.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using AtomicFile = TemporaryFolder;
+
+TEST_F(AtomicFile, WritesAndReplaces) {
+    write_text(folder / "a.txt", "first");
+    write_text(folder / "a.txt", "second, longer");
+    EXPECT_EQ(contents(folder / "a.txt"), "second, longer");
+    write_text(folder / "a.txt", "");
+    EXPECT_EQ(contents(folder / "a.txt"), "");
+    EXPECT_EQ(files(), std::vector<std::string>{"a.txt"});
+}
+
+TEST_F(AtomicFile, WritesRelativePathsWithoutFolder) {
+    const fs::path before = fs::current_path();
+    fs::current_path(folder);
+    write_text("plain.txt", "here");
+    fs::current_path(before);
+    EXPECT_EQ(contents(folder / "plain.txt"), "here");
+}
+
+TEST_F(AtomicFile, KeepsOldFileWhereTheWriterThrows) {
+    put(folder / "a.txt", "old");
+    const std::string message = data_error([&] {
+        write_atomically(folder / "a.txt", [](const fs::path& temporary) {
+            put(temporary, "half");
+            throw std::runtime_error("line one\nline two");
+        });
+    });
+    EXPECT_NE(message.find("a.txt"), std::string::npos) << message;
+    EXPECT_NE(message.find("line one line two"), std::string::npos) << message;
+    EXPECT_EQ(contents(folder / "a.txt"), "old");
+    EXPECT_EQ(files(), std::vector<std::string>{"a.txt"});
+}
+
+TEST_F(AtomicFile, LetsDeviceErrorsThrough) {
+    const auto lose_device = [](const fs::path& temporary) {
+        put(temporary, "half");
+        throw DeviceError("device lost");
+    };
+    EXPECT_THROW(write_atomically(folder / "a.bin", lose_device), DeviceError);
+    EXPECT_TRUE(files().empty());
+}
+
+TEST_F(AtomicFile, RefusesAWriterThatWritesNothing) {
+    data_error([&] { write_atomically(folder / "a.bin", [](const fs::path&) {}); });
+    EXPECT_TRUE(files().empty());
+}
+
+TEST_F(AtomicFile, NamesAMissingFolder) {
+    const std::string message = data_error([&] { write_text(folder / "none" / "a.txt", "x"); });
+    EXPECT_NE(message.find("none'"), std::string::npos) << message;
+    EXPECT_NE(message.find("No such file or directory"), std::string::npos) << message;
+    EXPECT_FALSE(fs::exists(folder / "none"));
+}
+
+TEST_F(AtomicFile, RefusesFoldersAndDevices) {
+    fs::create_directory(folder / "sub");
+    data_error([&] { write_text(folder / "sub", "x"); });
+    data_error([&] { write_text(folder / "sub/", "x"); });
+    data_error([&] { write_text("/dev/null", "x"); });
+    put(folder / "file", "");
+    data_error([&] { write_text(folder / "file" / "a.txt", "x"); });
+    EXPECT_TRUE(fs::is_character_file("/dev/null"));
+    EXPECT_EQ(files().size(), 2u);
+}
+
+TEST_F(AtomicFile, WritesThroughALink) {
+    put(folder / "target.txt", "old");
+    fs::create_symlink("target.txt", folder / "link.txt");
+    write_text(folder / "link.txt", "new");
+    EXPECT_TRUE(fs::is_symlink(folder / "link.txt"));
+    EXPECT_EQ(contents(folder / "target.txt"), "new");
+}
+
+TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
+    if (::geteuid() == 0) GTEST_SKIP() << "root may write everywhere";
+    fs::permissions(folder, fs::perms::owner_read | fs::perms::owner_exec);
+    const std::string message = data_error([&] { write_text(folder / "a.txt", "x"); });
+    fs::permissions(folder, fs::perms::owner_all);
+    EXPECT_NE(message.find("Permission denied"), std::string::npos) << message;
+    EXPECT_TRUE(files().empty());
+}
+
+TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
+    if (!fs::is_directory("/proc/self")) GTEST_SKIP() << "no /proc";
+    const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });  // refused to root as well
+    EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
+}
+
+TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
+    for (const char* name : {".a.txt.tmp-123-0", ".iteration_00000400.safetensors.tmp-9-17"}) put(folder / name, "half");
+    for (const char* name : {"a.txt", ".a.txt.tmp-123", "a.txt.tmp-1-1", ".hidden", ".a.tmp-1-1.txt"}) put(folder / name, "somebody's");
+    remove_temporaries(folder);
+    remove_temporaries(folder / "nowhere");
+    EXPECT_EQ(files().size(), 5u);
+    pid_t child = ::fork();  // the names are those that really are left behind
+    if (child == 0) write_atomically(folder / "b.txt", [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
+    ::waitpid(child, nullptr, 0);
+    EXPECT_EQ(files().size(), 6u);
+    remove_temporaries(folder);
+    EXPECT_EQ(files().size(), 5u);
+}
+
+using StagedFolders = TemporaryFolder;
+
+TEST_F(StagedFolders, AppearWhenTheyAreFinished) {
+    {
+        const StagedFolder staged(folder / "log" / "");
+        write_text(staged.path() / "a.txt", "first");
+        EXPECT_FALSE(fs::exists(folder / "log"));
+        staged.finish();
+    }
+    EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+    {
+        const StagedFolder staged(folder / "log");
+        write_text(staged.path() / "b.txt", "second");
+        EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+        staged.finish();
+    }
+    EXPECT_EQ(contents(folder / "log/b.txt"), "second");
+    EXPECT_FALSE(fs::exists(folder / "log/a.txt")) << "the new one is in the place of the old one";
+    EXPECT_EQ(files(), std::vector<std::string>{"log"});
+}
+
+TEST_F(StagedFolders, LeaveNothingWhereTheyAreNotFinished) {
+    fs::create_directory(folder / "log");
+    put(folder / "log/a.txt", "first");
+    {
+        const StagedFolder staged(folder / "log");
+        write_text(staged.path() / "b.txt", "second");
+    }
+    EXPECT_EQ(files(), std::vector<std::string>{"log"});
+    EXPECT_EQ(contents(folder / "log/a.txt"), "first");
+    put(folder / "file", "");
+    EXPECT_THROW(StagedFolder(folder / "file" / "log"), DataError);
+}
+
+TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNextOfTheName) {
+    const pid_t child = ::fork();
+    if (child == 0) {
+        new StagedFolder(folder / "log");  // as a process that is killed: its destructor does not run
+        ::_exit(0);
+    }
+    ::waitpid(child, nullptr, 0);
+    EXPECT_EQ(files().size(), 1u);
+    fs::create_directory(folder / fmt::format(".log.tmp-{}", ::getppid()));  // of one that runs
+    fs::create_directory(folder / fmt::format(".other.tmp-{}", child));
+    { const StagedFolder staged(folder / "log"); }
+    EXPECT_EQ(files().size(), 2u);
+}
+
+TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
+    std::vector<float> noise(64 * 64);
+    for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;  // does not compress
+    const NamedArray array = make_array("noise", {64, 64}, noise.data(), noise.size());
+    PointCloud cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096), {}, {}};
+    Report report;
+    report.summary = std::string(20'000, 'x');
+    const std::vector<std::function<void(const fs::path&)>> writers = {
+        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },       // fails in the last flush
+        [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },  // fails in the write
+        [&](const fs::path& path) { write_npz(path, {array}); },
+        [&](const fs::path& path) { write_safetensors(path, {array}, {}); },
+        [&](const fs::path& path) { write_ply(path, cloud); },
+        [&](const fs::path& path) { write_pcd(path, cloud); },
+        [&](const fs::path& path) { write_kitti_bin(path, cloud); },
+        [&](const fs::path& path) {
+            write_exr(path, 64, 64, {{"noise", noise}});
+        },
+        [&](const fs::path& path) { write_png(path, colour_map(noise, 64, 64, 0, 1, "turbo")); },
+        [&](const fs::path& path) { write_report(path, report); },
+    };
+    for (std::size_t i = 0; i < writers.size(); ++i) {
+        SCOPED_TRACE(i);
+        const test::FileSizeLimit limit(4096);
+        const std::string message = data_error([&] { writers[i](folder / "full.bin"); });
+        EXPECT_NE(message.find("File too large"), std::string::npos) << message;
+        EXPECT_NE(message.find("full.bin"), std::string::npos) << message;
+        EXPECT_TRUE(files().empty());
+    }
+}
+
+}  // namespace
+}  // namespace relidar

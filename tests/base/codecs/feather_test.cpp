@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: Apache-2.0
+// Feather files: what the tests' writer was given comes back, and so do the values of files that pyarrow wrote (../shared/data/fixtures,
+// skipped where RELIDAR_SHARED does not hold them). Damage of any byte is an error or changes values, never a crash.
+#include "base/codecs/feather.hpp"
+
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <limits>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+#include "base/codecs/feather_writer.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::FeatherCodec;
+using test::FeatherColumn;
+
+struct Table {
+    std::vector<std::int64_t> wide{std::numeric_limits<std::int64_t>::min(), 315966265259836001, -1, 0, 1, 2, 3};
+    std::vector<std::uint8_t> narrow{0, 255, 1, 2, 3, 4, 5};
+    std::vector<std::int16_t> middle{-32768, 32767, 0, 1, 2, 3, 4};
+    std::vector<std::uint32_t> unsigned_wide{4294967295u, 0, 1, 2, 3, 4, 5};
+    std::vector<double> f64{1e-300, -2.5, 0, 1, 2, 3, 4};
+    std::vector<float> f32{1e-30f, -2.5f, 0, 1, 2, 3, 4}, f16{65504.0f, -0.333251953125f, 5.9604644775390625e-8f, 0.0f, 1, 2, 3};
+    std::vector<std::string> text{"up_lidar", "", "äö", "b", "b", "b", "up_lidar"};
+
+    std::vector<FeatherColumn> columns() const {
+        return {test::number_column("wide", wide),     test::number_column("narrow", narrow),
+                test::number_column("middle", middle), test::number_column("unsigned_wide", unsigned_wide),
+                test::number_column("f64", f64),       test::text_column("text", text),
+                test::number_column("f32", f32),       test::text_column("word", text, true),
+                test::half_column("f16", f16)};
+    }
+};
+
+template <class T>
+std::vector<double> as_double(const std::vector<T>& values) {
+    return {values.begin(), values.end()};
+}
+
+TEST(Feather, ValuesOfEveryTypeComeBack) {
+    const Table truth;
+    for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
+        for (const std::size_t rows_a_batch : {0, 3}) {
+            const Feather table("table.feather", test::feather_bytes(truth.columns(), codec, rows_a_batch));
+            ASSERT_EQ(table.rows(), 7u);
+            EXPECT_EQ(table.integers("wide"), truth.wide);
+            EXPECT_EQ(table.numbers("narrow"), as_double(truth.narrow));
+            EXPECT_EQ(table.numbers("middle"), as_double(truth.middle));
+            EXPECT_EQ(table.integers("unsigned_wide")[0], 4294967295);
+            EXPECT_EQ(table.numbers("f64"), truth.f64);
+            EXPECT_EQ(table.numbers("f32"), as_double(truth.f32));
+            EXPECT_EQ(table.numbers("f16"), as_double(truth.f16));
+            EXPECT_EQ(table.texts("text"), truth.text);
+            EXPECT_EQ(table.texts("word"), truth.text);
+        }
+    }
+}
+
+TEST(Feather, CompressibleColumnsAreBounded) {
+    const std::vector<double> zeros(20000, 0.0);  // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to hold
+    std::vector<std::int64_t> noise;
+    for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
+    const std::vector<FeatherColumn> both{test::number_column("zeros", zeros), test::number_column("noise", noise)};
+    EXPECT_EQ(Feather("both", test::feather_bytes(both, FeatherCodec::zstd)).numbers("zeros"), zeros);
+    const auto nothing_else = test::feather_bytes({test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
+    EXPECT_THROW(Feather("zeros", nothing_else), DataError);
+}
+
+TEST(Feather, SaysWhatIsWrong) {
+    const auto expect = [](const std::string& bytes, const std::string& part, const auto& read) {
+        try {
+            read(Feather("table.feather", bytes));
+            ADD_FAILURE() << "no failure, expected " << part;
+        } catch (const DataError& error) {
+            EXPECT_THAT(error.what(), testing::HasSubstr("table.feather"));
+            EXPECT_THAT(error.what(), testing::HasSubstr(part));
+            EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
+        }
+    };
+    const auto only_open = [](const Feather&) {};
+    const std::string good = test::feather_bytes(Table().columns());
+    expect("", "0 bytes that do not begin with ARROW1", only_open);
+    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes that do not begin with ARROW1", only_open);
+    expect(good.substr(0, good.size() - 1), "cut short: it does not end with ARROW1", only_open);
+    std::string bad = good;
+    bad[bad.size() - 7] = '\x7f';  // the footer's length
+    expect(bad, "a footer at -", only_open);
+    expect(good, "column 'wider': no such column among 'wide, narrow, ", [](const Feather& t) { t.numbers("wider"); });
+    expect(good, "column 'text': text, expected numbers", [](const Feather& t) { t.numbers("text"); });
+    expect(good, "column 'f64': numbers, expected text", [](const Feather& t) { t.texts("f64"); });
+    expect(good, "column 'f64': no integers, but expected them", [](const Feather& t) { t.integers("f64"); });
+    const std::string nan = test::feather_bytes({test::number_column("x", std::vector<double>{1.0, std::nan("")})});
+    expect(nan, "column 'x': row 1 is nan, expected a finite number", [](const Feather& t) { t.numbers("x"); });
+    const std::string large = test::feather_bytes({test::number_column("x", std::vector<std::uint64_t>{1, 1ull << 63})});
+    expect(large, "column 'x': 9223372036854775808 is beyond 63 bits", [](const Feather& t) { t.integers("x"); });
+}
+
+/// Every byte of a small file in turn.
+TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
+    for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
+        const std::string good = test::feather_bytes(
+            {test::number_column("x", std::vector<std::int64_t>(40, 7)), test::text_column("t", std::vector<std::string>(40, "car"), true),
+             test::text_column("u", std::vector<std::string>(40, "bus"))},
+            codec);
+        std::size_t refused = 0;
+        for (std::size_t i = 0; i < good.size(); ++i) {
+            std::string bad = good;
+            bad[i] = char(bad[i] ^ "\x01\x80\xff"[i % 3]);
+            try {
+                const Feather table("table.feather", bad);
+                table.integers("x");
+                for (const char* name : {"t", "u"}) table.texts(name);
+            } catch (const DataError&) {
+                ++refused;
+            }
+        }
+        EXPECT_GT(refused, good.size() / 6);
+    }
+}
+
+TEST(Feather, ReadsWhatPyarrowWrote) {
+    const char* shared = std::getenv("RELIDAR_SHARED");
+    const fs::path folder = (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data" / "fixtures";
+    if (!fs::exists(folder / "av2.npz")) GTEST_SKIP() << folder << " is not there; RELIDAR_SHARED names another folder";
+    const std::vector<NamedArray> truth = read_npz(folder / "av2.npz");
+    ASSERT_EQ(truth.size(), 6u);
+    for (const char* file : {"av2_uncompressed.feather", "av2_lz4.feather", "av2_zstd.feather"}) {
+        const Feather table(folder / file);
+        EXPECT_EQ(table.rows(), 5000u);
+        for (const NamedArray& array : truth) {
+            if (array.name == "offset_ns") {  // beyond a float's digits
+                std::vector<std::int32_t> expected(5000);
+                ASSERT_EQ(array.bytes.size(), 4 * expected.size());
+                std::memcpy(expected.data(), array.bytes.data(), array.bytes.size());
+                EXPECT_EQ(table.integers(array.name), std::vector<std::int64_t>(expected.begin(), expected.end())) << file;
+            } else {
+                EXPECT_EQ(table.numbers(array.name), as_double(array.as_float())) << file << " " << array.name;
+            }
+        }
+    }
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: Apache-2.0
+// npz files: round trips of every type, files numpy wrote, and refusal of whatever is damaged. Every cut and every changed
+// byte of a small archive either reads back equal or throws a DataError.
+#include <relidar/base/arrays.hpp>
+
+#include <cstring>
+#include <limits>
+
+#include "numpy_files.hpp"
+#include "temporary_folder.hpp"
+
+namespace relidar {
+namespace {
+
+using Npz = TemporaryFolder;
+
+std::string from_hex(std::string_view text) {
+    std::string bytes;
+    for (std::size_t i = 0; i < text.size(); i += 2) bytes += char(std::stoi(std::string(text.substr(i, 2)), nullptr, 16));
+    return bytes;
+}
+
+void expect_equal(const NamedArray& a, const NamedArray& b) {
+    EXPECT_EQ(a.name, b.name);
+    EXPECT_EQ(a.dtype, b.dtype);
+    EXPECT_EQ(a.shape, b.shape);
+    EXPECT_EQ(a.bytes, b.bytes);
+}
+
+NamedArray bytes_array(std::string name, std::string dtype, std::vector<std::size_t> shape, std::size_t n_bytes) {
+    NamedArray array{std::move(name), std::move(dtype), std::move(shape), std::vector<std::byte>(n_bytes)};
+    for (std::size_t i = 0; i < n_bytes; ++i) array.bytes[i] = std::byte(i * 37 % 251);
+    return array;
+}
+
+std::vector<NamedArray> one_of_each_type() {
+    std::vector<NamedArray> arrays;
+    for (const char* dtype : {"f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "b1"})
+        arrays.push_back(bytes_array(std::string("of_") + dtype, dtype, {3, 2}, 6 * std::size_t(dtype[1] - '0')));
+    arrays.push_back(bytes_array("scalar", "f8", {}, 8));
+    arrays.push_back(bytes_array("empty", "f4", {0, 7}, 0));
+    arrays.push_back(bytes_array("flat", "i4", {5}, 20));
+    arrays.push_back(bytes_array("large", "f4", {100'000}, 400'000));
+    return arrays;
+}
+
+TEST_F(Npz, RoundTripsEveryType) {
+    const std::vector<NamedArray> arrays = one_of_each_type();
+    write_npz(folder / "a.npz", arrays);
+    const std::vector<NamedArray> read = read_npz(folder / "a.npz");
+    ASSERT_EQ(read.size(), arrays.size());
+    for (std::size_t i = 0; i < read.size(); ++i) expect_equal(read[i], arrays[i]);
+}
+
+TEST_F(Npz, RoundTripsNoArrays) {
+    write_npz(folder / "a.npz", {});
+    EXPECT_TRUE(read_npz(folder / "a.npz").empty());
+}
+
+TEST_F(Npz, EqualArraysMakeEqualFiles) {
+    write_npz(folder / "a.npz", one_of_each_type());
+    write_npz(folder / "b.npz", one_of_each_type());
+    EXPECT_EQ(contents(folder / "a.npz"), contents(folder / "b.npz"));
+}
+
+TEST_F(Npz, ReadsWhatNumpyWrites) {
+    for (std::string_view file : {kNumpyStored, kNumpyDeflated}) {
+        put(folder / "numpy.npz", from_hex(file));
+        const std::vector<NamedArray> arrays = read_npz(folder / "numpy.npz");
+        ASSERT_EQ(arrays.size(), 4u);
+        EXPECT_EQ(arrays[0].name, "values");
+        EXPECT_EQ(arrays[0].shape, (std::vector<std::size_t>{2, 3}));
+        EXPECT_EQ(arrays[0].as_float(), (std::vector<float>{0, 0.5f, 1, 1.5f, 2, 2.5f}));
+        EXPECT_EQ(arrays[1].dtype, "b1");
+        EXPECT_EQ(arrays[1].as_float(), (std::vector<float>{1, 0, 1}));
+        EXPECT_EQ(arrays[2].dtype, "i8");
+        EXPECT_TRUE(arrays[2].shape.empty());
+        EXPECT_EQ(arrays[2].as_float(), std::vector<float>{-7});
+        EXPECT_EQ(arrays[3].as_float(), (std::vector<float>{1.5f, -2.25f}));
+    }
+}
+
+TEST_F(Npz, RefusesWhatItCannotHold) {
+    const auto refusal = [&](std::string_view file) {
+        put(folder / "numpy.npz", from_hex(file));
+        return data_error([&] { read_npz(folder / "numpy.npz"); });
+    };
+    EXPECT_NE(refusal(kNumpyFortran).find("Fortran"), std::string::npos);
+    EXPECT_NE(refusal(kNumpyBigEndian).find("little-endian"), std::string::npos);
+    EXPECT_NE(refusal(kNumpyBigEndian).find("values.npy"), std::string::npos);
+}
+
+TEST_F(Npz, ReadsTextsOfNumpy) {
+    put(folder / "numpy.npz", from_hex(kNumpyText));
+    const NamedArray texts = read_npz(folder / "numpy.npz").at(0);
+    EXPECT_EQ(texts.dtype, "U2");
+    EXPECT_EQ(texts.bytes.size(), texts.count() * 2 * sizeof(char32_t));
+}
+
+TEST_F(Npz, NamesMissingAndForeignFiles) {
+    EXPECT_NE(data_error([&] { read_npz(folder / "none.npz"); }).find("No such file"), std::string::npos);
+    data_error([&] { read_npz(folder); });
+    for (const char* text : {"", "not a zip", "PK\x05\x06"}) {
+        put(folder / "a.npz", text);
+        EXPECT_NE(data_error([&] { read_npz(folder / "a.npz"); }).find("a.npz"), std::string::npos);
+    }
+}
+
+TEST_F(Npz, RefusesEveryCut) {
+    for (std::string_view file : {kNumpyStored, kNumpyDeflated}) {
+        const std::string whole = from_hex(file);
+        for (std::size_t n = 0; n < whole.size(); ++n) {
+            SCOPED_TRACE(n);
+            put(folder / "cut.npz", whole.substr(0, n));
+            data_error([&] { read_npz(folder / "cut.npz"); });
+        }
+    }
+}
+
+TEST_F(Npz, SurvivesEveryChangedByte) {
+    const std::string whole = from_hex(kNumpyDeflated);
+    int n_refused = 0;
+    for (std::size_t i = 0; i < whole.size(); ++i)
+        for (int change : {0x01, 0x80, 0xFF}) {
+            std::string changed = whole;
+            changed[i] = char(changed[i] ^ change);
+            put(folder / "changed.npz", changed);
+            try {
+                EXPECT_EQ(read_npz(folder / "changed.npz").size(), 4u) << i;   // a field nobody needs, such as a date
+            } catch (const DataError&) {
+                ++n_refused;
+            }
+        }
+    EXPECT_GT(n_refused, int(whole.size()));
+}
+
+TEST_F(Npz, RefusesAbsurdSizes) {
+    std::string file = from_hex(kNumpyDeflated);
+    const std::size_t directory = file.find("PK\x01\x02");
+    ASSERT_NE(directory, std::string::npos);
+    const std::uint32_t absurd = 0xFFFFFFF0;
+    std::memcpy(file.data() + directory + 24, &absurd, sizeof absurd);   // the unpacked size of the first entry
+    put(folder / "a.npz", file);
+    EXPECT_NE(data_error([&] { read_npz(folder / "a.npz"); }).find("impossible"), std::string::npos);
+}
+
+TEST_F(Npz, RefusesBadArrays) {
+    const NamedArray good = bytes_array("a", "f4", {2}, 8);
+    NamedArray short_of_bytes = good, unknown = good, nameless = good;
+    short_of_bytes.shape = {3};
+    unknown.dtype = "c8";
+    nameless.name.clear();
+    for (const std::vector<NamedArray>& arrays : {std::vector{short_of_bytes}, {unknown}, {nameless}, {good, good}})
+        data_error([&] { write_npz(folder / "a.npz", arrays); });
+    EXPECT_TRUE(files().empty());
+}
+
+TEST(NamedArray, ChecksItsShape) {
+    const float values[6] = {};
+    EXPECT_EQ(make_array("a", {2, 3}, values, 6).count(), 6u);
+    data_error([&] { make_array("a", {2, 2}, values, 6); });
+    const std::size_t huge = std::size_t(1) << 33;
+    data_error([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.count(); });
+    EXPECT_EQ((NamedArray{"a", "f4", {huge, huge, 0}, {}}.count()), 0u);
+}
+
+TEST(NamedArray, ConvertsToFloat) {
+    const double doubles[2] = {0.25, -3.0};
+    const std::int32_t integers[2] = {-5, 1 << 20};
+    EXPECT_EQ(make_array("a", {2}, doubles, 2).as_float(), (std::vector<float>{0.25f, -3.0f}));
+    EXPECT_EQ(make_array("a", {2}, integers, 2).as_float(), (std::vector<float>{-5.0f, 1048576.0f}));
+    NamedArray half = bytes_array("a", "f2", {7}, 14);
+    const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};   // IEEE 754 binary16
+    std::memcpy(half.bytes.data(), bits, sizeof bits);
+    EXPECT_EQ(half.as_float(), (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f,
+                                                   -std::numeric_limits<float>::infinity()}));
+    data_error([] { (void)bytes_array("a", "f4", {2}, 7).as_float(); });
+}
+
+TEST_F(Npz, TextsComeBackPadded) {
+    const std::string broken = "a\xC3(\xED\xA0\x80\xF0\x9F";   // a lead without its tail, a surrogate, an end in the middle
+    write_npz(folder / "a.npz", {make_text_array("names", {"Fußgänger", "", "车\U0001F697", broken}), make_text_array("none", {})});
+    const std::vector<NamedArray> arrays = read_npz(folder / "a.npz");
+    EXPECT_EQ(arrays[0].dtype, "U9");
+    EXPECT_EQ(arrays[0].shape, std::vector<std::size_t>{4});
+    std::u32string letters(4 * 9, U' ');
+    ASSERT_EQ(arrays[0].bytes.size(), letters.size() * sizeof(char32_t));
+    std::memcpy(letters.data(), arrays[0].bytes.data(), arrays[0].bytes.size());
+    const std::u32string zeros(9, U'\0'), unreadable = U"a\uFFFD(\uFFFD\uFFFD\uFFFD\uFFFD\uFFFD";
+    EXPECT_EQ(letters, U"Fußgänger" + zeros + U"车\U0001F697" + zeros.substr(2) + unreadable + zeros.substr(unreadable.size()));
+    EXPECT_EQ(arrays[1].shape, std::vector<std::size_t>{0});
+    data_error([&] { arrays[0].as_float(); });
+    data_error([&] { write_safetensors(folder / "a.safetensors", {arrays[0]}, {}); });
+    data_error([&] { write_npz(folder / "b.npz", {{"x", "S4x", {0}, {}}}); });
+}
+
+}  // namespace
+}  // namespace relidar

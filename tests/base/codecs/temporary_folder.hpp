@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the tests of export share: a folder that goes away with the test, whole files as strings, failures as text.
+#pragma once
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <stdlib.h>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+class TemporaryFolder : public testing::Test {
+protected:
+    void SetUp() override {
+        std::string pattern = (std::filesystem::temp_directory_path() / "relidar-export-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+        folder = pattern;
+    }
+    void TearDown() override { std::filesystem::remove_all(folder); }
+
+    /// Names of all files, the hidden ones too.
+    std::vector<std::string> files() const {
+        std::vector<std::string> names;
+        for (const auto& entry : std::filesystem::directory_iterator(folder)) names.push_back(entry.path().filename());
+        return names;
+    }
+
+    std::filesystem::path folder;
+};
+
+inline std::string contents(const std::filesystem::path& path) {
+    std::ifstream file(path, std::ios::binary);
+    return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+inline void put(const std::filesystem::path& path, std::string_view bytes) {
+    std::filesystem::remove(path);   // ext4 flushes a file that is truncated and rewritten: slow over thousands of them
+    std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
+}
+
+/// Message of the error of this kind that a call throws; a test failure where it throws none or another.
+template <class Wanted, class Call>
+std::string error_message(const Call& call) {
+    try {
+        call();
+    } catch (const Wanted& error) {
+        const std::string message = error.what();
+        EXPECT_EQ(message.find('\n'), std::string::npos) << "more than one line: " << message;
+        return message;
+    } catch (const std::exception& error) {
+        ADD_FAILURE() << "threw something else: " << error.what();
+        return "";
+    }
+    ADD_FAILURE() << "threw nothing";
+    return "";
+}
+template <class Call>
+std::string data_error(const Call& call) { return error_message<DataError>(call); }
+
+}  // namespace relidar

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+// Actors that walk (diff/accel/proxies, diff/accel/bvh_refit): the trees of models that bend follow their surfels, others are left alone.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <random>
+#include <vector>
+
+#include <relidar/diff/forward.hpp>
+
+#include "../../support/device.hpp"
+#include "../traversal/cases.hpp"
+#include "diff/accel/bvh.hpp"
+#include "bvh_walk.hpp"
+
+namespace relidar {
+namespace {
+
+class Bend : public test::DeviceTest {
+protected:
+    static constexpr std::uint32_t kFirstWalker = 1200, kSurfels = 2000;
+
+    /// Actors on a background, the second and the last two of which walk; one has no surfel.
+    static Scene some_walkers(Primitive primitive) {
+        test::TraversalCase random_case = test::random_case(3, kSurfels, 0);
+        if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
+        Surfels surfels = random_case.surfels;
+        surfels.add_gait();
+        std::mt19937 random(6);
+        std::uniform_real_distribution<float> u(-1.0f, 1.0f);
+        for (Gait& gait : surfels.gait) gait = {u(random), 0.8f * u(random), glm::vec3(u(random), u(random), u(random))};
+        Scene scene = make_background_scene(surfels);
+        scene.models.clear();
+        scene.instances.clear();
+        std::uint32_t first = 0;
+        for (const std::uint32_t count : {900u, 300u, 400u, 0u, 100u, 300u}) {
+            scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), ""});
+            scene.models.push_back({"model " + std::to_string(scene.models.size()), first, count});
+            first += count;
+        }
+        for (const std::size_t m : {2u, 4u, 5u}) scene.models[m].stride_m = 1.4f;
+        return scene;
+    }
+    static std::vector<InstancePose> at_phase(const Scene& scene, double turns) {
+        std::vector<InstancePose> placed(scene.instances.size());
+        for (InstancePose& pose : placed) pose.phase = turns;
+        return placed;
+    }
+};
+
+TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
+    const Scene scene = some_walkers(Primitive::surfel);
+    const std::vector<SurfelRange> walkers{{kFirstWalker, 400}, {kFirstWalker + 400, 400}};
+    struct Placed {
+        DeviceScene scene;
+        Bvh bvh;
+        Stream stream;
+        void place(double turns) {
+            scene.place(stream, at_phase(scene.layout(), turns));
+            scene.activate(stream, {}, glm::vec3(0.0f));
+        }
+        Placed(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
+            place(0.0);
+            bvh.build(stream, scene, {});
+            stream.finish();
+        }
+        BvhOnHost at(double turns, const std::vector<SurfelRange>& ranges) {
+            place(turns);
+            bvh.refit(stream, scene, {}, ranges);
+            stream.finish();
+            return bvh.download();
+        }
+    };
+    Placed some(device(), scene), all(device(), scene);
+    const BvhOnHost before = some.bvh.download();
+    for (const double turns : {0.3, 0.7, 0.0, 0.45}) {   // a launch leaves nothing behind that would stop the next one
+        const BvhOnHost a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
+        ASSERT_EQ(a.nodes.size(), b.nodes.size());
+        EXPECT_EQ(std::memcmp(a.nodes.data(), b.nodes.data(), a.nodes.size() * sizeof(shared::BvhNode)), 0) << turns << " turns";
+        EXPECT_EQ(a.boxes, b.boxes) << turns << " turns";
+        EXPECT_EQ(std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
+    }
+    Surfels elsewhere = scene.surfels;
+    for (glm::vec3& mean : elsewhere.mean) mean += glm::vec3(50.0f, 0.0f, 0.0f);
+    some.scene.parameters().upload(elsewhere);
+    const BvhOnHost after = some.at(0.0, walkers);
+    for (std::uint32_t i = 0; i < kSurfels; ++i) {   // where nothing was asked for nothing was done
+        if (test::surfel_box(before, i).empty()) continue;
+        EXPECT_EQ(after.boxes[6 * i] == before.boxes[6 * i], i < kFirstWalker) << "surfel " << i;
+    }
+}
+
+TEST_F(Bend, RendersAsPlacedAnew) {
+    for (const Primitive primitive : {Primitive::surfel, Primitive::gaussian}) {
+        const Scene scene = some_walkers(primitive);
+        ImageModel model;
+        model.primitive = primitive;
+        const WorldRays rays = test::random_case(3, 400, 1).rays;
+        for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
+            Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}), anew(device(), scene, model, {.accel = {.proxy = proxy}});
+            moved.place(at_phase(scene, 0.0), glm::vec3(0.0f));
+            const Rendering start = moved.forward(rays);
+            bool differs = false;
+            for (const double turns : {0.25, 0.6}) {
+                moved.move(at_phase(scene, turns), glm::vec3(0.0f));
+                anew.place(at_phase(scene, turns), glm::vec3(0.0f));
+                const Rendering a = moved.forward(rays), b = anew.forward(rays);
+                EXPECT_EQ(a.hits, b.hits);
+                EXPECT_EQ(a.depth, b.depth);
+                differs = differs || a.depth != start.depth;
+            }
+            EXPECT_TRUE(differs) << "nobody walked";
+        }
+    }
+}
+
+}  // namespace
+}  // namespace relidar

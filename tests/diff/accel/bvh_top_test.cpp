@@ -1,0 +1,183 @@
+// SPDX-License-Identifier: Apache-2.0
+// The tree over the instances (diff/accel/bvh_top): every instance that is there in one leaf, none that is
+// absent, world boxes hold what stands
+// in them, after placing, moving and taking away; and rays through both levels against all instances and surfels.
+#include <algorithm>
+#include <cstring>
+#include <random>
+#include <set>
+
+#include "../../support/device.hpp"
+#include "bvh_walk.hpp"
+
+namespace relidar {
+namespace {
+
+Surfels some_surfels(std::uint32_t n, std::mt19937& random) {
+    std::normal_distribution<float> normal;
+    Surfels s;
+    s.resize(n);
+    for (std::uint32_t i = 0; i < n; ++i) {
+        s.mean[i] = {2.0f * normal(random), normal(random), normal(random)};
+        s.rotation[i] = {normal(random), normal(random), normal(random), normal(random)};
+        s.log_scale[i] = {-2.0f + 0.3f * normal(random), -2.0f + 0.3f * normal(random)};
+        s.opacity_logit[i] = 1.0f;
+    }
+    std::fill(s.sh.begin(), s.sh.end(), 0.0f);
+    return s;
+}
+
+std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, double spread_m = 30.0) {
+    std::normal_distribution<double> normal;
+    std::vector<InstancePose> poses(n);
+    for (InstancePose& pose : poses) {
+        pose.world_from_model.rotation = glm::normalize(glm::dquat(normal(random), normal(random), normal(random), normal(random)));
+        pose.world_from_model.translation = spread_m * glm::dvec3(normal(random), normal(random), normal(random));
+    }
+    return poses;
+}
+
+/// Instances of five models, one of them empty.
+Scene scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
+    Scene scene = make_background_scene(some_surfels(500, random));
+    scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};
+    scene.instances.clear();
+    for (std::uint32_t i = 0; i < n_instances; ++i) scene.instances.push_back({i % 5, ""});
+    return scene;
+}
+
+test::HostRay to_model(const test::HostRay& ray, const Pose& world_from_model) {
+    const Pose model_from_world = inverse(world_from_model);
+    return {model_from_world * ray.origin, model_from_world.rotation * ray.direction};
+}
+
+class BvhTop : public test::DeviceTest {
+protected:
+    struct Built {
+        DeviceScene scene;
+        Bvh bvh;
+        Stream stream;
+        Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
+            scene.activate(stream, {}, glm::vec3(0.0f));
+            bvh.build(stream, scene, {});
+            stream.finish();
+        }
+        BvhOnHost move(const std::vector<InstancePose>& poses) {
+            scene.place(stream, poses);
+            bvh.move(stream, scene);
+            stream.finish();
+            return bvh.download();
+        }
+        bool is_there(std::size_t i) const {
+            return scene.poses()[i].present && scene.layout().models[scene.layout().instances[i].model].count > 0;
+        }
+    };
+
+    /// Real box of all below a node, with every instance counted.
+    static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index, std::vector<int>& seen, test::HostBox& real) {
+        ASSERT_LT(index, host.top_nodes.size());
+        const auto slots = test::slots_of(host.top_nodes[index]);
+        for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
+            test::HostBox below;
+            if (slots[s].inner) check_node(built, host, slots[s].child, seen, below);
+            for (std::uint32_t k = 0; k < slots[s].count; ++k) {
+                ASSERT_LT(slots[s].first + k, host.top_order.size());
+                const std::uint32_t instance = host.top_order[slots[s].first + k];
+                ++seen.at(instance);
+                below.add(world_box(built, host, instance));
+            }
+            const test::HostBox box = test::decoded_box(host.top_nodes[index], s);
+            EXPECT_TRUE(box.holds(below)) << "slot " << s << " of node " << index;
+            EXPECT_EQ(box.empty(), below.empty()) << "slot " << s << " of node " << index;
+            real.add(below);
+        }
+    }
+
+    /// Around the corners of the model's surfel boxes where the instance stands, in double.
+    static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
+        const Scene& layout = built.scene.layout();
+        const Model& model = layout.models[layout.instances[instance].model];
+        test::HostBox box;
+        for (std::uint32_t i = model.first; i < model.first + model.count; ++i) {
+            const test::HostBox b = test::surfel_box(host, i);
+            for (int corner = 0; corner < 8; ++corner) {
+                const glm::dvec3 p =
+                    built.scene.poses()[instance].world_from_model *
+                    glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y, corner & 4 ? b.low.z : b.high.z);
+                box.add({p, p});
+            }
+        }
+        return box;
+    }
+
+    static void expect_sound(const Built& built, const BvhOnHost& host, const std::string& what) {
+        SCOPED_TRACE(what);
+        std::vector<int> seen(host.top_order.size(), 0);
+        test::HostBox real;
+        check_node(built, host, 0, seen, real);
+        for (std::size_t i = 0; i < seen.size(); ++i) {
+            EXPECT_EQ(seen[i], built.is_there(i) ? 1 : 0) << "instance " << i;
+            EXPECT_EQ(host.roots[i] == RELIDAR_BVH_NO_NODE, !built.is_there(i)) << "instance " << i;
+        }
+    }
+};
+
+TEST_F(BvhTop, EveryInstanceIsWhereItStands) {
+    std::mt19937 random(1);
+    for (const std::uint32_t n : {1u, 2u, 8u, 9u, 64u, 65u, 200u, 1000u}) {
+        Built built(device(), scene_of_instances(n, random));
+        expect_sound(built, built.move(random_poses(n, random)), std::to_string(n) + " instances");
+        expect_sound(built, built.move(random_poses(n, random, 1e5)), std::to_string(n) + " instances, far away");
+        std::vector<InstancePose> poses = random_poses(n, random);
+        for (InstancePose& pose : poses) pose.present = random() % 2;
+        expect_sound(built, built.move(poses), std::to_string(n) + " instances, half of them absent");
+        for (InstancePose& pose : poses) pose.present = false;
+        expect_sound(built, built.move(poses), std::to_string(n) + " instances, all of them absent");
+        expect_sound(built, built.move(std::vector<InstancePose>(n)), std::to_string(n) + " instances in one place");
+    }
+}
+
+TEST_F(BvhTop, MovesAreRepeatable) {
+    std::mt19937 random(2);
+    Built built(device(), scene_of_instances(100, random));
+    const std::vector<InstancePose> poses = random_poses(100, random);
+    const BvhOnHost a = built.move(poses);
+    built.move(random_poses(100, random));
+    const BvhOnHost b = built.move(poses);
+    EXPECT_EQ(std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
+    EXPECT_EQ(a.top_order, b.top_order);
+}
+
+TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
+    std::mt19937 random(3);
+    Built built(device(), scene_of_instances(40, random));
+    const BvhOnHost host = built.move(random_poses(40, random, 4.0));
+    const Scene& layout = built.scene.layout();
+    std::normal_distribution<double> normal;
+    std::size_t n_hits = 0;
+    for (int r = 0; r < 100; ++r) {
+        const test::HostRay ray{4.0 * glm::dvec3(normal(random), normal(random), normal(random)),
+                                {normal(random), normal(random), normal(random)}};
+        std::set<std::pair<std::uint32_t, std::uint32_t>> expected, found;
+        for (std::uint32_t i = 0; i < 40; ++i) {
+            const Model& model = layout.models[layout.instances[i].model];
+            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
+            for (std::uint32_t k = 0; k < model.count; ++k)
+                if (test::meets(local, test::surfel_box(host, model.first + k))) expected.insert({i, k});
+        }
+        test::walk(host.top_nodes, 0, ray, [&](std::uint32_t entry) {
+            const std::uint32_t i = host.top_order[entry];
+            const Model& model = layout.models[layout.instances[i].model];
+            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
+            test::walk(host.nodes, host.roots[i], local, [&](std::uint32_t leaf) {
+                if (test::meets(local, test::surfel_box(host, model.first + host.order[leaf]))) found.insert({i, host.order[leaf]});
+            });
+        });
+        EXPECT_EQ(found, expected) << "ray " << r;
+        n_hits += expected.size();
+    }
+    EXPECT_GT(n_hits, 500u);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+// When a structure is built anew instead of refitted: the first time, when told, after so many refits, and, software tree alone, when it
+// has outgrown its build.
+#include <relidar/diff/accel.hpp>
+#include <relidar/scene/device_scene.hpp>
+
+#include "../../support/device.hpp"
+#include "../../support/surfels.hpp"
+#include "../traversal/cases.hpp"
+
+namespace relidar {
+namespace {
+
+class Rebuild : public test::DeviceTest {
+protected:
+    Surfels surfels_ = test::random_case(3, 400, 1).surfels;
+
+    int refits_after(Stream& stream, DeviceScene& scene, Accel& accel, bool rebuild = false) {
+        scene.activate(stream, {}, glm::vec3(0.0f));
+        accel.update(stream, scene, rebuild);
+        stream.finish();
+        return accel.refits_since_build();
+    }
+};
+
+TEST_F(Rebuild, FirstWhenToldAndWhenDue) {
+    Stream stream(device());
+    DeviceScene scene(device(), make_background_scene(surfels_));
+    Accel accel(device(), scene, {.rebuild_every = 3});
+    std::vector<int> refits;
+    for (int i = 0; i < 8; ++i) refits.push_back(refits_after(stream, scene, accel, i == 6));
+    EXPECT_EQ(refits, (std::vector<int>{0, 1, 2, 3, 0, 1, 0, 1}));
+    EXPECT_EQ(accel.updates(), 8u);
+}
+
+TEST_F(Rebuild, NeverDueWhereZero) {
+    Stream stream(device());
+    DeviceScene scene(device(), make_background_scene(surfels_));
+    Accel accel(device(), scene, {.rebuild_every = 0});
+    for (int i = 0; i < 6; ++i) EXPECT_EQ(refits_after(stream, scene, accel), i);
+}
+
+TEST_F(Rebuild, WhenTheTreeHasOutgrownItsBuild) {
+    Stream stream(device());
+    DeviceScene scene(device(), make_background_scene(surfels_));
+    Accel accel(device(), scene, {});
+    refits_after(stream, scene, accel);
+    accel.check_growth(stream);
+    EXPECT_EQ(refits_after(stream, scene, accel), 1) << "nothing has moved";
+    accel.check_growth(stream);
+    Surfels scattered = surfels_;   // neighbours in the tree are now far apart
+    for (std::size_t i = 0; i < scattered.size(); ++i) scattered.mean[i] = surfels_.mean[(i * 157) % surfels_.size()];
+    scene.parameters().upload(scattered);
+    EXPECT_EQ(refits_after(stream, scene, accel), 2);
+    accel.check_growth(stream);
+    EXPECT_EQ(refits_after(stream, scene, accel), 3) << "growth is measured by one check and seen by the next";
+    accel.check_growth(stream);
+    const bool measured = device().traversal() == Traversal::software;   // drivers do not tell a structure's cost
+    EXPECT_EQ(refits_after(stream, scene, accel), measured ? 0 : 4);
+    for (const int refits : {1, 2, 3}) {
+        accel.check_growth(stream);
+        EXPECT_EQ(refits_after(stream, scene, accel), measured ? refits : 4 + refits) << "a new build is its own measure";
+    }
+}
+
+}  // namespace
+}  // namespace relidar

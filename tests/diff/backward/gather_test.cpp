@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: Apache-2.0
+// diff/backward/gather and diff/backward/gather_heads: surfels with thousands of hits, rays without a
+// gradient, and the promise for which they
+// exist: every gradient the same bit for bit in every run, however the hits are found and however much room there is. (Their values against
+// the double reference: device_gradient_test.cpp.)
+#include <algorithm>
+#include <cmath>
+
+#include <relidar/base/error.hpp>
+
+#include "passes.hpp"
+
+namespace relidar {
+namespace {
+
+using reference::PixelGradient;
+using test::Passes;
+
+std::vector<float> all_gradients(const Gradients& g) {
+    std::vector<float> all;
+    const std::initializer_list<const Array<float>*> arrays{&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale,
+                                                            &g.surfels.opacity_logit, &g.surfels.log_scale_w, &g.surfels.sh, &g.rays,
+                                                            &g.poses, &g.sensor};
+    for (const Array<float>* array : arrays)
+        for (const float x : array->download()) all.push_back(x);
+    return all;
+}
+
+class Gather : public test::DeviceTest {
+protected:
+    /// Many rays into few surfels: rows that go on over many blocks.
+    test::RandomScene crowded(const reference::Settings& settings) {
+        test::RandomSceneOptions options;
+        options.seed = 51, options.rays = 20, options.background_surfels = 20, options.actor_surfels = 6;
+        options.primitive = settings.image.primitive;
+        test::RandomScene scene = test::make_random_scene(options, settings);
+        const std::vector<reference::Ray> once = scene.rays;
+        for (int i = 1; i < 100; ++i) scene.rays.insert(scene.rays.end(), once.begin(), once.end());
+        return scene;
+    }
+};
+
+TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
+    using enum ShDirection;
+    for (const auto& [direction, primitive] :
+         {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
+        reference::Settings settings;
+        settings.image.sh_direction = direction;
+        settings.image.primitive = primitive;
+        const test::RandomScene scene = crowded(settings);
+        const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
+        RendererOptions options = test::options_of(settings.image);
+        Passes passes(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
+        passes.run();
+        const std::vector<float> first = all_gradients(passes.gradients());
+        for (int i = 0; i < 3; ++i) {
+            passes.run();
+            EXPECT_EQ(all_gradients(passes.gradients()), first);
+        }
+        options.accel.proxy = Proxy::triangles;
+        Passes triangles(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
+        triangles.run();
+        EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
+    }
+}
+
+/// Where zeros of the others are not wanted, a CPU goes over the surfels that a hit has marked alone. Bits are compared, which gathered
+/// sums alone have; atomics mark the same ones.
+TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
+    for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
+        reference::Settings settings;
+        settings.image.sh_direction = direction;
+        test::RandomSceneOptions options;
+        options.seed = 52, options.rays = 30, options.background_surfels = 400, options.actor_surfels = 9;
+        const test::RandomScene scene = test::make_random_scene(options, settings);
+        const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
+        std::vector<std::uint32_t> touched;
+        for (const Reduction reduction : {Reduction::gather, Reduction::atomics}) {
+            Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = reduction});
+            passes.run();
+            Gradients& gradients = passes.gradients();
+            const std::vector<float> first = all_gradients(gradients);
+            if (touched.empty()) touched = gradients.touched.download();
+            EXPECT_EQ(gradients.touched.download(), touched);
+            EXPECT_GT(std::ranges::count(touched, 0u), 100);
+            EXPECT_GT(std::ranges::count(touched, 1u), 20);
+            Stream stream(device());
+            gradients.surfels.fill_zero(stream);   // what is not written stays so
+            stream.finish();
+            gradients.zero_untouched = false;
+            passes.run();
+            EXPECT_EQ(gradients.touched.download(), touched);
+            if (reduction == Reduction::gather) EXPECT_EQ(all_gradients(gradients), first);
+        }
+    }
+}
+
+/// Against the sum of the same rays one hundred times: 100 x the gradient of twenty rays, by atomics.
+TEST_F(Gather, SumsRowsOverManyBlocks) {
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        reference::Settings settings;
+        settings.image.sh_direction = direction;
+        test::RandomScene scene = crowded(settings);
+        std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
+        for (int i = 1; i < 100; ++i) upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
+        Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
+        many.run();
+        scene.rays.resize(20);
+        Passes once(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::atomics});
+        once.run();
+        test::GradientTable table;
+        const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual, std::size_t n) {
+            const std::vector<float> e = expected.download(), a = actual.download();
+            for (std::size_t i = 0; i < e.size(); i += n) {
+                std::vector<double> row = test::lanes(e.data() + i, int(n));
+                for (double& x : row) x *= 100.0;
+                table.add_row(name, row, test::lanes(a.data() + i, int(n)));
+            }
+        };
+        add("records", once.gradients().records, many.gradients().records, 16);
+        if (direction == ShDirection::ray) add("sh", once.gradients().surfels.sh, many.gradients().surfels.sh, 16);
+        add("poses", once.gradients().poses, many.gradients().poses, 3);
+        add("sensor", once.gradients().sensor, many.gradients().sensor, 3);
+        for (const auto& [name, group] : table.groups()) {
+            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+            EXPECT_EQ(group.missing_rows(), 0u) << name;
+        }
+        const test::GatheredHits hits = test::take_gathered_hits(many);
+        EXPECT_EQ(hits.capacity, 64u * many.rays.size());
+        std::uint64_t n_hits = 0;
+        for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download()).hits) n_hits += n;
+        EXPECT_EQ(hits.most, n_hits);
+        EXPECT_GT(n_hits, 5000u);
+        EXPECT_EQ(test::take_gathered_hits(many).most, 0u);
+    }
+}
+
+/// Slots of rays without a gradient stay empty; a batch after a larger one does not see what that left.
+TEST_F(Gather, EmptySlotsAndSmallerBatches) {
+    reference::Settings settings;
+    const test::RandomScene scene = crowded(settings);
+    std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
+    for (std::size_t i = 0; i < upstream.size(); ++i)
+        if (i >= 20) upstream[i] = {};
+    Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
+    many.run();
+    test::RandomScene few = scene;
+    few.rays.resize(20);
+    Passes once(device(), settings.image, few, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
+    once.run();
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
+    many.renderer.record_forward({&many.rays, 0, 1, 20});
+    many.renderer.record_backward();
+    many.renderer.stream().finish();
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
+    many.renderer.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
+    many.run();
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download()) << "room does not matter";
+    EXPECT_EQ(test::take_gathered_hits(many).capacity, 1u << 20);
+}
+
+TEST_F(Gather, RoomForNothingIsRefused) {
+    EXPECT_THROW(BackwardPass(device(), {}, Proxy::boxes, {}, {.reduction = Reduction::gather, .hits_per_ray = 0}), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+// Gradients of instance poses and of the sensor's pose: diff/backward/pose_blocks, poses and sensor_pose
+// against the double reference, where
+// they are summed hit by hit instead of surfel by surfel, and against central differences of the double forward pass. Overlapping
+// instances, one model placed twice, instances that are absent or that no ray meets.
+#include <glm/gtc/quaternion.hpp>
+
+#include <random>
+
+#include "scene/benchmark_street.hpp"
+#include "diff/backward/pose_gradients.hpp"
+#include "../../support/floats.hpp"
+#include "passes.hpp"
+
+namespace relidar {
+namespace {
+
+using reference::PixelGradient;
+using test::GradientTable;
+using test::lanes;
+using test::Passes;
+
+/// A random scene, its upstream gradients and the double loss.
+struct PoseProblem {
+    reference::Settings settings;
+    test::RandomScene scene;
+    std::vector<PixelGradient> upstream;
+
+    PoseProblem(ShDirection direction, const test::RandomSceneOptions& options) {
+        settings.image.sh_direction = direction;
+        settings.image.primitive = options.primitive;
+        scene = test::make_random_scene(options, settings);
+        settings.view_origin = scene.view_origin;
+        upstream = test::random_upstream(scene.rays.size(), options.seed);
+    }
+
+    std::vector<double> terms(const std::vector<reference::Ray>& rays, const reference::Settings& s) const {
+        const reference::BruteForce brute(scene.world, s.image, reference::Precision::double_record);
+        std::vector<double> result;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            const reference::Pixel p = render(scene.world, brute, s, rays[i], 16);
+            result.push_back(inner_product(upstream[i], p));
+        }
+        return result;
+    }
+
+    /// The whole sensor moved by v and turned by w about the view origin.
+    std::vector<double> terms_of_moved_sensor(const glm::dvec3& v, const glm::dvec3& w) const {
+        const glm::dquat turn = test::turn_by(w);
+        reference::Settings s = settings;
+        s.view_origin += v;
+        std::vector<reference::Ray> rays = scene.rays;
+        for (reference::Ray& ray : rays)
+            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction, 0.0, ray.time_s};
+        return terms(rays, s);
+    }
+};
+
+/// Central differences of a twist (v, w) that `terms` takes.
+std::vector<double> twist_differences(const std::function<std::vector<double>(const glm::dvec3&, const glm::dvec3&)>& terms) {
+    glm::dvec3 v(0.0), w(0.0);
+    const auto now = [&] { return terms(v, w); };
+    std::vector<double> result = test::central_differences(&v.x, 3, now);
+    for (const double x : test::central_differences(&w.x, 3, now, test::kAngleStep)) result.push_back(x);
+    return result;
+}
+
+void add_twist(GradientTable& table, const std::string& name, const std::vector<double>& expected, const std::vector<double>& actual) {
+    const auto half = [](const std::vector<double>& row, int i) {
+        return std::vector<double>(row.begin() + 3 * i, row.begin() + 3 * i + 3);
+    };
+    table.add_row(name + " translation", half(expected, 0), half(actual, 0));
+    table.add_row(name + " rotation", half(expected, 1), half(actual, 1));
+}
+
+class PoseGradient : public test::DeviceTest {
+protected:
+    void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options, const std::string& title) {
+        PoseProblem p(direction, options);
+        const reference::BruteForce brute(p.scene.world, p.settings.image, reference::Precision::double_record);
+        reference::Gradients expected(p.scene.world);
+        for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
+            reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
+        Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+        passes.run();
+        const std::vector<float> poses = passes.gradients().poses.download();
+        GradientTable table;
+        for (std::size_t k = 0; k < expected.instances.size(); ++k) {
+            std::vector<double> row = lanes(expected.instances[k].translation, 3);
+            for (const double x : lanes(expected.instances[k].rotation, 3)) row.push_back(x);
+            add_twist(table, "reference pose", row, lanes(poses.data() + 6 * k, 6));
+            reference::Placement& placed = p.scene.world.instances[k];
+            const Pose start = placed.world_from_model;
+            const std::vector<double> differences = twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
+                const Pose changed{test::turn_by(w) * start.rotation, start.translation + v};
+                if (options.moving) placed.change = inverse(start) * changed;
+                else placed.world_from_model = changed;
+                return p.terms(p.scene.rays, p.settings);
+            });
+            placed.world_from_model = start, placed.change = {};
+            add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
+        }
+        if (!options.moving)   // for moving instances the sensor's gradient is not exact: Gradients::sensor
+            add_twist(table, "differences, sensor",
+                  twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
+                  lanes(passes.gradients().sensor.download().data(), 6));
+        table.print(title);
+        for (const auto& [name, group] : table.groups()) {
+            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name << ", " << title;
+            EXPECT_EQ(group.nonzero_rows(), group.actual.size()) << name << ", " << title;
+        }
+    }
+};
+
+TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
+    test::RandomSceneOptions options;
+    options.seed = 41, options.rays = 60, options.actor_instances = 3;
+    expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
+}
+
+TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
+    test::RandomSceneOptions options;
+    options.seed = 47, options.rays = 60, options.actor_instances = 3, options.moving = true;
+    expect_agreement(ShDirection::ray, options, "poses, models that drive and turn");
+}
+
+TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
+    test::RandomSceneOptions options;
+    options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true, options.turn_rate = 0.0;
+    PoseProblem p(ShDirection::ray, options);
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+    passes.run();
+    glm::dvec3 v(0.0);
+    const std::vector<double> expected =
+        test::central_differences(&v.x, 3, [&] { return p.terms_of_moved_sensor(v, glm::dvec3(0.0)); });
+    GradientTable table;
+    table.add_row("sensor translation", expected, lanes(passes.gradients().sensor.download().data(), 3));
+    table.print("sensor, models that drive");
+    EXPECT_LE(table.groups().at("sensor translation").worst_error(), test::kKernelGradient);
+}
+
+TEST_F(PoseGradient, GaussiansPlacedTwice) {
+    test::RandomSceneOptions options;
+    options.seed = 46, options.rays = 60, options.primitive = Primitive::gaussian;
+    expect_agreement(ShDirection::ray, options, "poses, 3D Gaussians, one model placed twice");
+}
+
+TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
+    test::RandomSceneOptions options;
+    options.seed = 42, options.rays = 60, options.actor_instances = 1, options.actor_surfels = 30;
+    expect_agreement(ShDirection::surfel, options, "poses, SH along sensor -> mean, an actor in the background");
+}
+
+TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
+    test::RandomSceneOptions options;
+    options.seed = 43, options.rays = 40, options.actor_instances = 1, options.actor_surfels = 90, options.background_surfels = 60;
+    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
+}
+
+/// Of a street and an actor in several blocks each, from record gradients at random: sums in double, and the same bits in every run.
+TEST_F(PoseGradient, ManyBlocksOfSurfels) {
+    const std::uint32_t n_background = 2500, n_actor = 1100, n = n_background + n_actor;
+    Scene layout = make_background_scene(make_benchmark_street(n));
+    layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
+    layout.instances.push_back({1, "actor"});
+    const glm::dvec3 view_origin(1.0, -2.0, 0.5);
+    const Pose pose{glm::angleAxis(0.7, glm::normalize(glm::dvec3(1.0, 2.0, 3.0))), {4.0, -1.0, 0.3}};
+    std::mt19937_64 random(45);
+    std::normal_distribution<float> normal;
+    std::vector<float> d_records(16 * std::size_t(n)), d_view(3 * std::size_t(n));
+    for (std::size_t i = 0; i < n; i += 2) {   // the others have no gradient
+        for (std::size_t k = 0; k < 16; ++k) d_records[16 * i + k] = normal(random);
+        for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);
+    }
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        ImageModel model;
+        model.sh_direction = direction;
+        DeviceScene scene(device(), layout);
+        scene.set_poses({Pose{}, pose});
+        Stream stream(device());
+        scene.activate(stream, model, glm::vec3(view_origin));
+        stream.finish();
+        Gradients gradients(device(), scene, {.poses = true});
+        gradients.records.upload(d_records);
+        gradients.pose_sums->d_view.upload(d_view);
+        PoseGradients kernels(device());
+        kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
+        stream.finish();
+        const std::vector<float> poses = gradients.poses.download(), records = test::floats_of(scene.records().download());
+        const auto three = [](const std::vector<float>& v, std::size_t i) { return glm::dvec3(v[i], v[i + 1], v[i + 2]); };
+        GradientTable table;
+        for (std::size_t k = 0; k < 2; ++k) {
+            glm::dvec3 force(0.0), torque(0.0), view(0.0);
+            for (std::size_t i = layout.models[k].first; i < layout.models[k].first + layout.models[k].count; ++i) {
+                force += three(d_records, 16 * i);
+                for (const std::size_t lane : {0, 4, 8, 12})
+                    torque += glm::cross(three(records, 16 * i + lane), three(d_records, 16 * i + lane));
+                if (direction == ShDirection::surfel) view += three(d_view, 3 * i);
+                else torque -= glm::dvec3(d_records[16 * i + 7], d_records[16 * i + 11], d_records[16 * i + 15]);
+            }
+            const Pose placed = k == 1 ? pose : Pose{};
+            torque -= glm::cross(inverse(placed) * view_origin, view);
+            std::vector<double> expected = lanes(placed.rotation * (force - view), 3);
+            for (const double x : lanes(placed.rotation * torque, 3)) expected.push_back(x);
+            add_twist(table, "sums in double", expected, lanes(poses.data() + 6 * k, 6));
+        }
+        table.print("poses, blocks of surfels");
+        for (const auto& [name, group] : table.groups()) EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+        for (int again = 0; again < 5; ++again) {
+            kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
+            stream.finish();
+            EXPECT_EQ(gradients.poses.download(), poses);
+        }
+    }
+}
+
+/// Behind the sensor, absent, or met by rays without a gradient: exactly nothing.
+TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
+    test::RandomSceneOptions options;
+    options.seed = 44, options.actor_instances = 3;
+    PoseProblem p(ShDirection::ray, options);
+    Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
+    std::vector<InstancePose> placed = passes.renderer.scene().poses();
+    placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
+    placed[2].present = false;
+    passes.renderer.scene().place(passes.renderer.stream(), placed);
+    passes.run();
+    const std::vector<float> poses = passes.gradients().poses.download();
+    double met = 0.0;
+    for (std::size_t k = 0; k < 6; ++k) {
+        EXPECT_EQ(poses[6 + k], 0.0f) << "behind the sensor";
+        EXPECT_EQ(poses[12 + k], 0.0f) << "absent";
+        met += std::abs(poses[18 + k]);
+    }
+    EXPECT_GT(met, 0.0);
+    passes.renderer.stream().fill(*passes.renderer.batch().upstream);
+    passes.run();
+    for (const float x : passes.gradients().poses.download()) EXPECT_EQ(x, 0.0f);
+    for (const float x : passes.gradients().sensor.download()) EXPECT_EQ(x, 0.0f);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: Apache-2.0
+// Link (i) of the gradient chain: the oracle's backward pass (M7, M8) against central differences of its forward pass (M1-M5), for
+// every parameter group, the ray, the view origin and instance poses, in both SH direction modes, with more hits than a chunk.
+// Also its own consistency: radial part of the rotation, chunking, clamps.
+#include <gtest/gtest.h>
+
+#include "base/parallel.hpp"
+
+#include "../../support/gradient_check.hpp"
+#include "../../support/pixel_gradients.hpp"
+#include "../../support/random_scene.hpp"
+
+namespace relidar::reference {
+namespace {
+
+using test::GradientTable;
+
+/// A scene, random upstream gradients, and the loss sum_r g_r . pixel_r.
+struct Problem {
+    test::RandomScene scene;
+    Settings settings;
+    std::vector<PixelGradient> upstream;
+    int chunk = 16;
+
+    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false,
+            test::Outputs outputs = test::Outputs::all)
+        : chunk(chunk_size) {
+        settings.image.sh_direction = direction;
+        settings.image.single_drop_logit = single_drop_logit;
+        settings.likelihood_scale_m = 0.3;
+        scene = test::make_random_scene(options, settings);
+        settings.view_origin = scene.view_origin;
+        upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
+        if (options.primitive == Primitive::gaussian)
+            for (PixelGradient& g : upstream) g.normal = glm::dvec3(0.0);   // it has none
+    }
+
+    /// All hits in one chunk, which is quicker: the derivatives take short ones, and that the size does not matter is tested below.
+    double term(const BruteForce& brute, std::size_t i) const {
+        const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
+        return inner_product(upstream[i], p);
+    }
+    BruteForce brute() const { return {scene.world, settings.image, Precision::double_record}; }
+    std::vector<double> terms() const {
+        const BruteForce provider = brute();
+        std::vector<double> result;
+        for (std::size_t i = 0; i < scene.rays.size(); ++i) result.push_back(term(provider, i));
+        return result;
+    }
+    Gradients gradients(std::vector<RayGradient>& d_rays) const {
+        const BruteForce provider = brute();
+        Gradients sum(scene.world);
+        for (std::size_t i = 0; i < scene.rays.size(); ++i)
+            d_rays.push_back(backward(scene.world, provider, settings, scene.rays[i], chunk, upstream[i], sum));
+        return sum;
+    }
+};
+
+std::vector<double> row(const double* values, int n) { return {values, values + n}; }
+std::vector<double> row(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+
+struct Row {
+    const char* group;
+    std::vector<double> expected, actual;
+};
+
+/// A problem of the rays that meet a surfel. The others keep their margins to it (random_scene.hpp): no difference reaches them.
+Problem seen_by(Problem p, std::size_t surfel) {
+    const BruteForce provider = p.brute();
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
+        const std::vector<Hit> hits = all_hits(provider, p.scene.rays[i], p.chunk);
+        if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; })) continue;
+        p.scene.rays[kept] = p.scene.rays[i];
+        p.upstream[kept++] = p.upstream[i];
+    }
+    p.scene.rays.resize(kept);
+    p.upstream.resize(kept);
+    return p;
+}
+
+/// All parameters of one surfel.
+std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std::size_t i) {
+    Problem p = seen_by(all, i);
+    std::vector<Row> rows;
+    const auto terms = [&] { return p.terms(); };
+    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n, double step = test::kDifferenceStep) {
+        rows.push_back({group, test::central_differences(parameter, n, terms, step), row(d_parameter, n)});
+    };
+    Surfel& s = p.scene.world.surfels[i];
+    const Surfel& d = gradients.surfels[i];
+    add("mean", &s.mean.x, &d.mean.x, 3);
+    add("rotation", &s.rotation.x, &d.rotation.x, 4);
+    add("log_scale", &s.log_scale.x, &d.log_scale.x, 2);
+    if (s.log_scale_w) add("log_scale_w", &*s.log_scale_w, &*d.log_scale_w, 1);
+    add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1, test::kLogitStep);
+    const char* channels[] = {"sh intensity", "sh hit", "sh drop"};
+    for (int c = 0; c < kShChannels; ++c)
+        add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients, kShCoefficients, test::kLogitStep);
+    return rows;
+}
+
+void check_surfels(const Problem& p, const Gradients& gradients, GradientTable& table) {
+    std::vector<std::vector<Row>> surfels(p.scene.world.surfels.size());
+    run_parallel(int(surfels.size()), [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
+    for (const std::vector<Row>& rows : surfels)
+        for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);
+}
+
+void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vector<RayGradient>& d_rays, GradientTable& table) {
+    const BruteForce provider = p.brute();
+    for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
+        const auto term = [&] { return std::vector<double>{p.term(provider, i)}; };
+        table.add_row("ray origin", test::central_differences(&p.scene.rays[i].origin.x, 3, term), row(d_rays[i].origin));
+        table.add_row("ray direction", test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep),
+                      row(d_rays[i].direction));
+    }
+    const auto terms = [&] { return p.terms(); };
+    table.add_row("view origin", test::central_differences(&p.settings.view_origin.x, 3, terms), row(gradients.view_origin));
+    for (std::size_t i = 0; i < p.scene.world.instances.size(); ++i) {
+        Pose& pose = p.scene.world.instances[i].world_from_model;
+        table.add_row("pose translation", test::central_differences(&pose.translation.x, 3, terms),
+                      row(gradients.instances[i].translation));
+        const glm::dquat start = pose.rotation;
+        const auto turn = [&](int k, double angle) {
+            glm::dvec3 axis(0.0);
+            axis[k] = 1.0;
+            pose.rotation = glm::angleAxis(angle, axis) * start;
+        };
+        table.add_row("pose rotation", test::central_differences(3, turn, terms, test::kAngleStep), row(gradients.instances[i].rotation));
+    }
+}
+
+std::size_t most_hits(const Problem& p) {
+    std::size_t most = 0;
+    for (const Ray& ray : p.scene.rays) most = std::max<std::size_t>(most, render(p.scene.world, p.brute(), p.settings, ray, p.chunk).hits);
+    return most;
+}
+
+void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title,
+                              bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all) {
+    Problem problem(direction, options, chunk, single_drop_logit, outputs);
+    EXPECT_GT(most_hits(problem), std::size_t(chunk)) << "the scene should need more than one chunk";
+    std::vector<RayGradient> d_rays;
+    const Gradients gradients = problem.gradients(d_rays);
+    GradientTable table;
+    check_surfels(problem, gradients, table);
+    check_rays_and_poses(problem, gradients, d_rays, table);
+    table.print(title);
+    for (const auto& [name, group] : table.groups()) {
+        EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
+        EXPECT_EQ(group.missing_rows(), 0u) << name;
+        const bool values = outputs == test::Outputs::all;   // geometry alone does not depend on the channels
+        const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
+                              (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
+        EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name;
+    }
+}
+
+TEST(ReferenceGradient, EveryParameterShAlongRay) {
+    test::RandomSceneOptions options;
+    expect_differences_agree(ShDirection::ray, options, 4, "SH along the ray, 3 instances, chunk 4");
+}
+
+TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
+    test::RandomSceneOptions options;
+    options.seed = 2;
+    expect_differences_agree(ShDirection::surfel, options, 4, "SH along sensor -> mean, 3 instances, chunk 4");
+}
+
+/// Each output of the geometric losses alone (M10-M12); all other tests have them beside the image.
+TEST(ReferenceGradient, GeometryAlone) {
+    test::RandomSceneOptions options;
+    options.seed = 6;
+    options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
+    expect_differences_agree(ShDirection::ray, options, 4, "blended normal alone", false, test::Outputs::normal);
+    expect_differences_agree(ShDirection::surfel, options, 4, "distortion alone", false, test::Outputs::distortion);
+    expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false, test::Outputs::likelihood);
+    options.primitive = Primitive::gaussian;
+    expect_differences_agree(ShDirection::ray, options, 4, "likelihood alone, 3D Gaussians", false, test::Outputs::likelihood);
+}
+
+TEST(ReferenceGradient, SingleDropLogit) {
+    test::RandomSceneOptions options;
+    options.seed = 5;
+    expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
+    expect_differences_agree(ShDirection::surfel, options, 4, "one drop logit, SH along sensor -> mean, chunk 4", true);
+}
+
+TEST(ReferenceGradient, GaussiansShAlongRay) {
+    test::RandomSceneOptions options;
+    options.seed = 6;
+    options.primitive = Primitive::gaussian;
+    expect_differences_agree(ShDirection::ray, options, 4, "3D Gaussians, SH along the ray, 3 instances, chunk 4");
+}
+
+TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
+    test::RandomSceneOptions options;
+    options.seed = 7;
+    options.primitive = Primitive::gaussian;
+    options.opacity_low = 0.5, options.opacity_high = 0.98;
+    expect_differences_agree(ShDirection::surfel, options, 2, "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
+}
+
+/// How many blended hits are clamped at alpha_max, and how many rays end by the T_min rule.
+std::pair<int, int> count_clamps_and_stops(const Problem& p) {
+    int clamps = 0, stops = 0;
+    const BruteForce provider = p.brute();
+    for (const Ray& ray : p.scene.rays) {
+        std::vector<ShadedHit> blended;
+        render(p.scene.world, provider, p.settings, ray, p.chunk, &blended);
+        for (const ShadedHit& s : blended) clamps += s.alpha_clamped;
+        stops += blended.size() < all_hits(provider, ray, 16).size();
+    }
+    return {clamps, stops};
+}
+
+TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
+    test::RandomSceneOptions options;
+    options.seed = 3;
+    options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
+    const auto [clamps, stops] = count_clamps_and_stops(Problem(ShDirection::surfel, options, 2));
+    EXPECT_GT(clamps, 0);
+    EXPECT_GT(stops, 0);
+    expect_differences_agree(ShDirection::surfel, options, 2, "opaque, chunk 2");
+}
+
+TEST(ReferenceGradient, LongListsChunk16) {
+    test::RandomSceneOptions options;
+    options.seed = 4;
+    options.background_surfels = 80, options.actor_surfels = 16, options.rays = 8;
+    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_differences_agree(ShDirection::ray, options, 16, "transparent, long lists, chunk 16");
+}
+
+TEST(ReferenceGradient, RotationGradientIsTangential) {
+    Problem problem(ShDirection::ray, {}, 4);
+    std::vector<RayGradient> d_rays;
+    const Gradients gradients = problem.gradients(d_rays);
+    for (std::size_t i = 0; i < gradients.surfels.size(); ++i) {
+        const glm::dvec4 q = problem.scene.world.surfels[i].rotation, d = gradients.surfels[i].rotation;
+        EXPECT_LE(std::abs(glm::dot(q, d)), 1e-12 * (1.0 + glm::length(q) * glm::length(d))) << "surfel " << i;
+    }
+}
+
+TEST(ReferenceGradient, ChunkSizeDoesNotMatter) {
+    Problem problem(ShDirection::surfel, {}, 1);
+    std::vector<RayGradient> d_rays;
+    const Gradients one = problem.gradients(d_rays);
+    for (const int chunk : {2, 3, 7, 16, 32, 1000}) {
+        problem.chunk = chunk;
+        const Gradients other = problem.gradients(d_rays);
+        for (std::size_t i = 0; i < one.surfels.size(); ++i) {
+            EXPECT_EQ(one.surfels[i].mean, other.surfels[i].mean) << "chunk " << chunk;
+            EXPECT_EQ(one.surfels[i].sh, other.surfels[i].sh) << "chunk " << chunk;
+        }
+        for (std::size_t i = 0; i < one.instances.size(); ++i) EXPECT_EQ(one.instances[i].rotation, other.instances[i].rotation);
+    }
+}
+
+}  // namespace
+}  // namespace relidar::reference

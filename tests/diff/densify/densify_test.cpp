@@ -1,0 +1,355 @@
+// SPDX-License-Identifier: Apache-2.0
+// A densification as a whole (diff/densify/classify, allot, move, spawn) against the reference in double: who survives, is cloned, split or
+// shared, in which order; what becomes of values, moments and statistics; models; and the ends of the range.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <random>
+
+#include <relidar/diff/densify.hpp>
+#include <relidar/diff/forward.hpp>
+#include <relidar/diff/optimizer.hpp>
+
+#include "../../support/device.hpp"
+#include "base/random.hpp"
+#include "random_model.hpp"
+
+namespace relidar {
+namespace {
+
+using reference::Fate;
+
+constexpr float kAlphaMin = 1.0f / 255.0f;
+constexpr std::uint64_t kSeed = 42;
+constexpr std::uint32_t kFrames = 40;
+
+/// A scene with moments and statistics that tell every surfel apart.
+struct Case {
+    Scene scene;
+    DeviceScene device_scene;
+    Adam adam;
+    DensifyOptions options;
+    Densifier densifier;
+    Stream stream;
+    std::vector<float> gradient_sum;
+    std::vector<std::uint32_t> n_seen, frames;
+    Surfels moment1, moment2;
+
+    Case(Device& device, Scene initial, const DensifyOptions& o, bool with_poison = false)
+        : scene(std::move(initial)),
+          device_scene(device, scene),
+          adam(device, std::uint32_t(scene.surfels.size()), {}, scene.surfels.primitive),
+          options(o),
+          densifier(device, scene, options, kAlphaMin, kFrames, kSeed),
+          stream(device) {
+        if (with_poison) test::poison(scene.surfels);
+        device_scene.parameters().upload(scene.surfels);
+        std::mt19937 random(3);
+        const std::size_t n = scene.surfels.size();
+        for (std::size_t i = 0; i < n; ++i) {
+            n_seen.push_back(random() % 4);
+            gradient_sum.push_back(float(n_seen[i]) * 1e-4f * float(random() % 1000) / 250.0f);   // half of the means above 2e-4
+            for (int k = 0; k < 2; ++k) frames.push_back(random() % 3 ? std::uint32_t(random()) : 0u);
+        }
+        moment1 = moment2 = scene.surfels;
+        for (std::size_t i = 0; i < n; ++i) {
+            moment1.opacity_logit[i] = float(i) + 0.25f;
+            moment2.opacity_logit[i] = float(i) + 0.5f;
+            moment1.mean[i] = moment2.mean[i] = glm::vec3(float(i) + 0.125f);
+        }
+        show();
+        adam.moment1().upload(moment1);
+        adam.moment2().upload(moment2);
+    }
+
+    void show() {
+        densifier.statistics().gradient_sum.upload(gradient_sum);
+        densifier.statistics().n_seen.upload(n_seen);
+        densifier.statistics().frames.upload(frames);
+    }
+    DensifyReport run(int step) { return densifier.run(stream, device_scene, adam, step); }
+};
+
+DensifyOptions adaptive() {
+    DensifyOptions options;
+    options.strategy = DensifyStrategy::adaptive;
+    return options;
+}
+
+std::vector<Fate> expected_fates(const Case& c, int step) {
+    std::vector<Fate> fates;
+    for (std::size_t m = 0; m < c.scene.models.size(); ++m) {
+        const Model& model = c.scene.models[m];
+        const double extent = c.densifier.extents_m()[m];
+        reference::DensifyRules rules;
+        rules.min_opacity = std::max(c.options.min_opacity, double(kAlphaMin));
+        rules.max_scale =
+            step > c.options.large_from && c.options.strategy != DensifyStrategy::mcmc ? c.options.max_extent_share * extent : 1e30;
+        rules.clone_scale = c.options.clone_extent_share * extent;
+        if (c.options.strategy == DensifyStrategy::adaptive) rules.gradient_threshold = c.options.gradient_threshold;
+        rules.half_size = glm::dvec3(model.half_size_m);
+        rules.share = c.options.strategy == DensifyStrategy::mcmc;
+        rules.key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
+        for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
+            fates.push_back(reference::fate_of(test::densified(c.scene.surfels, i),
+                                               c.n_seen[i] ? double(c.gradient_sum[i]) / c.n_seen[i] : 0.0, rules, i));
+    }
+    return fates;
+}
+
+bool survives(Fate fate) { return fate >= Fate::keep; }
+
+/// Where a new row comes from.
+struct Row {
+    std::uint32_t source;
+    Fate fate;        // of the source; keep where it got no copy
+    bool is_copy;     // not the first row of its source
+    std::uint32_t n;  // rows of the source
+};
+
+std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, std::uint32_t n_new, int step) {
+    std::vector<std::uint32_t> weight;
+    std::uint32_t total = 0;
+    for (std::size_t i = 0; i < fates.size(); ++i) {
+        const bool grows = fates[i] == Fate::clone || fates[i] == Fate::split;
+        weight.push_back(fates[i] == Fate::share
+                             ? std::max(1u, std::uint32_t(float(test::densified(c.scene.surfels, i).opacity) * 255.0f + 0.5f))
+                         : grows ? 1u
+                                 : 0u);
+        total += weight.back();
+    }
+    const std::uint32_t phase = total ? static_cast<std::uint32_t>(hash64(hash64(kSeed, 2), std::uint64_t(step)) % total) : 0u;
+    const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, phase);
+    std::vector<Row> rows;
+    for (std::uint32_t i = 0; i < fates.size(); ++i)
+        for (std::uint32_t k = 0; survives(fates[i]) && k < 1 + copies[i]; ++k)
+            rows.push_back({i, copies[i] ? fates[i] : Fate::keep, k > 0, 1 + copies[i]});
+    return rows;
+}
+
+bool same_bits(const float* a, const float* b, std::size_t n) { return std::memcmp(a, b, n * sizeof(float)) == 0; }
+
+void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_t i, std::uint32_t key) {
+    const Surfels& was = c.scene.surfels;
+    reference::DensifiedSurfel s = test::densified(was, row.source);
+    EXPECT_TRUE(same_bits(&now.sh[i * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
+    EXPECT_EQ(now.rotation[i], was.rotation[row.source]);
+    if (row.fate == Fate::split) {
+        s.mean = reference::point_of(s, reference::random_normal2(key, std::uint32_t(i), 2),
+                                     reference::random_normal2(key, std::uint32_t(i), 3).x);
+        s.scale /= 1.6;
+        if (s.scale_w) *s.scale_w /= 1.6;
+    } else if (row.fate == Fate::share) {
+        const reference::SharedSurfel shared = reference::share(s.opacity, int(row.n));
+        s.opacity = std::max(shared.opacity, std::max(c.options.min_opacity, double(kAlphaMin)));
+        s.scale *= shared.scale_factor;
+        if (s.scale_w) *s.scale_w *= shared.scale_factor;
+    } else {
+        EXPECT_EQ(now.mean[i], was.mean[row.source]);
+        EXPECT_EQ(now.log_scale[i], was.log_scale[row.source]);
+        EXPECT_EQ(now.opacity_logit[i], was.opacity_logit[row.source]);
+    }
+    const reference::DensifiedSurfel actual = test::densified(now, i);
+    EXPECT_LT(glm::length(actual.mean - s.mean), 2e-5 * (glm::length(s.mean) + s.scale.x + s.scale.y + s.scale_w.value_or(0.0)));
+    EXPECT_NEAR(actual.scale_w.value_or(1.0) / s.scale_w.value_or(1.0), 1.0, 2e-4);
+    EXPECT_LT(glm::length(actual.scale / s.scale - 1.0), 2e-4);
+    EXPECT_NEAR(actual.opacity / s.opacity, 1.0, 1e-4);
+}
+
+void expect_state(Case& c, const std::vector<Row>& rows) {
+    const Surfels m1 = c.adam.moment1().download(), m2 = c.adam.moment2().download();
+    const SurfelStatistics& s = c.densifier.statistics();
+    const std::vector<float> sums = s.gradient_sum.download(rows.size());
+    const std::vector<std::uint32_t> seen = s.n_seen.download(rows.size()), frames = s.frames.download(2 * rows.size());
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+        const std::uint32_t from = rows[i].source;
+        const bool fresh = rows[i].is_copy || rows[i].fate == Fate::split || rows[i].fate == Fate::share;
+        ASSERT_EQ(m1.opacity_logit[i], fresh ? 0.0f : c.moment1.opacity_logit[from]) << i;
+        ASSERT_EQ(m2.opacity_logit[i], fresh ? 0.0f : c.moment2.opacity_logit[from]) << i;
+        ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : c.moment1.mean[from]);
+        ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : c.moment2.rotation[from]);
+        ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : c.moment1.log_scale[from]);
+        if (m1.primitive == Primitive::gaussian) {
+            ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : c.moment1.log_scale_w[from]);
+        }
+        ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : c.moment2.sh[from * kShFloats + 16]);
+        ASSERT_EQ(sums[i], 0.0f);
+        ASSERT_EQ(seen[i], 0u);
+        ASSERT_EQ(frames[2 * i], c.frames[2 * from]) << "a copy has been seen where its original was";
+        ASSERT_EQ(frames[2 * i + 1], c.frames[2 * from + 1]);
+    }
+}
+
+void expect_models(const Case& c, const std::vector<Row>& rows) {
+    const std::vector<Model>& now = c.device_scene.layout().models;
+    ASSERT_EQ(now.size(), c.scene.models.size());
+    std::uint32_t next = 0;
+    for (std::size_t m = 0; m < now.size(); ++m) {
+        const Model& was = c.scene.models[m];
+        EXPECT_EQ(now[m].first, next);
+        EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(),
+                                              [&](const Row& r) { return r.source >= was.first && r.source < was.first + was.count; }));
+        EXPECT_EQ(now[m].half_size_m, was.half_size_m);
+        next += now[m].count;
+    }
+    EXPECT_EQ(next, c.device_scene.size());
+}
+
+/// Runs one densification and compares everything with the reference. @return its report
+DensifyReport expect_reference(Case& c, int step) {
+    const std::vector<Fate> fates = expected_fates(c, step);
+    const auto count = [&](Fate fate) { return std::uint32_t(std::count(fates.begin(), fates.end(), fate)); };
+    const DensifyReport report = c.run(step);
+    EXPECT_EQ(report.before, fates.size());
+    EXPECT_EQ(report.invalid, count(Fate::invalid));
+    EXPECT_EQ(report.faint, count(Fate::faint));
+    EXPECT_EQ(report.large, count(Fate::large));
+    EXPECT_EQ(report.outside, count(Fate::outside));
+    EXPECT_EQ(report.clones, count(Fate::clone));
+    EXPECT_EQ(report.splits, count(Fate::split));
+    const std::vector<Row> rows = expected_rows(c, fates, report.added, step);
+    EXPECT_EQ(report.after, rows.size());
+    EXPECT_EQ(c.device_scene.size(), rows.size());
+    const Surfels now = c.device_scene.parameters().download();
+    if (now.size() != rows.size()) return report;
+    const std::uint32_t key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+        EXPECT_EQ(test::tag_of(now, i), rows[i].source) << "row " << i;
+        expect_values(c, rows[i], now, i, key);
+        if (testing::Test::HasFailure()) return report;
+    }
+    expect_state(c, rows);
+    expect_models(c, rows);
+    return report;
+}
+
+class Densify : public test::DeviceTest {};
+
+TEST_F(Densify, AdaptiveAgreesWithTheReference) {
+    for (const int step : {600, 3100}) {
+        DensifyOptions options = adaptive();
+        options.clone_extent_share = 3e-3;   // between the scales of the test
+        options.max_extent_share = 0.004;
+        Case c(device(), test::random_model_scene({700, 1, 300, 257}, 11), options, true);
+        const DensifyReport r = expect_reference(c, step);
+        EXPECT_EQ(r.added, r.clones + r.splits);
+        for (const std::uint32_t n : {r.invalid, r.faint, r.outside, r.clones, r.splits}) EXPECT_GT(n, 10u) << "a case that is not tested";
+        if (step > 3000) EXPECT_GT(r.large, 10u);
+        else EXPECT_EQ(r.large, 0u);
+    }
+}
+
+/// The third scale is the largest of some, and takes part in every decision.
+TEST_F(Densify, GaussiansAgreeWithTheReference) {
+    Scene scene = test::random_model_scene({500, 300}, 21);
+    make_primitive(scene.surfels, Primitive::gaussian, 1.5);
+    for (std::size_t i = 0; i < scene.surfels.size(); i += 3) scene.surfels.log_scale_w[i] -= 2.0f;
+    DensifyOptions options = adaptive();
+    options.clone_extent_share = 3e-3;
+    options.max_extent_share = 0.004;
+    Case c(device(), scene, options, true);
+    const DensifyReport r = expect_reference(c, 3100);
+    for (const std::uint32_t n : {r.invalid, r.faint, r.large, r.outside, r.clones, r.splits})
+        EXPECT_GT(n, 5u) << "a case that is not tested";
+    options.strategy = DensifyStrategy::mcmc;
+    Case shared(device(), scene, options, true);
+    EXPECT_GT(expect_reference(shared, 600).added, 50u);
+}
+
+TEST_F(Densify, MonteCarloMovesTheDeadToTheLiving) {
+    DensifyOptions options;
+    options.strategy = DensifyStrategy::mcmc;
+    Case c(device(), test::random_model_scene({600, 0, 400}, 13), options, true);
+    DensifyReport r = expect_reference(c, 600);
+    EXPECT_EQ(r.after, 1050u) << "as many as before and 5 %";
+    EXPECT_GT(r.added, 100u);
+    Case capped(device(), test::random_model_scene({600, 0, 400}, 13), [&] { options.max_surfels = 990; return options; }(), true);
+    r = expect_reference(capped, 600);
+    EXPECT_EQ(r.after, 990u);
+}
+
+TEST_F(Densify, CapIsExactAndSpreadOverTheScene) {
+    DensifyOptions options = adaptive();
+    options.max_surfels = 700;
+    Case c(device(), test::random_model_scene({450, 450}, 14), options);
+    const DensifyReport r = expect_reference(c, 600);
+    EXPECT_EQ(r.after, 700u);
+    EXPECT_LT(r.added, r.clones + r.splits);
+    const Surfels now = c.device_scene.parameters().download();
+    std::size_t copies[2]{};
+    for (std::size_t i = 1; i < now.size(); ++i) copies[test::tag_of(now, i) >= 450] += test::tag_of(now, i) == test::tag_of(now, i - 1);
+    EXPECT_GT(copies[0], 0.3 * r.added);
+    EXPECT_GT(copies[1], 0.3 * r.added);
+    EXPECT_EQ(c.run(700).added, 0u) << "full";
+}
+
+TEST_F(Densify, NothingToDoChangesNothing) {
+    DensifyOptions options = adaptive();
+    options.gradient_threshold = 1e9;
+    Scene scene = test::random_model_scene({300, 200}, 15);
+    for (float& x : scene.surfels.opacity_logit) x = 1.0f;
+    for (Model& m : scene.models) m.half_size_m = glm::vec3(0.0f);
+    Case c(device(), scene, options);
+    const auto address = c.device_scene.parameters().mean.address();
+    const DensifyReport r = expect_reference(c, 600);
+    EXPECT_EQ(r.removed() + r.added, 0u);
+    EXPECT_EQ(c.device_scene.parameters().mean.address(), address);
+}
+
+TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
+    Scene scene = test::random_model_scene({100, 50, 80}, 16);
+    for (std::uint32_t i = 100; i < 150; ++i) scene.surfels.opacity_logit[i] = -20.0f;
+    Case c(device(), scene, adaptive());
+    expect_reference(c, 600);
+    EXPECT_EQ(c.device_scene.layout().models[1].count, 0u);
+    EXPECT_GT(c.device_scene.layout().models[2].count, 0u);
+
+    for (const DensifyStrategy strategy : {DensifyStrategy::adaptive, DensifyStrategy::mcmc}) {
+        DensifyOptions options;
+        options.strategy = strategy;
+        for (float& x : scene.surfels.opacity_logit) x = -20.0f;
+        Case all(device(), scene, options);
+        EXPECT_EQ(expect_reference(all, 600).after, 0u);
+        EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
+        all.densifier.after_step(all.stream, all.device_scene, all.adam, 3000, 1.0);
+        all.stream.finish();
+        EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
+    }
+}
+
+/// What the training loop makes for the scene afterwards takes empty models and empty scenes.
+TEST_F(Densify, EmptyModelsCanBeTraced) {
+    for (const std::vector<std::uint32_t>& counts : {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
+        Renderer renderer(device(), test::random_model_scene(counts, 20), {});
+        renderer.place(glm::vec3(0.0f));
+        WorldRays rays;
+        rays.origin = {glm::vec3(0.0f)};
+        rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
+        EXPECT_EQ(renderer.forward(rays).size(), 1u);
+    }
+}
+
+TEST_F(Densify, RunsAreEqualBitByBit) {
+    std::vector<Surfels> results;
+    for (int run = 0; run < 2; ++run) {
+        Case c(device(), test::random_model_scene({400, 300}, 17), adaptive(), true);
+        c.run(600);
+        c.densifier.statistics().gradient_sum.upload(std::vector<float>(c.device_scene.size(), 1.0f));
+        c.densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(c.device_scene.size(), 2u));
+        c.run(700);
+        results.push_back(c.device_scene.parameters().download());
+    }
+    ASSERT_GT(results[0].size(), 700u);
+    EXPECT_EQ(results[0].mean, results[1].mean);
+    EXPECT_EQ(results[0].log_scale, results[1].log_scale);
+    EXPECT_EQ(results[0].sh, results[1].sh);
+}
+
+TEST_F(Densify, IsDueAsThePaperSays) {
+    Case c(device(), test::random_model_scene({10}, 19), adaptive());
+    for (const int step : {500, 600, 14900}) EXPECT_TRUE(c.densifier.due(step)) << step;
+    for (const int step : {100, 400, 550, 15000, 20000}) EXPECT_FALSE(c.densifier.due(step)) << step;
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+// Growth and its ends: capacity is taken in steps, device memory that runs out caps the scene and harms nothing.
+#include <relidar/base/error.hpp>
+#include <relidar/diff/densify.hpp>
+#include <relidar/diff/optimizer.hpp>
+#include <relidar/scene/device_scene.hpp>
+
+#include "../../support/device.hpp"
+#include "random_model.hpp"
+
+namespace relidar {
+namespace {
+
+class DensifyMemory : public test::DeviceTest {};
+
+/// A scene in which every surfel wants to grow at every densification.
+struct Growing {
+    Device& device;
+    Scene scene;
+    DeviceScene device_scene;
+    Adam adam;
+    Densifier densifier;
+    Stream stream;
+
+    static Scene opaque(std::uint32_t n) {
+        Scene scene = test::random_model_scene({n}, 2);
+        for (float& x : scene.surfels.opacity_logit) x = 2.0f;
+        return scene;
+    }
+    static DensifyOptions options() {
+        DensifyOptions o;
+        o.strategy = DensifyStrategy::adaptive;
+        return o;
+    }
+    Growing(Device& d, std::uint32_t n)
+        : device(d), scene(opaque(n)), device_scene(d, scene), adam(d, n, {}), densifier(d, scene, options(), 0.0f, 1, 1), stream(d) {
+        adam.moment1().upload(scene.surfels);
+        adam.moment2().upload(scene.surfels);
+    }
+    /// @param share of the surfels that want to grow
+    DensifyReport grow(int step, double share, double others_bytes = 0.0) {
+        std::vector<float> sum(device_scene.size(), 0.0f);
+        for (std::size_t i = 0; i < std::size_t(share * double(sum.size())); ++i) sum[i] = 1.0f;
+        densifier.statistics().gradient_sum.upload(sum);
+        densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(sum.size(), 1u));
+        return densifier.run(stream, device_scene, adam, step, others_bytes);
+    }
+    /// Every surfel is one of the originals, in their order, with its moments or none.
+    void expect_sound() {
+        const Surfels now = device_scene.parameters().download(), m = adam.moment1().download();
+        ASSERT_EQ(m.size(), now.size());
+        for (std::size_t i = 0; i < now.size(); ++i) {
+            const std::uint32_t tag = test::tag_of(now, i);
+            ASSERT_LT(tag, scene.surfels.size());
+            ASSERT_GE(tag, test::tag_of(now, i > 0 ? i - 1 : 0));
+            ASSERT_EQ(now.rotation[i], scene.surfels.rotation[tag]);
+            ASSERT_EQ(m.rotation[i], m.opacity_logit[i] != 0.0f ? scene.surfels.rotation[tag] : glm::vec4(0.0f));
+        }
+    }
+};
+
+TEST_F(DensifyMemory, CapacityGrowsInSteps) {
+    Growing g(device(), 1000);
+    EXPECT_EQ(g.grow(500, 0.1).after, 1100u);
+    EXPECT_GE(g.device_scene.parameters().capacity(), 1500u) << "half as much again";
+    const std::uint64_t held = device().allocated_bytes();
+    EXPECT_EQ(g.grow(600, 0.1).after, 1210u);
+    EXPECT_EQ(g.grow(700, 0.2).after, 1452u);
+    EXPECT_EQ(device().allocated_bytes(), held) << "nothing is allocated where there is room";
+    EXPECT_EQ(g.grow(800, 1.0).after, 2904u) << "more than half as much again";
+    g.expect_sound();
+}
+
+TEST_F(DensifyMemory, OutOfMemoryCapsAndContinues) {
+    Device limited({.memory_limit_bytes = 12u << 20});
+    Growing g(limited, 5000);
+    std::string notes;
+    std::uint32_t size = 5000;
+    for (int step = 500; step < 1500; step += 100) {
+        const DensifyReport r = g.grow(step, 1.0);
+        EXPECT_GE(r.after, size);
+        size = r.after;
+        notes += r.note;
+        g.expect_sound();
+    }
+    EXPECT_LE(limited.peak_bytes(), std::uint64_t(12) << 20 | (1u << 20)) << "staging is the host's";
+    EXPECT_GT(size, 6000u) << "it grew as far as it could";
+    EXPECT_LT(size, 12000u);
+    EXPECT_NE(notes.find("densification ends at " + std::to_string(size) + " surfels: "), std::string::npos)
+        << notes;
+    EXPECT_EQ(notes.find("densification ends", 1), std::string::npos) << "said once: " << notes;
+}
+
+TEST_F(DensifyMemory, RoomIsLeftForTheOthers) {
+    Device limited({.memory_limit_bytes = 16u << 20});
+    Growing g(limited, 5000);
+    constexpr double kOthers = 1000.0;
+    const DensifyReport r = g.grow(500, 1.0, kOthers);
+    EXPECT_GT(r.after, 5000u);
+    EXPECT_NO_THROW(Buffer(limited, std::size_t(kOthers) * r.after, "the others"));
+    g.expect_sound();
+
+    Growing tight(limited, 1000);
+    const DensifyReport none = tight.grow(500, 1.0, 1e6);
+    EXPECT_EQ(none.after, 1000u);
+    EXPECT_FALSE(none.note.empty());
+    tight.expect_sound();
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+// A frozen scene renders what the scene renders with its actors placed: turned, walking, or absent.
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/forward.hpp>
+
+#include "../../support/device.hpp"
+#include "../traversal/cases.hpp"
+
+namespace relidar {
+namespace {
+
+class Freeze : public test::DeviceTest {
+protected:
+    /// A background and three actors, two of which walk, with harmonics of degree 3.
+    static Scene some_actors(Primitive primitive) {
+        constexpr std::uint32_t kSurfels = 1500;
+        test::TraversalCase random_case = test::random_case(5, kSurfels, 0);
+        if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
+        Scene scene = make_background_scene(random_case.surfels);
+        std::mt19937 random(7);
+        std::uniform_real_distribution<float> u(-1.0f, 1.0f);
+        for (float& v : scene.surfels.sh) v = 0.2f * u(random);
+        scene.surfels.add_gait();
+        for (Gait& gait : scene.surfels.gait) gait = {u(random), u(random), 0.3f * glm::vec3(u(random), u(random), u(random))};
+        scene.models = {{"background", 0, 900}};
+        for (std::uint32_t k = 0; k < 3; ++k) {
+            scene.models.push_back({std::to_string(k), 900 + 200 * k, 200});
+            scene.models.back().stride_m = k == 1 ? 0.0f : 1.3f;
+            scene.instances.push_back({k + 1, std::to_string(k)});
+        }
+        return scene;
+    }
+    static std::vector<InstancePose> some_poses() {
+        std::vector<InstancePose> placed(4);
+        const glm::dquat turns[] = {rotation_of(0.7, 0.2, -0.4), rotation_of(-2.1, 0.0, 0.0), rotation_of(1.4, -0.8, 2.0)};
+        for (std::size_t k = 1; k < 4; ++k) placed[k] = {{turns[k - 1], {0.5 * double(k), -0.3, 0.2}}, true, 0.0, 0.37 * double(k)};
+        return placed;
+    }
+    void expect_equal(const Rendering& a, const Rendering& b, const std::string& what) {
+        ASSERT_EQ(a.size(), b.size());
+        std::size_t n_hit = 0, n_off = 0;   // where rounding takes a surfel over the rim of what is seen, a ray differs
+        for (std::size_t i = 0; i < a.size(); ++i) {
+            n_hit += a.hits[i] > 0;
+            const auto off = [&](const std::vector<float>& x, const std::vector<float>& y) {
+                return !(std::abs(x[i] - y[i]) <= 2e-4f * (1.0f + std::abs(x[i])));
+            };
+            n_off += off(a.depth, b.depth) || off(a.intensity, b.intensity) || off(a.hit_logit, b.hit_logit) ||
+                     off(a.drop_logit, b.drop_logit) || off(a.transmittance, b.transmittance);
+        }
+        EXPECT_GT(n_hit, a.size() / 3) << what;
+        EXPECT_LE(n_off, a.size() / 100) << what;
+    }
+};
+
+TEST_F(Freeze, RendersAsThePlacedScene) {
+    const WorldRays rays = test::random_case(5, 1500, 2000).rays;
+    for (const Primitive primitive : {Primitive::surfel, Primitive::gaussian})
+        for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+            ImageModel model;
+            model.primitive = primitive;
+            model.sh_direction = direction;
+            const Scene scene = some_actors(primitive);
+            std::vector<InstancePose> placed = some_poses();
+            for (const bool one_is_absent : {false, true}) {
+                placed[2].present = !one_is_absent;
+                const Surfels frozen = freeze(scene, placed);
+                EXPECT_EQ(frozen.size(), one_is_absent ? 1300u : 1500u);
+                EXPECT_FALSE(frozen.bends);
+                const glm::vec3 view(0.2f, -0.1f, 0.3f);
+                Renderer moving(device(), scene, model), still(device(), make_background_scene(frozen), model);
+                moving.place(placed, view);
+                still.place(view);
+                expect_equal(moving.forward(rays), still.forward(rays),
+                             std::string(kind_of(primitive).name) + (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
+            }
+        }
+}
+
+TEST_F(Freeze, WantsAPoseForEachInstance) {
+    EXPECT_THROW(freeze(some_actors(Primitive::surfel), std::vector<InstancePose>(3)), DataError);
+}
+
+}  // namespace
+}  // namespace relidar

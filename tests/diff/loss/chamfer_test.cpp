@@ -1,0 +1,226 @@
+// SPDX-License-Identifier: Apache-2.0
+// diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp: nearest neighbours
+// against brute force on clouds of every
+// shape, value and derivative against the double reference.
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <random>
+
+#include <relidar/diff/forward.hpp>
+#include <relidar/diff/loss.hpp>
+#include <relidar/diff/traversal.hpp>
+
+#include "../../reference/chamfer.hpp"
+#include "../../support/device.hpp"
+#include "../../support/floats.hpp"
+#include "../../support/gradient_check.hpp"
+
+namespace relidar {
+namespace {
+
+class Chamfer : public test::DeviceTest {};
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+/// Both clouds of a scan, ray by ray; range 0 = none.
+struct Clouds {
+    ImageShape image;
+    std::vector<DeviceRay> rays;
+    std::vector<float> simulated, measured;
+};
+
+/// A sweep of a spinning sensor that drives meanwhile, before a rough wall; all coordinates are multiples of 1/1024, so that points
+/// are the same numbers on the host whatever a device contracts.
+Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
+    std::mt19937_64 random(rows * 977 + columns);
+    std::uniform_real_distribution<float> unit(0.0f, 1.0f);
+    Clouds c{{rows, columns, true}, {}, {}, {}};
+    const auto on = [](float x, float steps) { return std::round(x * steps) / steps; };
+    for (std::uint32_t i = 0; i < rows * columns; ++i) {
+        // uneven rows
+        const float azimuth = 6.2831853f * float(i % columns) / float(columns),
+                    elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);
+        c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0},
+                          {on(std::cos(azimuth), 64), on(std::sin(azimuth), 64), on(elevation, 64)}});
+        const float range = on(6.0f + 3.0f * std::sin(5.0f * azimuth) + unit(random), 16);
+        c.simulated.push_back(unit(random) < missing ? 0.0f : range);
+        c.measured.push_back(unit(random) < missing ? 0.0f : on(range + 0.5f * unit(random) - 0.25f, 16));
+    }
+    return c;
+}
+
+struct FoundChamfer {
+    std::array<std::vector<std::uint32_t>, 2> nearest;
+    double loss = 0.0;
+    std::vector<float> upstream;   ///< [n,5]
+};
+
+struct Setting {
+    bool normalised = false;
+    bool image = true;
+    std::uint32_t stride = 1;
+    float weight = 1.0f;   ///< W of every rendered ray
+};
+
+FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
+    const std::size_t n = c.rays.size();
+    std::vector<shared::RenderedRay> rendered;
+    std::vector<DeviceRay> rays(n * s.stride);
+    std::vector<DeviceTarget> targets(n * s.stride);
+    for (std::size_t i = 0; i < n; ++i) {
+        const bool dropped = c.simulated[i] == 0.0f;
+        shared::RenderedRay& ray = rendered.emplace_back();
+        ray.depth = c.simulated[i] * (s.normalised ? s.weight : 1.0f), ray.weight = s.weight, ray.intensity = 0.5f;
+        ray.hit_logit = dropped ? 0.0f : 1.0f, ray.drop_logit = dropped ? 1.0f : 0.0f;
+        rays[i * s.stride] = c.rays[i];
+        targets[i * s.stride] = {c.measured[i], 0.5f, 1.0f};
+    }
+    LossWeights weights;
+    weights.chamfer = 1.0f;
+    weights.normalised_depth = s.normalised;
+    ChamferLoss loss(device, weights, static_cast<std::uint32_t>(n));
+    Stream stream(device);
+    const Array<shared::RenderedRay> r(device, rendered, "rendered");
+    const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
+    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(rays), "rays");
+    const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
+    Array<shared::RayGradient> upstream(device, n, "upstream");
+    stream.fill(upstream);
+    loss.compare(stream, {{&device_rays, 0, s.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
+                 {&t, 0, s.stride, static_cast<std::uint32_t>(n), 0, 0, s.image ? c.image : ImageShape{}}, terms);
+    stream.finish();
+    return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
+}
+
+/// Points as the device sees them, relative to the first ray's origin; infinite where there is none.
+std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
+    std::vector<glm::vec3> result;
+    for (std::size_t i = 0; i < range.size(); ++i)
+        result.push_back(range[i] > 0.0f ? c.rays[i].origin - c.rays[0].origin + range[i] * c.rays[i].direction : glm::vec3(kInfinity));
+    return result;
+}
+
+/// In the kernel's order of operations: distances are compared for equality.
+float squared(const glm::vec3& a, const glm::vec3& b) {
+    const glm::vec3 d = a - b;
+    return (d.x * d.x + d.y * d.y) + d.z * d.z;
+}
+
+void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud, const std::vector<std::uint32_t>& found,
+                    const char* what) {
+    ASSERT_EQ(found.size(), queries.size());
+    for (std::size_t i = 0; i < queries.size(); ++i) {
+        float best = kInfinity;
+        if (std::isfinite(queries[i].x))
+            for (const glm::vec3& p : cloud)
+                if (std::isfinite(p.x)) best = std::min(best, squared(queries[i], p));
+        if (best == kInfinity) EXPECT_EQ(found[i], ~0u) << what << " " << i;
+        else EXPECT_EQ(squared(queries[i], cloud.at(found[i])), best) << what << " " << i;
+    }
+}
+
+void expect_exact(const Clouds& c, const FoundChamfer& found, const std::string& what) {
+    const std::vector<glm::vec3> simulated = points(c, c.simulated), measured = points(c, c.measured);
+    expect_nearest(simulated, measured, found.nearest[0], (what + ", simulated").c_str());
+    expect_nearest(measured, simulated, found.nearest[1], (what + ", measured").c_str());
+}
+
+TEST_F(Chamfer, NearestNeighboursAreExact) {
+    for (const auto& [rows, columns] : {std::pair{16u, 200u}, {33u, 61u}, {1u, 300u}, {64u, 3u}, {5u, 1u}})
+        for (const float missing : {0.0f, 0.3f, 0.97f}) {
+            const Clouds c = lattice_scan(rows, columns, missing);
+            expect_exact(c, device_chamfer(device(), c), std::to_string(rows) + " x " + std::to_string(columns));
+        }
+}
+
+TEST_F(Chamfer, CloudsWithoutImageOrderAreExactToo) {
+    Clouds c = lattice_scan(16, 200, 0.2f);
+    std::mt19937_64 random(6);
+    for (std::size_t i = c.rays.size() - 1; i > 0; --i) {
+        const std::size_t k = random() % (i + 1);
+        std::swap(c.rays[i], c.rays[k]), std::swap(c.simulated[i], c.simulated[k]), std::swap(c.measured[i], c.measured[k]);
+    }
+    for (const bool image : {false, true})
+        expect_exact(c, device_chamfer(device(), c, {.image = image}), image ? "shuffled image" : "shuffled list");
+    const Clouds ordered = lattice_scan(16, 100, 0.2f);
+    expect_exact(ordered, device_chamfer(device(), ordered, {.image = false, .stride = 3}), "every third ray");
+}
+
+TEST_F(Chamfer, DegenerateClouds) {
+    const Clouds scan = lattice_scan(8, 40, 0.0f);
+    const auto expect = [&](const char* what, const std::function<void(Clouds&)>& change) {
+        Clouds c = scan;
+        change(c);
+        const FoundChamfer found = device_chamfer(device(), c);
+        expect_exact(c, found, what);
+        const bool empty = c.simulated == std::vector<float>(320, 0.0f) || c.measured == std::vector<float>(320, 0.0f);
+        EXPECT_EQ(found.loss == 0.0, empty || c.simulated == c.measured) << what;
+        for (const float x : found.upstream) EXPECT_TRUE(std::isfinite(x) && (!empty || x == 0.0f)) << what;
+    };
+    const std::vector<float> none(320, 0.0f);
+    std::vector<float> one = none, far = none;
+    one[77] = 5.0f, far[300] = 4096.0f;
+    expect("nothing simulated", [&](Clouds& c) { c.simulated = none; });
+    expect("nothing measured", [&](Clouds& c) { c.measured = none; });
+    expect("nothing at all", [&](Clouds& c) { c.simulated = c.measured = none; });
+    expect("one point simulated", [&](Clouds& c) { c.simulated = one; });
+    expect("one point each, far apart", [&](Clouds& c) { c.simulated = one, c.measured = far; });
+    expect("outliers", [&](Clouds& c) { c.simulated[5] = c.measured[211] = 4096.0f; });
+    expect("equal clouds", [&](Clouds& c) { c.measured = c.simulated; });
+    expect("all points in one place", [&](Clouds& c) {
+        for (DeviceRay& ray : c.rays) ray = c.rays[0];
+        c.simulated.assign(320, 3.0f), c.measured.assign(320, 4.0f);
+    });
+}
+
+TEST_F(Chamfer, UnknownDroppedAndThinRaysAreNoPoints) {
+    const Clouds c = lattice_scan(4, 20, 0.0f);
+    const FoundChamfer thin = device_chamfer(device(), c, {.weight = 0.05f}), solid = device_chamfer(device(), c, {.weight = 0.2f});
+    EXPECT_EQ(thin.nearest[0], std::vector<std::uint32_t>(80, ~0u)) << "hardly any weight";
+    EXPECT_EQ(thin.loss, 0.0);
+    EXPECT_NE(solid.nearest[0][0], ~0u);
+    Clouds broken = c;
+    broken.simulated[7] = std::numeric_limits<float>::quiet_NaN();
+    const FoundChamfer found = device_chamfer(device(), broken);
+    EXPECT_EQ(found.nearest[0][7], ~0u);
+    for (const std::uint32_t i : found.nearest[1]) EXPECT_NE(i, 7u);
+    EXPECT_TRUE(std::isfinite(found.loss));
+}
+
+TEST_F(Chamfer, AgreesWithReference) {
+    for (const bool normalised : {false, true}) {
+        Clouds c = lattice_scan(16, 120, 0.2f);
+        std::mt19937_64 random(1);
+        std::uniform_real_distribution<float> unit(-1.0f, 1.0f);
+        std::vector<reference::ChamferRay> rays;
+        for (std::size_t i = 0; i < c.rays.size(); ++i) {
+            c.rays[i].direction = glm::normalize(c.rays[i].direction);
+            if (c.simulated[i] > 0.0f) c.simulated[i] += 0.3f * unit(random);   // pairs beyond doubt: no ties
+            rays.push_back({c.rays[i].origin, c.rays[i].direction, c.simulated[i], c.measured[i]});
+        }
+        const float weight = 0.6f;
+        std::vector<double> d_range;
+        const double loss = reference::chamfer_loss(rays, &d_range);
+        const FoundChamfer found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
+        EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
+        std::vector<double> expected, actual;   // of the norm of all: differences of points 10 m away hold 1e-6 m
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            const float* row = &found.upstream[5 * i];
+            expected.insert(expected.end(),
+                            {normalised ? d_range[i] / weight : d_range[i], normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
+            actual.insert(actual.end(), {row[0], row[1]});
+            EXPECT_EQ(d_range[i] != 0.0, row[0] != 0.0f) << "ray " << i;
+            for (std::size_t k = 2; k < 5; ++k) EXPECT_EQ(row[k], 0.0f);
+        }
+        EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream, found.upstream)
+            << "the same bits every time";
+        test::GradientTable table;
+        table.add_row("depth and weight", expected, actual);
+        EXPECT_GT(table.groups().begin()->second.largest_row(), 0.0);
+        EXPECT_LE(table.worst_error(), test::kKernelGradient);
+    }
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+// diff/loss/ssim and diff/loss/ssim_vjp against the double reference: values and derivatives on images with
+// unknown and dropped pixels, whole
+// sweeps and windows, fewer rows and columns than the window, strided targets; what lies at a dropped pixel plays no part.
+#include <random>
+
+#include <relidar/diff/forward.hpp>
+#include <relidar/diff/loss.hpp>
+
+#include "../../reference/ssim.hpp"
+#include "../../support/device.hpp"
+#include "../../support/gradient_check.hpp"
+
+namespace relidar {
+namespace {
+
+using reference::Image;
+
+class Ssim : public test::DeviceTest {};
+
+Image random_image(int rows, int columns, bool circular, double known_share) {
+    std::mt19937_64 random(std::uint64_t(rows * 1000 + columns));
+    std::uniform_real_distribution<double> unit(0.0, 1.0);
+    Image image{rows, columns, circular, {}, {}, {}};
+    for (int i = 0; i < rows * columns; ++i) {
+        const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);   // half the image nearly flat: small variances
+        image.y.push_back(float(flat));
+        image.x.push_back(float(flat + 0.05 * unit(random)));
+        image.known.push_back(unit(random) < known_share);
+    }
+    return image;
+}
+
+struct Result {
+    double ssim = 0.0, l1 = 0.0;
+    std::vector<double> d_x;
+};
+
+/// The device's loss; every pixel that is not known is dropped or unknown by turns, and holds nonsense.
+Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
+    const std::size_t n = image.x.size();
+    std::vector<shared::RenderedRay> rendered;
+    std::vector<DeviceTarget> targets(n * stride);
+    double known = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+        known += image.known[i];
+        shared::RenderedRay& ray = rendered.emplace_back();
+        ray.depth = 10.0f, ray.weight = 1.0f, ray.intensity = image.known[i] ? float(image.x[i]) : 7.0f;
+        targets[i * stride] = image.known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f}
+                              : i % 2        ? DeviceTarget{0.0f, 5.0f, 1.0f}
+                                             : DeviceTarget{10.0f, 5.0f, 0.0f};
+    }
+    LossWeights weights;
+    weights.intensity = 1.0f;
+    weights.intensity_ssim = share;
+    ImageLoss loss(device, weights, static_cast<std::uint32_t>(n));
+    Stream stream(device);
+    const Array<shared::RenderedRay> r(device, rendered, "rendered");
+    const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
+    const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
+    Array<shared::RayGradient> upstream(device, n, "upstream");
+    const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns), image.circular};
+    loss.compare(stream, {{}, &r, &upstream}, {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, terms);
+    stream.finish();
+    Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
+    for (const shared::RayGradient& g : upstream.download()) result.d_x.push_back(g.intensity);
+    return result;
+}
+
+TEST_F(Ssim, AgreesWithReference) {
+    struct Case {
+        int rows, columns;
+        bool circular;
+        double known;
+        std::uint32_t stride;
+    };
+    for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1}, Case{3, 7, true, 1.0, 1},
+                          Case{33, 37, true, 0.15, 2}}) {
+        const Image image = random_image(c.rows, c.columns, c.circular, c.known);
+        std::vector<double> expected;
+        const double loss = reference::ssim_loss(image, &expected);
+        const Result found = device_ssim(device(), image, 1.0f, c.stride);
+        EXPECT_NEAR(found.ssim, loss, 1e-4 * loss) << c.rows << " x " << c.columns;
+        EXPECT_EQ(found.l1, 0.0);
+        test::GradientTable table;
+        table.add_row("image", expected, found.d_x);
+        EXPECT_EQ(table.groups().at("image").missing_rows(), 0u);
+        EXPECT_LE(table.worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
+        for (std::size_t i = 0; i < expected.size(); ++i)
+            EXPECT_TRUE(image.known[i] || found.d_x[i] == 0.0) << "pixel " << i << " takes no part";
+    }
+}
+
+TEST_F(Ssim, SharesTheIntensityTermWithL1) {
+    const Image image = random_image(8, 20, true, 0.9);
+    const Result all = device_ssim(device(), image, 1.0f), none = device_ssim(device(), image, 0.0f),
+                 some = device_ssim(device(), image, 0.15f);
+    EXPECT_EQ(none.ssim, 0.0);
+    EXPECT_NEAR(some.ssim, 0.15 * all.ssim, 1e-6);
+    EXPECT_NEAR(some.l1, 0.85 * none.l1, 1e-6);
+    for (std::size_t i = 0; i < image.x.size(); ++i) EXPECT_NEAR(some.d_x[i], 0.15 * all.d_x[i] + 0.85 * none.d_x[i], 1e-7);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+// diff/loss/surfel_loss against the double reference: a background without a box and two actors; gradients are added to what is there, in
+// touched rows only; surfels outside their box come back.
+#include <cmath>
+#include <random>
+
+#include <relidar/diff/loss.hpp>
+#include <relidar/diff/optimizer.hpp>
+#include <relidar/scene/device_scene.hpp>
+
+#include "../../reference/surfel_loss.hpp"
+#include "../../support/device.hpp"
+#include "../../support/gradient_check.hpp"
+
+namespace relidar {
+namespace {
+
+class SurfelLossTest : public test::DeviceTest {};
+
+constexpr std::uint32_t kBackground = 70, kActor = 45;
+
+Scene random_scene() {
+    std::mt19937_64 random(8);
+    std::uniform_real_distribution<float> uniform(-3.0f, 3.0f);
+    Scene scene;
+    scene.surfels.resize(kBackground + 2 * kActor);
+    for (glm::vec3& m : scene.surfels.mean) m = {uniform(random), uniform(random), uniform(random)};
+    for (glm::vec4& q : scene.surfels.rotation) q = {1, 0, 0, 0};
+    for (glm::vec2& s : scene.surfels.log_scale) s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
+    for (float& o : scene.surfels.opacity_logit) o = 4.0f * uniform(random);
+    scene.surfels.opacity_logit[3] = 500.0f, scene.surfels.opacity_logit[4] = -500.0f;
+    scene.models = {{"background", 0, kBackground},
+                    {"a", kBackground, kActor, {2.0f, 0.9f, 0.75f}},
+                    {"b", kBackground + kActor, kActor, {1.0f, 0.3f, 0.85f}}};
+    scene.instances = {{0, ""}, {2, "b"}, {1, "a"}};
+    return scene;
+}
+
+/// All rows of surfels, then touched rows of 3D Gaussians.
+TEST_F(SurfelLossTest, AgreesWithReference) {
+    Scene scene = random_scene();
+    LossWeights weights;
+    weights.box = 0.3f;
+    const std::size_t n = scene.surfels.size();
+    for (const bool all : {true, false}) {
+        if (!all) make_primitive(scene.surfels, Primitive::gaussian, 3.0);
+        const bool is_gaussian = !all;
+        std::vector<std::uint32_t> touched(n);
+        for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
+        Stream stream(device());
+        DeviceScene on_device(device(), scene);
+        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
+        d.fill_zero(stream);
+        stream.fill(d.mean, 0x3e800000u);   // 0.25
+        const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
+        SurfelLoss loss(device(), weights);
+        loss.regularise(stream, on_device, {&d, all ? nullptr : &rows}, terms);
+        stream.finish();
+
+        double box = 0.0;
+        test::GradientTable table;
+        const Surfels found = d.download();
+        for (std::size_t i = 0; i < n; ++i) {
+            reference::BoxedSurfel expected, ignored;
+            expected.mean = {0.25, 0.25, 0.25};
+            const bool write = all || touched[i];
+            if (i >= kBackground) {
+                const glm::dvec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
+                const Surfels& s = scene.surfels;
+                reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z}, {s.log_scale[i].x, s.log_scale[i].y}};
+                if (is_gaussian) surfel.log_scale_w = s.log_scale_w[i];
+                box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)}, 0.3 / (2 * kActor), write ? expected : ignored);
+            }
+            table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]},
+                          {found.mean[i].x, found.mean[i].y, found.mean[i].z});
+            table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]}, {found.log_scale[i].x, found.log_scale[i].y});
+            if (is_gaussian) table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
+        }
+        EXPECT_NEAR(terms.download()[loss_term::box], 0.3 * box / (2 * kActor), 1e-5 * box);
+        EXPECT_LE(table.worst_error(), test::kKernelGradient);
+        for (const auto& [name, group] : table.groups()) EXPECT_EQ(group.missing_rows(), 0u) << name;
+    }
+}
+
+TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
+    const Scene scene = random_scene();
+    LossWeights weights;
+    weights.box = 1.0f;
+    Stream stream(device());
+    DeviceScene on_device(device(), scene);
+    SurfelArrays d(device(), on_device.size(), "gradient");
+    const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
+    SurfelLoss loss(device(), weights);
+    Adam adam(device(), on_device.size(), {});
+    for (int step = 1; step <= 150; ++step) {
+        d.fill_zero(stream);
+        loss.regularise(stream, on_device, {&d, nullptr}, terms);
+        adam.step(stream, on_device.parameters(), d, nullptr, {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);
+        stream.finish();
+    }
+    const Surfels end = on_device.parameters().download();
+    for (std::size_t i = 0; i < end.size(); ++i) {
+        if (i < kBackground) {
+            ASSERT_EQ(end.mean[i], scene.surfels.mean[i]);
+            continue;
+        }
+        const glm::vec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
+        for (int axis = 0; axis < 3; ++axis) EXPECT_LE(std::abs(end.mean[i][axis]), h[axis] + 0.05f) << "surfel " << i;
+        for (int axis = 0; axis < 2; ++axis) EXPECT_LE(std::exp(end.log_scale[i][axis]), 0.2f * glm::length(h) * 1.1f) << "surfel " << i;
+    }
+}
+
+}  // namespace
+}  // namespace relidar

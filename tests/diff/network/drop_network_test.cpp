@@ -1,0 +1,232 @@
+// SPDX-License-Identifier: Apache-2.0
+// Training and asking the ray-drop network: it learns a rule that no pixel shows by itself, gives the same answer twice, starts as nothing,
+// works on other image sizes, and refuses what it cannot work with.
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include <gmock/gmock.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/network.hpp>
+
+#include "../../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class DropNetworkTest : public test::DeviceTest {};
+
+/// Random intensities; a ray is dropped where its right neighbour is dark. The rendered logit says 0.3 everywhere.
+DropImage dark_neighbours(int rows, int columns, const RefineOptions& options, std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    const std::vector<std::string> names = drop_channel_names(options);
+    const std::size_t n = std::size_t(rows) * std::size_t(columns);
+    DropImage image{rows, columns, std::vector<float>(names.size() * n, 0.0f), std::vector<float>(n)};
+    float* intensity = image.channels.data() + n;
+    for (std::size_t i = 0; i < n; ++i) {
+        image.channels[i] = float(random() % 100) * 0.01f;
+        intensity[i] = float(random() % 100) * 0.01f;
+        image.channels[2 * n + i] = 0.3f;
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+        const std::size_t row = i / std::size_t(columns), right = row * std::size_t(columns) + (i + 1) % std::size_t(columns);
+        image.dropped[i] = intensity[right] < 0.3f ? 1.0f : 0.0f;
+    }
+    return image;
+}
+
+std::vector<DropImage> some_images(const RefineOptions& options, std::size_t n, int rows = 16, int columns = 40) {
+    std::vector<DropImage> images;
+    for (std::size_t i = 0; i < n; ++i) images.push_back(dark_neighbours(rows, columns, options, 20 + i));
+    return images;
+}
+
+double accuracy_of(const std::vector<float>& probability, const DropImage& image) {
+    double right = 0.0;
+    for (std::size_t i = 0; i < probability.size(); ++i) right += (probability[i] > 0.5f) == (image.dropped[i] > 0.5f);
+    return right / double(probability.size());
+}
+
+RefineOptions short_training() {
+    RefineOptions options;
+    options.levels = 1;
+    options.epochs = 40;
+    options.batch = 2;
+    options.rate = 0.02;
+    return options;
+}
+
+TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
+    RefineOptions options = short_training();
+    options.epochs = 20;
+    const DropNetwork network = train_drop_network(device(), some_images(options, 32), options, 1, {});
+    DropRefiner refiner(device(), network);
+    const DropImage seen_first_now = dark_neighbours(16, 40, options, 99), larger = dark_neighbours(25, 61, options, 98);
+    EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);   // 0.7 by always saying "returned"
+    EXPECT_GT(accuracy_of(refiner.refine(larger), larger), 0.97);
+    EXPECT_EQ(refiner.refine(larger), refiner.refine(larger));
+    const DropImage shapes[] = {seen_first_now, larger, dark_neighbours(20, 50, options, 97)};   // more than it keeps room for
+    for (const int which : {0, 1, 0, 2, 1, 2, 0})
+        EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which])) << which;
+}
+
+TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
+    RefineOptions options = short_training();
+    options.network = "pixel";
+    options.levels = -1;
+    const DropNetwork network = train_drop_network(device(), some_images(options, 4), options, 1, {});
+    const DropImage image = dark_neighbours(16, 40, options, 99);
+    EXPECT_LT(accuracy_of(DropRefiner(device(), network).refine(image), image), 0.8);
+}
+
+TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
+    RefineOptions options = short_training();
+    options.epochs = 2;
+    options.network = "paper";   // which drops values
+    options.width = 8;
+    const std::vector<DropImage> images = some_images(options, 4);
+    const DropNetwork a = train_drop_network(device(), images, options, 1, {}), b = train_drop_network(device(), images, options, 1, {}),
+                      c = train_drop_network(device(), images, options, 2, {});
+    EXPECT_EQ(a.parameters, b.parameters);
+    EXPECT_EQ(a.running, b.running);
+    EXPECT_NE(a.parameters, c.parameters);
+}
+
+TEST_F(DropNetworkTest, StartsAsTheRenderingItself) {
+    RefineOptions options = short_training();
+    options.epochs = 1;
+    options.rate = 1e-12;
+    const DropNetwork network = train_drop_network(device(), some_images(options, 2), options, 1, {});
+    for (const float p : DropRefiner(device(), network).refine(dark_neighbours(16, 40, options, 5)))
+        EXPECT_NEAR(p, 1.0 / (1.0 + std::exp(-0.3)), 1e-5);
+}
+
+TEST_F(DropNetworkTest, PixelsThatAreNotKnownDoNotCount) {
+    RefineOptions options = short_training();
+    options.epochs = 1;
+    std::vector<DropImage> images = some_images(options, 2), blinded = images;
+    for (std::size_t i = 0; i < 100; ++i) {
+        images[0].dropped[i] = images[1].dropped[i] = -1.0f;
+        blinded[0].dropped[i] = blinded[1].dropped[i] = -3.0f;
+    }
+    EXPECT_EQ(train_drop_network(device(), images, options, 1, {}).parameters,
+              train_drop_network(device(), blinded, options, 1, {}).parameters);
+}
+
+TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
+    const RefineOptions options = short_training();
+    int steps = 0;
+    const auto three = [&](const RefineProgress& p, const auto&) {
+        EXPECT_EQ(p.step, ++steps);
+        EXPECT_EQ(p.n_steps, 80);
+        return steps < 3;
+    };
+    const DropNetwork network = train_drop_network(device(), some_images(options, 4), options, 1, three);
+    EXPECT_EQ(steps, 3);
+    EXPECT_FALSE(network.empty());
+}
+
+/// Stops after a step, and gives the state there.
+RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, int step,
+                        const RefineState* start = nullptr) {
+    RefineState kept;
+    train_drop_network(
+        device, images, options, 1,
+        [&](const RefineProgress& p, const std::function<RefineState()>& state) {
+            if (p.step == step) kept = state();
+            return p.step < step;
+        },
+        start);
+    return kept;
+}
+
+TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
+    for (const char* name : {"small", "paper"}) {
+        RefineOptions options = short_training();
+        options.network = name;
+        options.width = 8;
+        options.rays = "origin,direction";
+        options.epochs = 4;
+        const std::vector<DropImage> images = some_images(options, 6);
+        std::vector<RefineProgress> whole, parts;
+        const auto told_to = [](std::vector<RefineProgress>& lines) {
+            return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
+        };
+        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(whole));
+        ASSERT_EQ(whole.size(), 12u);
+        const RefineState in_an_epoch = state_after(device(), images, options, 4),
+                          at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
+        EXPECT_EQ(at_its_end.step, 6);
+        EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
+        const DropNetwork resumed = train_drop_network(device(), images, options, 1, told_to(parts), &at_its_end);
+        EXPECT_EQ(resumed.parameters, expected.parameters) << name;
+        EXPECT_EQ(resumed.running, expected.running) << name;
+        EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
+        ASSERT_EQ(parts.size(), 6u);
+        for (std::size_t i = 0; i < parts.size(); ++i) {
+            EXPECT_EQ(parts[i].step, whole[i + 6].step);
+            EXPECT_EQ(parts[i].epoch, whole[i + 6].epoch);
+            EXPECT_EQ(parts[i].entropy, whole[i + 6].entropy);
+        }
+        const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
+        EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters, expected.parameters);
+        EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
+        options.epochs = 1;
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError) << "4 steps of 3";
+        options.epochs = 4;
+        options.width = 16;
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError) << "of another network";
+    }
+}
+
+TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
+    const auto message = [&](const std::vector<DropImage>& images, const RefineOptions& options) -> std::string {
+        try {
+            train_drop_network(device(), images, options, 1, {});
+        } catch (const Error& error) {
+            return error.what();
+        }
+        return "";
+    };
+    using testing::HasSubstr;
+    RefineOptions options = short_training();
+    options.levels = 3;
+    EXPECT_THAT(message(some_images(options, 1, 6, 40), options), HasSubstr("6 x 40 pixels, expected at least 8 x 8"));
+    EXPECT_THAT(message({}, options), HasSubstr("no images"));
+    std::vector<DropImage> images = some_images(options, 2);
+    images[1].channels[16 * 40 + 45] = std::numeric_limits<float>::quiet_NaN();
+    EXPECT_THAT(message(images, options), HasSubstr("image 1: intensity of row 1 and column 5 is nan"));
+    images = some_images(options, 2);
+    for (DropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
+    EXPECT_THAT(message(images, options), HasSubstr("no dropped ray"));
+    images = some_images(options, 1);
+    images.push_back(dark_neighbours(16, 41, options, 3));
+    EXPECT_THAT(message(images, options), HasSubstr("image 1 has 16 x 41 pixels, expected 16 x 40"));
+    images = some_images(options, 1);
+    images[0].dropped.clear();
+    EXPECT_THAT(message(images, options), HasSubstr("nothing was measured"));
+}
+
+TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
+    RefineOptions options = short_training();
+    options.epochs = 1;
+    DropNetwork network = train_drop_network(device(), some_images(options, 2), options, 1, {});
+    network.widths[0] += 1;
+    EXPECT_THAT([&] { DropRefiner(device(), network); }, testing::ThrowsMessage<DataError>(testing::HasSubstr("parameters, expected")));
+    network.widths[0] -= 1;
+    DropRefiner refiner(device(), network);
+    EXPECT_THAT([&] { refiner.refine({16, 40, std::vector<float>(16 * 40), {}}); },
+                testing::ThrowsMessage<DataError>(testing::HasSubstr("values of channels")));
+}
+
+TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
+    RefineOptions options;
+    options.network = "paper";
+    options.rays = "origin,direction";
+    EXPECT_EQ(drop_channel_names(options).size(), 7u);   // d, intensity, beta, origin, and of the direction the elevation
+    EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+// Images of the double reference on the device, as a slice of a larger tensor whose other channels must stay as they are.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <random>
+#include <span>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "../../reference/layers.hpp"
+#include "diff/network/tensor.hpp"
+
+namespace relidar::test {
+
+using reference::ImageBatch;
+
+/// Normal deviates that a float holds, times `scale`, plus `offset`.
+inline std::vector<double> random_floats(std::size_t n, std::uint64_t seed, double scale = 1.0, double offset = 0.0) {
+    std::mt19937_64 random(seed);
+    std::normal_distribution<double> normal;
+    std::vector<double> values(n);
+    for (double& x : values) x = double(float(offset + scale * normal(random)));
+    return values;
+}
+
+inline ImageBatch random_images(const refine::Grid& grid, int channels, std::uint64_t seed, double scale = 1.0, double offset = 0.0) {
+    ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
+    images.values = random_floats(images.values.size(), seed, scale, offset);
+    return images;
+}
+
+inline refine::Grid grid_of(const ImageBatch& images) {
+    return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns)};
+}
+
+template <class Meaning = void>
+Array<float, Meaning> to_device(Device& device, const std::vector<double>& values) {
+    const std::vector<float> floats(values.begin(), values.end());
+    return {device, std::span<const float>(floats), "values"};
+}
+
+template <class Meaning = void>
+Array<glm::vec2, Meaning> pairs_to_device(Device& device, const std::vector<double>& x, const std::vector<double>& y) {
+    std::vector<glm::vec2> pairs;
+    for (std::size_t i = 0; i < x.size(); ++i) pairs.emplace_back(float(x[i]), float(y[i]));
+    return {device, std::span<const glm::vec2>(pairs), "pairs"};
+}
+
+inline std::vector<double> doubles(const Array<float>& values) {
+    const std::vector<float> floats = values.download();
+    return {floats.begin(), floats.end()};
+}
+
+inline void upload(const refine::Tensor& tensor, const std::vector<float>& values) {
+    const_cast<refine::Tensor&>(tensor).values.upload(values);
+}
+inline void upload(const refine::Tensor& tensor, const std::vector<double>& values) {
+    upload(tensor, std::vector<float>(values.begin(), values.end()));
+}
+
+/// Images as channels [before, before + n) of a tensor.
+class OnDevice {
+public:
+    /// @param before,after  channels on both sides
+    OnDevice(Device& device, const ImageBatch& images, std::uint32_t before = 2, std::uint32_t after = 1)
+        : tensor_(device, before + std::uint32_t(images.channels) + after, grid_of(images), "images"),
+          before_(before),
+          shape_(images) {
+        std::vector<float> values(tensor_.channels * tensor_.grid.all_pixels(), kGuard);
+        for_slice([&](std::size_t in_tensor, std::size_t in_slice) { values[in_tensor] = float(images.values[in_slice]); });
+        upload(tensor_, values);
+    }
+    /// What is to be written: not a number until then.
+    static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels, std::uint32_t before = 1,
+                              std::uint32_t after = 2) {
+        ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
+        for (double& x : images.values) x = std::nan("");
+        return OnDevice(device, images, before, after);
+    }
+
+    refine::Slice slice() const { return tensor_.all().part(before_, std::uint32_t(shape_.channels)); }
+    /// The images; a failure where a neighbouring channel has changed.
+    ImageBatch read() const {
+        std::vector<float> values = tensor_.values.download();
+        ImageBatch images = shape_;
+        for_slice([&](std::size_t in_tensor, std::size_t in_slice) {
+            images.values[in_slice] = double(values[in_tensor]);
+            values[in_tensor] = kGuard;
+        });
+        std::size_t changed = 0;
+        for (const float x : values) changed += x != kGuard;
+        EXPECT_EQ(changed, 0u) << "values of neighbouring channels were written";
+        return images;
+    }
+
+private:
+    static constexpr float kGuard = 12344.0f;
+    refine::Tensor tensor_;
+    std::uint32_t before_;
+    ImageBatch shape_;
+
+    template <class Visit>
+    void for_slice(Visit&& visit) const {
+        const std::size_t pixels = shape_.pixels();
+        for (int image = 0; image < shape_.n; ++image)
+            for (int c = 0; c < shape_.channels; ++c)
+                for (std::size_t i = 0; i < pixels; ++i) {
+                    const std::size_t channel = std::size_t(image) * tensor_.channels + before_ + std::size_t(c);
+                    visit(channel * pixels + i, shape_.index(image, c, 0, 0) + i);
+                }
+    }
+};
+
+/// Largest error over the largest value expected: a single place that is wrong shows. Infinite where a value is not a number.
+inline double worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
+    if (actual.size() != expected.size()) return HUGE_VAL;
+    double worst = 0.0, largest = 0.0;
+    for (std::size_t i = 0; i < actual.size(); ++i) {
+        if (!std::isfinite(actual[i])) return HUGE_VAL;
+        worst = std::max(worst, std::abs(actual[i] - expected[i]));
+        largest = std::max(largest, std::abs(expected[i]));
+    }
+    return largest > 0.0 ? worst / largest : worst;
+}
+inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) { return worst_error(actual.values, expected.values); }
+
+/// 0 for values that the normalisation brings so near to 0 that rounding decides whether ReLU lets their gradient through.
+inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std::vector<double>& beta, const std::vector<double>& gamma) {
+    reference::NormLayer above{beta, gamma, {}}, below = above;
+    for (double& x : below.beta) x = -x;
+    for (double& x : below.gamma) x = -x;
+    const reference::Moments moments = reference::moments_of(from);
+    const ImageBatch positive = reference::normalise(from, moments, above), negative = reference::normalise(from, moments, below);
+    for (std::size_t i = 0; i < asked.values.size(); ++i)
+        if (positive.values[i] + negative.values[i] < 1e-5) asked.values[i] = 0.0;
+}
+
+inline double dot(const std::vector<double>& a, const std::vector<double>& b) {
+    double sum = 0.0;
+    for (std::size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+/// Single precision: sums of some hundred products.
+inline constexpr double kLayer = 1e-5;
+
+}  // namespace relidar::test

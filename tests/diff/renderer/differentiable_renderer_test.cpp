@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: Apache-2.0
+// The chain as one object, by its host arrays: gradients against the double reference, batches that grow, instances that move, and what is
+// refused. (Every way gradients are found and summed: tests/diff/backward.)
+#include <relidar/base/error.hpp>
+#include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/diff/optimizer.hpp>
+
+#include "../backward/passes.hpp"
+#include "../../support/surfels.hpp"
+
+namespace relidar {
+namespace {
+
+using test::lanes;
+
+class Differentiable : public test::DeviceTest {
+protected:
+    reference::Settings settings;
+    test::RandomScene scene = test::make_random_scene({.seed = 81, .actor_instances = 1, .rays = 40}, settings);
+    test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    WorldRays rays = test::to_world_rays(scene.rays);
+
+    void place(Renderer& renderer) {
+        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.place(glm::vec3(scene.view_origin));
+    }
+};
+
+RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
+    RenderedGradients result;
+    for (const reference::PixelGradient& g : d) {
+        result.depth.push_back(float(g.depth)), result.weight.push_back(float(g.weight)), result.intensity.push_back(float(g.intensity));
+        result.hit_logit.push_back(float(g.hit_logit)), result.drop_logit.push_back(float(g.drop_logit));
+    }
+    return result;
+}
+
+/// The reference's gradients of a scene's rays.
+reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings,
+                                        const std::vector<reference::PixelGradient>& d_rendered,
+                                        std::vector<reference::RayGradient>& d_rays) {
+    settings.view_origin = scene.view_origin;
+    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    reference::Gradients expected(scene.world);
+    for (std::size_t i = 0; i < scene.rays.size(); ++i)
+        d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], 16, d_rendered[i], expected));
+    return expected;
+}
+
+TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
+    const std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 5);
+    std::vector<reference::RayGradient> d_rays;
+    const reference::Gradients expected = expected_gradients(scene, settings, d_rendered, d_rays);
+    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {}, {.wanted = {.rays = true, .poses = true}});
+    place(renderer);
+    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});   // then a larger batch
+    EXPECT_EQ(renderer.forward(rays).size(), rays.size());
+    const HostGradients found = renderer.backward(to_arrays(d_rendered));
+    test::GradientTable table;
+    for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
+        table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(found.surfels.mean[i], 3));
+        table.add_row("opacity_logit", {expected.surfels[i].opacity_logit}, {found.surfels.opacity_logit[i]});
+        EXPECT_EQ(found.touched[i] != 0, glm::length(found.surfels.mean[i]) > 0.0f) << "surfel " << i;
+    }
+    ASSERT_EQ(found.rays.size(), 6 * rays.size());
+    for (std::size_t i = 0; i < d_rays.size(); ++i)
+        table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(&found.rays[6 * i + 3], 3));
+    ASSERT_EQ(found.poses.size(), 12u);
+    table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&found.poses[6], 3));
+    EXPECT_EQ(found.sensor.size(), 6u);
+    for (const auto& [name, group] : table.groups()) {
+        EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+        EXPECT_EQ(group.missing_rows(), 0u) << name;
+    }
+}
+
+TEST_F(Differentiable, LanesThatAreEmptyAreZeroAndNothingUnaskedComesBack) {
+    std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 6);
+    for (reference::PixelGradient& g : d_rendered) g = {.depth = g.depth};
+    const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
+    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {.keep_hits = 8}, bit_equal);
+    place(renderer);
+    renderer.forward(rays);
+    const HostGradients all = renderer.backward(to_arrays(d_rendered));
+    const HostGradients depth_alone = renderer.backward({.depth = to_arrays(d_rendered).depth});
+    EXPECT_EQ(depth_alone.surfels.mean, all.surfels.mean);
+    EXPECT_EQ(depth_alone.surfels.sh, std::vector<float>(all.surfels.sh.size(), 0.0f));
+    EXPECT_TRUE(all.poses.empty() && all.sensor.empty() && all.rays.empty());
+}
+
+TEST_F(Differentiable, MovedIsAsPlaced) {
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        settings.image.sh_direction = direction;
+        Renderer moved(device(), placed.scene, settings.image), anew(device(), placed.scene, settings.image);
+        place(moved);
+        std::vector<InstancePose> poses = moved.scene().poses();
+        poses[1].world_from_model.translation.x += 0.3;
+        moved.move(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        anew.place(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        const Rendering a = moved.forward(rays), b = anew.forward(rays);
+        EXPECT_EQ(a.depth, b.depth);
+        EXPECT_EQ(a.intensity, b.intensity);
+    }
+}
+
+/// A loss of one's own on the host: the mean squared error of intensity falls.
+TEST_F(Differentiable, ALossOfOnesOwnLearns) {
+    DifferentiableRenderer renderer(device(), placed.scene, settings.image);
+    Adam adam(device(), renderer.scene().size(), {});
+    std::vector<double> losses;
+    for (int step = 1; step <= 30; ++step) {
+        place(renderer);
+        const Rendering r = renderer.forward(rays);
+        RenderedGradients d{.intensity = std::vector<float>(r.size())};
+        losses.push_back(0.0);
+        for (std::size_t i = 0; i < r.size(); ++i) {
+            const float error = r.intensity[i] - 0.3f * r.weight[i];
+            losses.back() += error * error;
+            d.intensity[i] = 2.0f * error;
+        }
+        renderer.backward(d);
+        const Gradients& gradients = renderer.gradients();
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05},
+                  step, 3);
+    }
+    EXPECT_LT(losses.back(), 0.1 * losses.front());
+}
+
+TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
+    DifferentiableRenderer renderer(device(), placed.scene, settings.image);
+    EXPECT_THROW(renderer.forward(rays), UsageError) << "not placed";
+    EXPECT_THROW(renderer.backward({}), UsageError) << "not rendered";
+    place(renderer);
+    renderer.forward(rays);
+    EXPECT_THROW(renderer.backward({.weight = std::vector<float>(3)}), DataError);
+    EXPECT_THROW(renderer.upload(placed.scene.surfels.slice(0, 2)), DataError);
+    EXPECT_THROW(renderer.place({InstancePose{}}, glm::vec3(0.0f)), DataError);
+    renderer.change_surfels([](double bytes) { EXPECT_GT(bytes, 0.0); });
+    EXPECT_THROW(renderer.forward(rays), UsageError) << "the structure is gone";
+    place(renderer);
+    EXPECT_EQ(renderer.forward(rays).size(), rays.size());
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "diff/traversal/collect_hits.hpp"
+#include "collect.hpp"
+
+#include <gtest/gtest.h>
+
+#include "gpu/stream.hpp"
+
+namespace relidar::test {
+
+CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, shared::TraceScene scene,
+                      const WorldRays& rays, std::uint32_t max_hits) {
+    const Kernel<shared::CollectHitsParams> collect_hits(device, "diff/traversal/collect_hits", variant, constants);
+    const std::size_t n = rays.size(), n_slots = n * max_hits;
+    const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::HitCounts> counts(device, n, "counts");
+    const Array<std::uint32_t, shared::HitInstances> instance(device, n_slots, "instances");
+    const Array<std::uint32_t, shared::HitSurfels> surfel(device, n_slots, "surfels");
+    const Array<float, shared::HitDistances> t(device, n_slots, "distances");
+    scene.rays = device_rays.address();
+    scene.pass_cap_count = pass_cap.address();
+    scene.n_rays = static_cast<std::uint32_t>(n);
+    Stream stream(device);
+    run(stream, collect_hits, n,
+        {.scene = scene,
+         .counts = counts.address(),
+         .t = t.address(),
+         .instance = instance.address(),
+         .surfel = surfel.address(),
+         .max_hits = max_hits});
+    stream.finish();
+    EXPECT_EQ(pass_cap.download()[0], 0u) << variant.suffix << ": rays that did not end";
+    return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fixture of the device's half of the traversal conformance suite: collected hits against a host provider. All decide by the same float
+// function, so ordered ids must be equal; what single precision cannot decide (a hit within rounding of its outline, two t within
+// rounding of each other) is counted and bounded.
+#pragma once
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+#include "diff/traversal/collect_hits.hpp"
+#include "../../support/device.hpp"
+#include "../../support/placed.hpp"
+#include "cases.hpp"
+#include "hit_comparison.hpp"
+
+namespace relidar::test {
+
+constexpr std::uint32_t kMaxHits = 256;
+
+inline std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t ray) {
+    std::vector<reference::Hit> hits;
+    for (std::uint32_t i = 0; i < std::min(c.counts[ray], c.max_hits); ++i) {
+        const std::size_t slot = ray * c.max_hits + i;
+        hits.push_back({c.t[slot], c.instance[slot], c.surfel[slot]});
+    }
+    return hits;
+}
+
+/// Hits of a scene that to_scene() made, by the world's numbers of its surfels.
+inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
+    for (std::size_t ray = 0; ray < hits.counts.size(); ++ray)
+        for (std::uint32_t i = 0; i < std::min(hits.counts[ray], hits.max_hits); ++i) {
+            std::uint32_t& surfel = hits.surfel[ray * hits.max_hits + i];
+            surfel = placed.original.at(surfel);
+        }
+    return hits;
+}
+
+class DeviceHits : public DeviceTest {
+protected:
+    /// Compares every ray of a case with a host provider (float canonical).
+    HitDifferences compare(const TraversalCase& c, const reference::HitProvider& expected, const CollectedHits& actual) {
+        const reference::World world = to_world(c);
+        const std::vector<reference::Ray> rays = to_reference(c.rays);
+        HitDifferences differences;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            EXPECT_LE(actual.counts[i], kMaxHits) << "the case has more hits than the test keeps";
+            compare_hits(world, {}, rays[i], i, reference::all_hits(expected, rays[i], 64), hits_of(actual, i), differences);
+        }
+        return differences;
+    }
+
+    void expect_equal(const TraversalCase& c, const HitDifferences& d, const std::string& title) {
+        EXPECT_EQ(d.n_errors, 0u) << d.summary(title) << "\n" << d.first_error;
+        const std::size_t allowed = c.grazing ? d.n_rays / 100 : 2 + d.n_rays / 5000;
+        EXPECT_LE(d.n_different_rays, allowed) << d.summary(title);
+    }
+};
+
+}  // namespace relidar::test

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// The traversal contract on the device (diff/traversal/collect_hits): ray query over triangles and over boxes, the software tree walked by
+// lanes and by subgroups, and brute force, against the host's brute force and Embree.
+#include "gpu/forced.hpp"
+#include "diff/traversal/collect_hits.hpp"
+#include "device_hits.hpp"
+
+namespace relidar {
+namespace {
+
+using test::HitDifferences;
+using test::hits_of;
+using test::kMaxHits;
+using test::TraversalCase;
+
+class DeviceHits : public test::DeviceHits {
+protected:
+    CollectedHits collect(const TraversalCase& c, const AccelOptions& accel, const TraceOptions& trace) {
+        const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
+        ImageModel model;
+        model.primitive = c.surfels.primitive;
+        return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays, kMaxHits),
+                              placed);
+    }
+    void expect_conformance(const std::vector<TraversalCase>& cases);
+};
+
+struct Setting {
+    const char* name;
+    AccelOptions accel;
+    TraceOptions trace;
+    bool brute_force = false;
+};
+
+/// What the test device's traversal can be told to do, brute force last.
+std::vector<Setting> providers(const Device& device, int chunk) {
+    const Setting brute{"brute force", {}, {.chunk = chunk}, true};
+    if (device.traversal() == Traversal::software)
+        return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}}, {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}}, brute};
+    return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}}, {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}}, brute};
+}
+
+void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
+    for (const TraversalCase& c : cases) {
+        const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
+        for (const int chunk : {1, 5, 32})
+            for (const Setting& s : providers(device(), chunk)) {
+                const std::string title = c.name + ", " + s.name + ", chunk " + std::to_string(chunk);
+                const Forced forced(device(), {.brute_force = s.brute_force});
+                expect_equal(c, compare(c, brute, collect(c, s.accel, s.trace)), title);
+            }
+    }
+}
+
+TEST_F(DeviceHits, ConformanceCases) { expect_conformance(test::conformance_cases(11, 1000)); }
+TEST_F(DeviceHits, ConformanceCasesOfGaussians) { expect_conformance(test::gaussian_cases(13, 500)); }
+
+TEST_F(DeviceHits, CasesThatMove) { expect_conformance(test::moving_cases(17, 200)); }
+
+class ChunkSize : public DeviceHits, public testing::WithParamInterface<Primitive> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize, testing::Values(Primitive::surfel, Primitive::gaussian));
+
+TEST_P(ChunkSize, DoesNotMatter) {
+    const TraversalCase c = GetParam() == Primitive::gaussian ? test::crowded_case(6, 100, 500) : test::random_case(5, 400, 2000);
+    const CollectedHits expected = collect(c, {}, {.chunk = 64});
+    for (const int chunk : {1, 5, 32})
+        for (const Setting& s : providers(device(), chunk)) {
+            const Forced forced(device(), {.brute_force = s.brute_force});
+            const CollectedHits actual = collect(c, s.accel, s.trace);
+            EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
+            for (std::size_t ray = 0; ray < c.rays.size(); ++ray)
+                ASSERT_EQ(hits_of(actual, ray), hits_of(expected, ray)) << s.name << ", chunk " << chunk << ", ray " << ray;
+        }
+}
+
+}  // namespace
+}  // namespace relidar

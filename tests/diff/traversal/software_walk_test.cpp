@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// The walk of software_bvh.glsl alone, over trees built on the host: what fails here is the traversal, not the device's builder.
+#include "diff/traversal/collect_hits.hpp"
+#include "../../support/host_bvh.hpp"
+#include "collect.hpp"
+#include "device_hits.hpp"
+#include "diff/traversal/trace_scene.hpp"
+
+namespace relidar {
+namespace {
+
+using test::TraversalCase;
+
+class SoftwareWalk : public test::DeviceHits {
+protected:
+    CollectedHits collect(const TraversalCase& c, std::uint32_t chunk, std::uint32_t packet) {
+        const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
+        Stream stream(device());
+        DeviceScene scene(device(), placed.scene);
+        scene.set_poses(placed.world_from_instance);
+        ImageModel model;
+        model.primitive = c.surfels.primitive;
+        scene.activate(stream, model, glm::vec3(0.0f));
+        stream.finish();
+        const test::HostBvh bvh(device(), scene);
+        const shared::TraceScene trace = trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
+        const auto primitive = static_cast<std::uint32_t>(c.surfels.primitive);
+        const std::vector<Constant> constants{
+            {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::PRIMITIVE, primitive}};
+        return test::in_world(test::collect(device(), KernelVariant("@software_bvh"), constants, trace, c.rays, test::kMaxHits),
+                              placed);
+    }
+};
+
+TEST_F(SoftwareWalk, ConformanceCases) {
+    if (device().traversal() != Traversal::software) GTEST_SKIP() << "the software traversal's own";
+    std::vector<TraversalCase> cases = test::conformance_cases(21, 1000);
+    cases.push_back(test::crowded_case(22, 120, 500));
+    for (const TraversalCase& c : cases) {
+        const reference::BruteForce brute(test::to_world(c), {}, reference::Precision::float_record);
+        for (const std::uint32_t chunk : {1u, 5u, 64u})
+            for (std::uint32_t packet = 0; packet <= (device().info().type == "CPU" ? 2u : 1u); ++packet)
+                expect_equal(c, compare(c, brute, collect(c, chunk, packet)),
+                             c.name + (packet ? ", subgroup" : ", lane") + (packet == 2 ? ", sharing loads" : "") + ", chunk " +
+                                 std::to_string(chunk));
+    }
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+// A scan that cannot be read ends the reading of a log, or is left out of it as if it had never been there.
+#include <relidar/log/dataset.hpp>
+
+#include <algorithm>
+#include <cstring>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/clouds.hpp>
+
+#include "log/readers/argoverse2/argoverse2_log.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
+#include "log/readers/nuscenes/nuscenes_folder.hpp"
+#include "log/clouds/point_writers.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+DatasetOptions skipping(const std::string& part = {}) {
+    DatasetOptions options;
+    options.sequence = part;
+    options.skip_broken = true;
+    return options;
+}
+
+/// Half of a file is gone.
+void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
+
+std::vector<int> numbers(const Sequence& sequence) {
+    std::vector<int> numbers;
+    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
+    numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
+    return numbers;
+}
+
+/// Cuts a scan in the middle of the log: an error, or the others alone, with a note. @param part  of a dataset with several
+/// @return what is left of the log
+Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number, const std::string& part = {}) {
+    SCOPED_TRACE(scan.string());
+    DatasetOptions strict = skipping(part);
+    strict.skip_broken = false;
+    std::vector<int> expected = numbers(load_sequence(log.string(), skipping(part)));
+    EXPECT_EQ(std::erase(expected, number), 1u);
+    cut(scan);
+    EXPECT_THROW(load_sequence(log.string(), strict), DataError);
+    Sequence left = load_sequence(log.string(), skipping(part));
+    EXPECT_EQ(numbers(left), expected);
+    const auto told = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
+        return note.starts_with("a broken scan is left out: ") && note.find(scan.filename().string()) != std::string::npos;
+    });
+    EXPECT_EQ(told, 1) << testing::PrintToString(left.notes);
+    for (const Frame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
+    return left;
+}
+
+TEST(BrokenScans, OfKittiAreAsMissingOnes) {
+    const test::KittiDrive drive("broken_scans");
+    const Sequence left = expect_left_out(drive.folder, drive.scan(1), 1);
+    fs::remove(drive.scan(1));
+    const Sequence missing = load_sequence(drive.folder.string(), {});
+    ASSERT_EQ(left.frames.size(), missing.frames.size());
+    EXPECT_EQ(left.world_from_vehicle.time_s, missing.world_from_vehicle.time_s);
+    for (std::size_t i = 0; i < left.frames.size(); ++i) {
+        EXPECT_EQ(left.frames[i].time_s, missing.frames[i].time_s);
+        EXPECT_TRUE(std::ranges::equal(left.frames[i].scan.range_m, missing.frames[i].scan.range_m)) << i;
+        const glm::dvec3 apart = left.world_from_vehicle.pose[i].translation + left.world_offset_m -
+                                 missing.world_from_vehicle.pose[i].translation - missing.world_offset_m;
+        EXPECT_LT(glm::length(apart), 1e-9) << i;
+    }
+    EXPECT_NO_THROW(check_sequence(left));
+}
+
+/// What reading a drive says. @return "" if it is read
+std::string complaint(const test::KittiDrive& drive) {
+    try {
+        load_sequence(drive.folder.string(), {});
+    } catch (const DataError& error) {
+        return error.what();
+    }
+    return "";
+}
+
+TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
+    const test::KittiDrive drive("cut_scans");
+    const std::string whole = test::read_text(drive.scan(1));
+    const std::size_t n = whole.size() / 16;
+    const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
+    put(whole.substr(0, 16 * (n / 3)));
+    EXPECT_THAT(complaint(drive), HasSubstr(fmt::format("0000000001.bin: {} points where the scans beside it have", n / 3)));
+    EXPECT_THAT(complaint(drive), HasSubstr("dataset.skip_broken=true leaves such scans out"));
+    put(whole.substr(0, 16 * (n - n / 8)));   // about eight rings of 64: not all have as many returns
+    EXPECT_THAT(complaint(drive), HasSubstr("0000000001.bin: its points end in ring 5"));
+    EXPECT_THAT(complaint(drive), HasSubstr("those of the scans beside it in ring 64"));
+    put(std::string(whole.size(), '\0'));
+    EXPECT_THAT(complaint(drive), HasSubstr(fmt::format("0000000001.bin: all {} points are at the sensor", n)));
+    const Sequence left = load_sequence(drive.folder.string(), skipping());
+    EXPECT_EQ(numbers(left), (std::vector<int>{0, 2}));
+    EXPECT_THAT(left.notes, testing::Contains(HasSubstr("a broken scan is left out: ")));
+    const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
+    for (const int kept_deg : {120, 270}) {   // in the last ring, and in the one before: one point in ten is missing anyway
+        const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
+        put(whole.substr(0, 16 * (n - n_missing)));
+        EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << kept_deg;
+    }
+    put(whole);
+    EXPECT_EQ(complaint(drive), "");
+    EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Not(early));
+}
+
+/// Writes all intensities of a drive anew. @param of  what stands in place of 0.25
+void set_intensities(const test::KittiDrive& drive, float of) {
+    for (int frame = 0; frame < 3; ++frame) {
+        std::string bytes = test::read_text(drive.scan(frame));
+        for (std::size_t at = 12; at < bytes.size(); at += 16) std::memcpy(bytes.data() + at, &of, sizeof of);
+        test::write_text(drive.scan(frame), bytes);
+    }
+}
+
+TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
+    const test::KittiDrive drive("intensities");
+    set_intensities(drive, 51.0f);
+    const Sequence log = load_sequence(drive.folder.string(), {});
+    const Scan& scan = log.frames[0].scan;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        if (scan.range_m[i] > 0.0f) ASSERT_FLOAT_EQ(scan.intensity[i], 0.2f);
+    EXPECT_THAT(log.notes, testing::Contains(HasSubstr("whole numbers up to 51: they are read as shares of 255")));
+    for (const float wrong : {1.5f, 256.0f, -1.0f}) {
+        set_intensities(drive, wrong);
+        EXPECT_THAT(complaint(drive), HasSubstr("expected 0 to 1, or whole numbers up to 255")) << wrong;
+    }
+    set_intensities(drive, 0.0f);
+    EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Contains(HasSubstr("no intensities: every return has 0")));
+}
+
+TEST(BrokenScans, OfNuscenesAndArgoverse) {
+    const test::NuscenesFolder scene("broken_sweeps");
+    expect_left_out(scene.folder, scene.sweep(4), 4, "scene-0103");
+    const test::Argoverse2Log log("broken_sweeps");
+    for (const int sweep : {0, 1}) {   // the first one tells which lasers are whose
+        const fs::path file = log.folder / "sensors/lidar" / (std::to_string(test::Argoverse2Log::sweep_ns(sweep)) + ".feather");
+        expect_left_out(log.folder, file, sweep);
+    }
+}
+
+/// Five scans of a cylinder as PCD, without any head.
+class BareFolder : public testing::Test {
+protected:
+    void SetUp() override {
+        folder = fs::path(testing::TempDir()) / "relidar_bare_folder";
+        fs::remove_all(folder);
+        test::FilePoints points;
+        for (int b = 0; b < 16; ++b)
+            for (int c = 0; c < 90; ++c) {
+                const double e = 0.1 - 0.02 * b, a = kPi - (c + 0.5) * 2.0 * kPi / 90;
+                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f, std::uint16_t(b), 0.0});
+            }
+        for (int i = 0; i < 5; ++i) test::write_text(folder / scan(i), test::pcd_binary(points));
+    }
+    static std::string scan(int i) { return std::to_string(i) + ".pcd"; }
+    fs::path folder;
+};
+
+TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
+    std::string said;
+    try {
+        load_sequence(folder.string(), {});
+    } catch (const DataError& error) {
+        said = error.what();
+    }
+    EXPECT_THAT(said, HasSubstr("5 scans without a sequence.json"));
+    const std::size_t begin = said.find('{'), end = said.rfind('}');
+    ASSERT_NE(end, std::string::npos) << said;
+    test::write_text(folder / "sequence.json", said.substr(begin, end - begin + 1));
+    DatasetOptions options;
+    options.poses_file = kNoPoses;
+    // intensities of the scans are 51 of 255
+    const std::string head = test::read_text(folder / "sequence.json");
+    test::write_text(folder / "sequence.json", head.substr(0, head.size() - 1) + R"(, "intensity_max": 255, "point_times": "absolute"})");
+    EXPECT_EQ(load_sequence(folder.string(), options).frames.size(), 5u);
+}
+
+TEST_F(BareFolder, LeavesBrokenScansOut) {
+    test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 255,
+        "point_times": "absolute", "lidars": [{"name": "top", "scans": "."}]})");
+    std::string poses;
+    for (int i = 0; i < 5; ++i) poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    test::write_text(folder / "poses.txt", poses);
+    expect_left_out(folder, folder / scan(2), 2);
+    cut(folder / scan(0));   // its beams are fitted to the first ones
+    EXPECT_EQ(numbers(load_sequence(folder.string(), skipping())), (std::vector<int>{1, 3, 4}));
+    for (const int i : {1, 3, 4}) cut(folder / scan(i));
+    try {
+        load_sequence(folder.string(), skipping());
+        ADD_FAILURE() << "read a log without a scan";
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), HasSubstr("each of the 5 scans is broken"));
+    }
+}
+
+}  // namespace
+}  // namespace relidar

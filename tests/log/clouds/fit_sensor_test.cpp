@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sensors found from their points: the sensor whose rays the points lie on is the oracle.
+#include <relidar/log/clouds.hpp>
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "base/random.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kBeams = 32, kColumns = 900;
+
+/// Beams 0.4 to 1.2 degrees apart, staggered by less than half a column.
+SpinningSensor true_sensor(bool clockwise = true) {
+    SpinningSensor s;
+    double elevation_deg = 15.0;
+    for (int b = 0; b < kBeams; ++b) {
+        s.beams.push_back({.elevation_rad = elevation_deg * kPi / 180.0, .azimuth_offset_rad = 0.002 * (b % 3 - 1)});
+        elevation_deg -= 0.4 + 0.4 * (b % 3);
+    }
+    s.columns = kColumns;
+    s.period_s = 0.05;
+    s.clockwise = clockwise;
+    s.first_azimuth_rad = kPi - kPi / kColumns;
+    return s;
+}
+
+/// Points on four of five rays, at 3 to 70 m, of the beams that look down at 3 to 8 m; rings counted from below.
+ScanPoints points_on(const SpinningSensor& s, std::uint64_t seed) {
+    Random random(seed);
+    const RayTable rays = make_rays(s);
+    ScanPoints points;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        if (random.uniform() < 0.2) continue;
+        points.point_m.push_back(rays.origin[i] + float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) * rays.direction[i]);
+        points.intensity.push_back(0.5f);
+        points.ring.push_back(std::uint16_t(s.beams.size() - 1 - rays.channel[i]));
+        points.time_offset_s.push_back(rays.time_offset_s[i]);
+    }
+    return points;
+}
+
+void expect_beams(const std::vector<Beam>& found, const std::vector<Beam>& truth, double tolerance) {
+    ASSERT_EQ(found.size(), truth.size());
+    for (std::size_t b = 0; b < truth.size(); ++b) EXPECT_NEAR(found[b].elevation_rad, truth[b].elevation_rad, tolerance) << "beam " << b;
+}
+
+TEST(FindBeams, FromElevationsAlone) {
+    const SpinningSensor truth = true_sensor();
+    expect_beams(find_beams({points_on(truth, 1), points_on(truth, 2)}), truth.beams, 1e-5);
+}
+
+TEST(FindBeams, NoneWhereElevationsDoNotGather) {
+    Random random(3);
+    ScanPoints points;
+    for (int i = 0; i < 20000; ++i)
+        points.point_m.emplace_back(random.uniform(5.0, 50.0), random.uniform(-10.0, 10.0), random.uniform(-3.0, 3.0));
+    EXPECT_TRUE(find_beams({points}).empty());
+    EXPECT_TRUE(find_beams({}).empty());
+    SpinningSensor wide = true_sensor();
+    for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;  // seen from the centre its bands are wider than the distance between beams
+    EXPECT_TRUE(find_beams({points_on(wide, 1)}).empty());
+}
+
+TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
+    SpinningSensor s = true_sensor();
+    for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;  // 2 degrees at 3 m: as much as three beams
+    ScanPoints points = points_on(s, 4);
+    std::vector<std::uint16_t> truth;
+    for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
+    recover_rings(points, s.beams);
+    EXPECT_EQ(points.ring, truth);
+    EXPECT_THROW(recover_rings(points, {}), UsageError);
+}
+
+TEST(FitSensor, BeamsColumnsAndTurning) {
+    for (const bool clockwise : {true, false}) {
+        const SpinningSensor truth = true_sensor(clockwise);
+        const FittedSensor fit = fit_sensor({points_on(truth, 5), points_on(truth, 6)}, 0.1);
+        expect_beams(fit.sensor.beams, truth.beams, 1e-5);
+        EXPECT_EQ(fit.sensor.columns, kColumns);
+        EXPECT_EQ(fit.sensor.clockwise, clockwise);
+        EXPECT_NEAR(fit.sensor.period_s, 0.05, 1e-4);
+        ASSERT_EQ(fit.beam_of_ring.size(), std::size_t(kBeams));
+        for (int ring = 0; ring < kBeams; ++ring) EXPECT_EQ(fit.beam_of_ring[std::size_t(ring)], kBeams - 1 - ring);
+        for (std::size_t b = 1; b < truth.beams.size(); ++b)  // where the head stands itself is not known
+            EXPECT_NEAR(fit.sensor.beams[b].azimuth_offset_rad - fit.sensor.beams[0].azimuth_offset_rad,
+                        truth.beams[b].azimuth_offset_rad - truth.beams[0].azimuth_offset_rad, 1e-5);
+    }
+}
+
+TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
+    ScanPoints points = points_on(true_sensor(false), 5);
+    points.time_offset_s.clear();
+    const FittedSensor fit = fit_sensor({points}, 0.1);
+    EXPECT_EQ(fit.sensor.period_s, 0.1);
+    EXPECT_TRUE(fit.sensor.clockwise);
+}
+
+TEST(FitSensor, KeepsRingsWithoutPointsOut) {
+    ScanPoints points = points_on(true_sensor(), 5);
+    for (std::uint16_t& ring : points.ring) ring = std::uint16_t(ring + (ring >= 10));
+    const FittedSensor fit = fit_sensor({points}, 0.1);
+    EXPECT_EQ(fit.sensor.beams.size(), std::size_t(kBeams));
+    EXPECT_EQ(fit.beam_of_ring[10], kNoBeam);
+    EXPECT_EQ(fit.beam_of_ring[11], kBeams - 1 - 10);
+}
+
+TEST(FitSensor, WhatItCannotFit) {
+    ScanPoints points = points_on(true_sensor(), 5);
+    points.ring.clear();
+    EXPECT_THROW(fit_sensor({points}, 0.1), UsageError);
+    EXPECT_THROW(fit_sensor({}, 0.1), UsageError);
+    const ScanPoints one{
+        .point_m = {{5.0f, 0.0f, 0.0f}}, .intensity = {0.5f}, .ring = {0}, .time_offset_s = {}, .return_number = {}, .firing = {}};
+    EXPECT_THROW(fit_sensor({one}, 0.1), DataError);
+}
+
+}  // namespace
+}  // namespace relidar

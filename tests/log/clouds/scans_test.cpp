@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: Apache-2.0
+// Points to scans: the rays that a sensor fired are the oracle; points of some of them, shuffled, have to find their rays again.
+#include <relidar/log/clouds.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "base/random.hpp"
+
+namespace relidar {
+namespace {
+
+SpinningSensor sensor() {
+    SpinningSensor s;
+    for (int b = 0; b < 12; ++b)
+        s.beams.push_back({.elevation_rad = 0.05 - 0.03 * b,
+                           .azimuth_offset_rad = 0.02 * (b % 3 - 1),
+                           .origin_offset_m = 0.03,
+                           .origin_up_m = 0.1,
+                           .origin_left_m = 0.02 * (b % 2)});
+    s.columns = 360;
+    s.period_s = 0.1;
+    s.first_azimuth_rad = kPi - 0.3 * 2.0 * kPi / 360;  // a phase of its own
+    return s;
+}
+
+/// What came back along the sensor's rays: one in five nothing; a second return now and then.
+struct Truth {
+    Scan scan;
+    ScanPoints points;  ///< shuffled
+
+    explicit Truth(const SpinningSensor& s, bool second = false) {
+        Random random(5);
+        scan.rays = make_rays(s);
+        scan.range_m.assign(scan.rays.size(), 0.0f);
+        scan.intensity.assign(scan.rays.size(), 0.0f);
+        if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
+        for (std::size_t i = 0; i < scan.rays.size(); ++i) {
+            if (random.uniform() < 0.2) continue;
+            scan.range_m[i] = float(random.uniform(2.0, 60.0)), scan.intensity[i] = float(random.uniform());
+            if (second && random.uniform() < 0.1)
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f, scan.second_returns[0].intensity[i] = 0.25f;
+        }
+        std::vector<std::size_t> order(scan.rays.size());
+        std::iota(order.begin(), order.end(), std::size_t(0));
+        for (std::size_t i = order.size(); i-- > 1;) std::swap(order[i], order[std::size_t(random.next() % (i + 1))]);
+        for (const std::size_t i : order) {
+            if (scan.range_m[i] == 0.0f) continue;
+            add(i, scan.range_m[i], scan.intensity[i], 0);
+            if (second && scan.second_returns[0].range_m[i] > 0.0f)
+                add(i, scan.second_returns[0].range_m[i], scan.second_returns[0].intensity[i], 1);
+        }
+    }
+
+private:
+    void add(std::size_t ray, float range_m, float intensity, std::uint8_t number) {
+        points.point_m.push_back(scan.rays.origin[ray] + range_m * scan.rays.direction[ray]);
+        points.intensity.push_back(intensity);
+        points.ring.push_back(scan.rays.channel[ray]);
+        points.return_number.push_back(number);
+        points.time_offset_s.push_back(scan.rays.time_offset_s[ray] + 0.004f);  // a head that faces forward 4 ms late
+    }
+};
+
+void expect_same_rays(const Scan& found, const Scan& truth, float late_s) {
+    ASSERT_EQ(found.rays.rows, truth.rays.rows);
+    ASSERT_EQ(found.rays.columns, truth.rays.columns);
+    for (std::size_t i = 0; i < truth.rays.size(); ++i) {
+        ASSERT_EQ(found.range_m[i] > 0.0f, truth.range_m[i] > 0.0f) << "ray " << i;
+        EXPECT_NEAR(found.range_m[i], truth.range_m[i], 1e-4f);
+        EXPECT_EQ(found.intensity[i], truth.intensity[i]);
+        EXPECT_LT(glm::distance(found.rays.direction[i], truth.rays.direction[i]), 1e-4f) << "ray " << i;
+        EXPECT_LT(glm::distance(found.rays.origin[i], truth.rays.origin[i]), 1e-4f);
+        EXPECT_EQ(found.rays.channel[i], truth.rays.channel[i]);
+        EXPECT_NEAR(found.rays.time_offset_s[i], truth.rays.time_offset_s[i] + late_s, 1e-5f) << "ray " << i;
+    }
+}
+
+TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
+    Truth truth(sensor());
+    truth.points.time_offset_s.clear();
+    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan, 0.0f);
+}
+
+TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
+    const Truth truth(sensor());
+    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan, 0.004f);
+}
+
+TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
+    SpinningSensor other = sensor();
+    other.clockwise = false;
+    Truth truth(other);
+    truth.points.time_offset_s.clear();
+    expect_same_rays(spinning_scan(truth.points, other, even_sweep(truth.points, other)), truth.scan, 0.0f);
+}
+
+TEST(SpinningScan, KeepsSecondReturns) {
+    const Truth truth(sensor(), true);
+    const Scan found = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
+    ASSERT_EQ(found.second_returns.size(), 1u);
+    for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
+        EXPECT_NEAR(found.range_m[i], truth.scan.range_m[i], 1e-4f);
+        EXPECT_NEAR(found.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
+        EXPECT_EQ(found.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
+    }
+    Scan cut = found;
+    drop_outside(cut, {0.0, 30.0});
+    for (std::size_t i = 0; i < cut.range_m.size(); ++i)
+        EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f || (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
+}
+
+TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
+    const SpinningSensor s = sensor();
+    ScanPoints points;
+    const BeamRay ray = beam_ray(s.beams[0], 0.0);
+    for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
+        points.point_m.emplace_back(ray.origin_m + range * ray.direction), points.intensity.push_back(2.0f), points.ring.push_back(0);
+    const Scan scan = spinning_scan(points, s, even_sweep(points, s));
+    EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
+    EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
+    EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";
+    float nearest = 1e9f;
+    for (const float range : scan.range_m) nearest = range > 0.0f ? std::min(nearest, range) : nearest;
+    EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
+}
+
+/// A sweep of more than a turn: both firings at azimuth 3 keep their points and times, though their azimuths are the same.
+TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
+    SpinningSensor one = sensor();
+    one.beams = {{.elevation_rad = 0.0}};
+    one.columns = 3;
+    const HeadLattice lattice{360, 0.0};
+    const Sweep sweep{lattice, {lattice.tick(3.0), lattice.tick(3.0), lattice.tick(1.0)}};
+    const auto point = [](double azimuth, float range_m) { return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0); };
+    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)}, {0.1f, 0.2f, 0.3f}, {0, 0, 0}, {0.05f, 0.0f, 0.1f}, {},
+                            {2, 1, 0}};
+    const Scan scan = spinning_scan(points, one, sweep);
+    EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
+    ScanPoints beyond = points;
+    beyond.firing[0] = 3;
+    EXPECT_THROW(spinning_scan(beyond, one, sweep), UsageError);
+}
+
+TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
+    ScanPoints points;
+    points.point_m = {{3, 4, 0}, {6, 8, 0}, {0, 0, -2}, {0, 0, 0}, {1, 0, 0}};
+    points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
+    points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
+    points.return_number = {0, 1, 0, 0, 0};
+    const Scan scan = unordered_scan(points);
+    EXPECT_EQ(scan.rays.rows, 1);
+    EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
+    EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
+    EXPECT_EQ(scan.second_returns[0].range_m, (std::vector<float>{10, 0, 0}));
+    EXPECT_EQ(scan.intensity, (ScanArray<float>{0.1f, 0.3f, 0.0f}));
+    EXPECT_EQ(scan.rays.direction[1], glm::vec3(0, 0, -1));
+    EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);
+}
+
+std::string error_of(const ScanPoints& points) {
+    try {
+        spinning_scan(points, sensor(), {{360, 0.0}, {0}});
+    } catch (const UsageError& error) {
+        return error.what();
+    }
+    return "none";
+}
+
+TEST(SpinningScan, SaysWhichArrayIsWrong) {
+    ScanPoints points;
+    points.point_m = {{3, 4, 0}, {6, 8, 0}};
+    points.intensity = {0.1f, 0.2f};
+    EXPECT_EQ(error_of(points), "making a scan: ring of 0 points, expected 2");
+    points.ring = {0, 12};
+    EXPECT_EQ(error_of(points), "making a scan: point 1 is of ring 12, expected one of 12 beams");
+    points.ring = {0, 11};
+    points.return_number = {0, 200};
+    EXPECT_EQ(error_of(points), "making a scan: point 1 is return 200 of its ray, expected numbers below 8");
+    points.return_number = {0};
+    EXPECT_EQ(error_of(points), "making a scan: return_number of 1 points, expected 2");
+}
+
+TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
+    const PoseTrack track{{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(0.5, glm::dvec3(0, 0, 1)), {9.0, -2.0, 0.3}}}};
+    Random random(9);
+    ScanPoints points;
+    std::vector<glm::vec3> measured;
+    for (int i = 0; i < 200; ++i) {
+        const double offset_s = random.uniform(-0.05, 0.05);
+        measured.emplace_back(random.uniform(-30.0, 30.0), random.uniform(-30.0, 30.0), random.uniform(-2.0, 3.0));
+        points.time_offset_s.push_back(float(offset_s));
+        const glm::dmat4 compensate =
+            glm::inverse(to_matrix(track.at(0.4))) * to_matrix(track.at(0.4 + double(points.time_offset_s.back())));
+        points.point_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
+    }
+    EXPECT_GT(glm::distance(points.point_m[0], measured[0]), 0.01f);
+    undo_compensation(points, track, 0.4);
+    for (std::size_t i = 0; i < measured.size(); ++i) EXPECT_LT(glm::distance(points.point_m[i], measured[i]), 2e-5f);
+}
+
+TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
+    Sequence log;
+    for (int i = 0; i < 3; ++i) add_frame(log, i, 0.1 * i, {{1, 0, 0, 0}, {1000.0 + i, 5.0, 0.0}});
+    log.boxes = tracks_of({{"b", "Car", {4, 2, 1.5}, 0.0, {{1, 0, 0, 0}, {1010, 5, 0}}},
+                           {"a", "Van", {5, 2, 2}, 0.0, {}},
+                           {"b", "Car", {4, 2, 1.5}, 0.1, {{1, 0, 0, 0}, {1011, 5, 0}}}});
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_EQ(log.boxes[0].id, "b");
+    EXPECT_EQ(log.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, 0.1}));
+    add_frame(log, 2, 0.2, {{1, 0, 0, 0}, {77.0, 0.0, 0.0}}, 1);
+    EXPECT_EQ(log.frames.size(), 4u);
+    EXPECT_EQ(log.world_from_vehicle.pose.size(), 3u) << "the pose of that time is known";
+    recentre(log);
+    EXPECT_EQ(log.world_offset_m, glm::dvec3(1001, 5, 0));
+    EXPECT_EQ(log.world_from_vehicle.pose[2].translation, glm::dvec3(1, 0, 0));
+    EXPECT_EQ(log.boxes[0].world_from_box.pose[1].translation, glm::dvec3(10, 0, 0));
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+// Cells that segments cross, against a box test of each cell; what a scan has looked at, in a room and under the sky.
+#include <relidar/log/coverage.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <set>
+#include <tuple>
+
+#include <gtest/gtest.h>
+
+#include "base/random.hpp"
+
+namespace relidar {
+namespace {
+
+using Cell = std::tuple<int, int, int>;
+
+struct Segment {
+    glm::dvec3 from_m, to_m;
+};
+
+/// Length of a segment within a cell, by clipping it to the cell's six planes.
+double length_within(const Segment& segment, const Cell& cell) {
+    const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)), d = segment.to_m - segment.from_m;
+    double begin = 0.0, end = 1.0;
+    for (int axis = 0; axis < 3; ++axis) {
+        const double a = (low[axis] - segment.from_m[axis]) / d[axis], b = (low[axis] + 1.0 - segment.from_m[axis]) / d[axis];
+        begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
+    }
+    return std::max(end - begin, 0.0) * glm::length(d);
+}
+
+std::vector<Segment> random_segments(int n, std::uint64_t seed) {
+    Random random(seed);
+    const auto place = [&] { return glm::dvec3(random.uniform(-12.0, 12.0), random.uniform(-12.0, 12.0), random.uniform(-9.0, 9.0)); };
+    std::vector<Segment> segments;
+    for (int i = 0; i < n; ++i) {
+        const glm::dvec3 from = place();
+        segments.push_back({from, place()});
+    }
+    return segments;
+}
+
+TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
+    const std::vector<Segment> segments = random_segments(40, 1);
+    Coverage coverage;
+    std::set<Cell> crossed;
+    for (const Segment& segment : segments) {
+        coverage.add(segment.from_m, segment.to_m);
+        for (int x = -13; x < 13; ++x)
+            for (int y = -13; y < 13; ++y)
+                for (int z = -10; z < 10; ++z)
+                    if (length_within(segment, {x, y, z}) > 0.0) crossed.insert({x, y, z});
+    }
+    std::size_t n_cells = 0;
+    for (const Coverage::Block& block : coverage.blocks())
+        for (const std::uint16_t word : block.cells) n_cells += std::size_t(__builtin_popcount(word));
+    EXPECT_EQ(n_cells, crossed.size());
+    for (const Segment& segment : segments) EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), 1.0, 1e-12);
+    int n_partly = 0;
+    for (const Segment& segment : random_segments(60, 2)) {
+        double within_m = 0.0;
+        for (const Cell& cell : crossed) within_m += length_within(segment, cell);
+        const double expected = within_m / glm::distance(segment.from_m, segment.to_m);
+        EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), expected, 1e-9);
+        n_partly += expected > 0.01 && expected < 0.99;
+    }
+    EXPECT_GT(n_partly, 50);
+}
+
+TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
+    Coverage coverage;
+    coverage.add({0.5, 0.5, 0.5}, {4.5, 0.5, 0.5});
+    EXPECT_DOUBLE_EQ(coverage.share({0.5, 0.2, 0.5}, {4.9, 0.2, 0.5}), 1.0);
+    EXPECT_DOUBLE_EQ(coverage.share({2.5, 0.5, 0.5}, {2.5, 0.5, 4.5}), 0.125);
+    EXPECT_EQ(coverage.share({2.5, 0.5, 0.5}, {2.5, 0.5, 0.5}), 0.0);
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    coverage.add({nan, 0.0, 0.0}, {1.0, 0.0, 0.0});
+    coverage.add({0.0, 0.0, 0.0}, {1e300, 0.0, 0.0});
+    EXPECT_EQ(coverage.blocks().size(), 1u);
+    EXPECT_EQ(coverage.share({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
+}
+
+/// A LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees, that turns in 360 columns.
+Sequence one_sweep() {
+    Sequence sequence;
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    for (const double degrees : {20.0, 0.0, -20.0, -40.0}) sensor.beams.push_back({degrees * kPi / 180.0});
+    sensor.columns = 360;
+    sequence.world_from_vehicle = {{0.0}, {Pose{{1, 0, 0, 0}, {0, 0, 2.0}}}};
+    Frame frame;
+    frame.scan.rays = make_rays(sensor);
+    frame.scan.range_m.assign(frame.scan.rays.size(), 0.0f);
+    frame.scan.intensity.assign(frame.scan.rays.size(), 0.0f);
+    sequence.frames.push_back(std::move(frame));
+    sequence.rolling_shutter = false;
+    return sequence;
+}
+
+void set_ranges(Sequence& sequence, const std::array<float, 4>& range_m) {
+    Scan& scan = sequence.frames[0].scan;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i) scan.range_m[i] = range_m[scan.rays.channel[i]];
+}
+
+/// Share seen of a segment ahead of the sensor, at an elevation.
+double seen(const Coverage& coverage, double elevation_deg, double from_m, double to_m) {
+    const double e = elevation_deg * kPi / 180.0;
+    const glm::dvec3 sensor(0.0, 0.0, 2.0), direction(std::cos(e) * std::cos(0.01), std::cos(e) * std::sin(0.01), std::sin(e));
+    return coverage.share(sensor + from_m * direction, sensor + to_m * direction);
+}
+
+TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
+    Sequence sequence = one_sweep();
+    set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});   // a wall, and flat ground
+    const Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    EXPECT_GT(seen(coverage, 20.0, 0.5, 29.5), 0.99);
+    EXPECT_LT(seen(coverage, 20.0, 32.0, 60.0), 0.01) << "behind the wall";
+    EXPECT_GT(seen(coverage, 10.0, 0.5, 19.5), 0.99) << "between two beams, as far as the nearer sees";
+    EXPECT_LT(seen(coverage, 10.0, 22.0, 60.0), 0.05);
+    EXPECT_LT(seen(coverage, -20.0, 8.0, 40.0), 0.01) << "under the ground";
+    EXPECT_LT(seen(coverage, 60.0, 5.0, 60.0), 0.01) << "above all beams";
+}
+
+TEST(Coverage, ADroppedRayTellsWhatItsNeighboursTell) {
+    Sequence sequence = one_sweep();
+    set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});   // nothing above the ground
+    Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    EXPECT_GT(seen(coverage, 20.0, 0.5, 79.0), 0.99) << "the sky";
+    EXPECT_LT(seen(coverage, 20.0, 82.0, 120.0), 0.01) << "beyond its range";
+    set_ranges(sequence, {30.0f, 0.0f, 5.8f, 3.1f});
+    coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    EXPECT_GT(seen(coverage, 0.0, 0.5, 5.5), 0.99);
+    EXPECT_LT(seen(coverage, 0.0, 8.0, 40.0), 0.05) << "a black car";
+    set_ranges(sequence, {30.0f, 20.0f, 0.0f, 0.0f});
+    coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    EXPECT_LT(seen(coverage, -40.0, 3.0, 40.0), 0.01) << "the vehicle's own roof";
+}
+
+}  // namespace
+}  // namespace relidar

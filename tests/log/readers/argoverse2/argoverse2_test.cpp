@@ -1,0 +1,297 @@
+// SPDX-License-Identifier: Apache-2.0
+// Argoverse 2: a log written here, whose every ray is known, and damage of each of its files.
+#include <relidar/log/dataset.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "log/readers/argoverse2/argoverse2_log.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Argoverse2Log;
+using test::Argoverse2Options;
+using test::Argoverse2Ray;
+
+DatasetOptions far_options() {
+    DatasetOptions options;
+    options.max_range_m = 200.0;
+    return options;
+}
+
+/// Rays of a frame with the true ones by beam and time: beams by elevation, firings within half of the time between two pairs.
+class TrueRays {
+public:
+    TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
+        for (const Argoverse2Ray& ray : rays) {
+            std::size_t channel = 0;
+            for (std::size_t k = 0; k < sensor.beams.size(); ++k)
+                if (std::abs(sensor.beams[k].elevation_rad - ray.elevation_rad) <
+                    std::abs(sensor.beams[channel].elevation_rad - ray.elevation_rad))
+                    channel = k;
+            of_channel_[channel].push_back(&ray);
+        }
+    }
+    const Argoverse2Ray& at(std::uint16_t channel, double time_s) const {
+        const auto& rays = of_channel_[channel];
+        const auto after =
+            std::lower_bound(rays.begin(), rays.end(), time_s, [](const Argoverse2Ray* r, double t) { return r->time_s < t; });
+        if (after == rays.begin()) return **after;
+        if (after == rays.end() || time_s - after[-1]->time_s < (*after)->time_s - time_s) return *after[-1];
+        return **after;
+    }
+
+private:
+    std::array<std::vector<const Argoverse2Ray*>, 32> of_channel_;
+};
+
+// A LiDAR's place is interpolated along chords, r = 1.3754 m from the axle at 0.035088 rad a sweep. At s sweeps after the first end of a
+// chord it is r angle^2 |s (s - 1)| / 2 off the arc: an eighth in the middle; the last sweep goes on along the last chord until s = 2.027.
+constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6, kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
+constexpr double kNearest_m = 4.7;
+
+TEST(Argoverse2, EveryRayIsWhereItWasFired) {
+    const Argoverse2Log log("rays");
+    EXPECT_EQ(recognise_dataset(log.folder), "argoverse2");
+    const Sequence found = load_sequence(log.folder.string(), far_options());
+    ASSERT_EQ(found.frames.size(), 6u);
+    ASSERT_EQ(found.lidars.size(), 2u);
+    EXPECT_EQ(found.lidars[0].name, "up_lidar");
+    EXPECT_TRUE(found.lidars[0].sensor.clockwise);
+    EXPECT_FALSE(found.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
+    EXPECT_TRUE(found.rolling_shutter);
+    for (const Frame& frame : found.frames) {
+        const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
+        const Lidar& lidar = found.lidar_of(frame);
+        ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
+        EXPECT_EQ(frame.scan.count_returns(), std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
+        const TrueRays truth(rays, lidar.sensor);
+        const PoseTrack track = found.world_from_sensor(frame.lidar);
+        const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const float range_m = frame.scan.range_m[i];
+            const Argoverse2Ray& ray = truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
+            // a ray without a return has the time of its whole firing, up to 35 us beside its own
+            ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
+            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
+            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), range_m > 0.0f ? off_m : 2e-3);
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction), range_m > 0.0f ? off_m / kNearest_m : 5e-4)
+                << i;
+            if (range_m > 0.0f) {
+                ASSERT_LT(glm::distance(placed.origin_m + double(range_m) * placed.direction + found.world_offset_m, ray.point_m), 1e-4);
+                ASSERT_EQ(frame.scan.intensity[i], 0.2f);
+            }
+        }
+    }
+}
+
+/// The heads face forward at times of their own: what moves is placed at the time of its rays all the same.
+TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
+    const Argoverse2Log log("facing");
+    const Sequence found = load_sequence(log.folder.string(), far_options());
+    for (const Frame& frame : found.frames) {
+        ASSERT_TRUE(frame.start.has_value());
+        std::size_t late = 0;
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
+            const double facing_s = facing_time(found, point_m, moment_of(frame));
+            late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
+        }
+        // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a turn, so its ends are seen twice.
+        EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
+    }
+}
+
+TEST(Argoverse2, TimesPosesAndBoxes) {
+    const Argoverse2Log log("boxes");
+    const Sequence found = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(found.world_from_vehicle.time_s.size(), 3u);
+    for (std::size_t i = 0; i < 3; ++i) {
+        const double time_s = double(i) * 0.100252;
+        EXPECT_NEAR(found.world_from_vehicle.time_s[i], time_s, 1e-9);
+        const Pose& pose = found.world_from_vehicle.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, Argoverse2Log::vehicle_at(time_s).translation), 1e-8);
+        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::vehicle_at(time_s).rotation)), 1.0, 1e-12);
+    }
+    ASSERT_EQ(found.boxes.size(), 1u);
+    const BoxTrack& box = found.boxes[0];
+    EXPECT_EQ(box.id, "1046f12a");
+    EXPECT_EQ(box.category, "REGULAR_VEHICLE");
+    EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6));
+    ASSERT_EQ(box.world_from_box.pose.size(), 3u);
+    for (std::size_t i = 0; i < 3; ++i) {
+        const Pose truth = Argoverse2Log::box_at(box.world_from_box.time_s[i]);
+        EXPECT_LT(glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation), 1e-8);
+        EXPECT_NEAR(std::abs(glm::dot(box.world_from_box.pose[i].rotation, truth.rotation)), 1.0, 1e-12);
+    }
+}
+
+/// Half precision rounds a coordinate by up to 2^-11 of it.
+TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
+    const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
+    const Sequence found = load_sequence(log.folder.string(), far_options());
+    double worst = 0.0;
+    for (const Frame& frame : found.frames) {
+        const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)], found.lidar_of(frame).sensor);
+        const PoseTrack track = found.world_from_sensor(frame.lidar);
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const Argoverse2Ray& ray = truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
+            ASSERT_TRUE(ray.returned);
+            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const glm::dvec3 point_m = placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m;
+            const glm::dvec3 seen = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * ray.point_m;
+            const glm::dvec3 rounded = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * point_m;
+            for (int axis = 0; axis < 3; ++axis) ASSERT_LE(std::abs(seen[axis] - rounded[axis]), std::abs(seen[axis]) / 2048.0 + 1e-4);
+            worst = std::max(worst, glm::distance(point_m, ray.point_m));
+        }
+    }
+    EXPECT_GT(worst, 2e-3) << "nothing was rounded";
+}
+
+TEST(Argoverse2, PointsTellWhichHalfIsUp) {
+    const Argoverse2Log log("halves", {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
+    const Sequence found = load_sequence(log.folder.string(), far_options());
+    for (const Frame& frame : found.frames) {
+        const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
+        EXPECT_EQ(frame.scan.count_returns(), std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const glm::vec3& d = frame.scan.rays.direction[i];
+            const double beam = found.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
+            ASSERT_NEAR(std::atan2(d.z, std::hypot(d.x, d.y)), beam, kBeyond_m / kNearest_m);
+        }
+    }
+}
+
+TEST(Argoverse2, FrameRangePosesAndNoLabels) {
+    const Argoverse2Log log("range");
+    fs::remove(log.file("annotations.feather"));
+    DatasetOptions options;
+    options.frames = {1, 3};
+    Sequence found = load_sequence(log.folder.string(), options);
+    ASSERT_EQ(found.frames.size(), 4u);
+    EXPECT_EQ(found.frames[0].index, 1);
+    EXPECT_NEAR(found.frames[0].time_s, 0.100252, 1e-9);
+    EXPECT_TRUE(found.boxes.empty());
+    EXPECT_THAT(found.notes, testing::Contains("no annotations.feather: nothing in this log is labelled"));
+    options.poses_file = log.file("poses.txt");
+    test::write_text(options.poses_file, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
+    found = load_sequence(log.folder.string(), options);
+    EXPECT_EQ(found.world_offset_m, glm::dvec3(6, 0, 0));
+    options.poses_file = kNoPoses;
+    EXPECT_EQ(load_sequence(log.folder.string(), options).world_from_vehicle.pose[1].translation, glm::dvec3(0, 0, 0));
+    options.frames = {3, -1};
+    EXPECT_THROW(load_sequence(log.folder.string(), options), UsageError);
+}
+
+TEST(Argoverse2, ASweepMayLackALidar) {
+    const Argoverse2Log log("lacking");
+    test::write_text(log.sweep(1), test::feather_bytes({test::number_column("x", std::vector<float>{8.0f}),
+                                                        test::number_column("y", std::vector<float>{1.0f}),
+                                                        test::number_column("z", std::vector<float>{2.0f}),
+                                                        test::number_column("intensity", std::vector<std::uint8_t>{1}),
+                                                        test::number_column("laser_number", std::vector<std::uint8_t>{40}),
+                                                        test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
+    const Sequence found = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(found.frames.size(), 5u);
+    EXPECT_EQ(found.frames[2].lidar, 1);
+    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("1 times a sweep has no point of one LiDAR")));
+}
+
+/// Loads with a file replaced, and expects one line that holds a part.
+void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes, const std::string& part) {
+    const std::string good = test::read_text(file);
+    test::write_text(file, bytes);
+    try {
+        load_sequence(log.folder.string(), {});
+        ADD_FAILURE() << "no failure, expected " << part;
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), testing::HasSubstr(part));
+        EXPECT_THAT(error.what(), testing::HasSubstr(file.filename().string()));
+        EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
+    }
+    test::write_text(file, good);
+}
+
+TEST(Argoverse2, SaysWhichFileIsWrong) {
+    const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
+    const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns, const std::string& part) {
+        expect_refused(log, file, test::feather_bytes(columns), part);
+    };
+    const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"), way = log.file("city_SE3_egovehicle.feather"),
+                   boxes = log.file("annotations.feather"), sweep = log.sweep(1);
+    const std::vector<Pose> two(2);
+    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "ring"})}, two), "column 'sensor_name': no down_lidar");
+    std::vector<Pose> bad = two;
+    bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
+    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, bad),
+           "columns 'qw' to 'qz': row 1 has length 0.5, expected 1");
+    const auto times = [](std::vector<std::int64_t> t) { return test::number_column("timestamp_ns", t); };
+    const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
+    refuse(way, test::with_poses({times({first, first})}, two),
+           "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
+    refuse(way, test::with_poses({times({first, first + 1})}, two), "no pose at 315966265360088000, the time of a sweep");
+    bad = two;
+    bad[0].translation.y = NAN;
+    refuse(way, test::with_poses({times({first, second})}, bad), "column 'ty_m': row 0 is nan, expected a finite number");
+    const auto label = [&](double length_m) {
+        const std::vector<double> one{1.0};
+        return test::with_poses({times({first}), test::text_column("track_uuid", {"a"}), test::text_column("category", {"DOG"}),
+                           test::number_column("length_m", std::vector<double>{length_m}), test::number_column("width_m", one),
+                           test::number_column("height_m", one)},
+                          {Pose{}});
+    };
+    refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1, expected all above 0");
+    const auto point = [](float x, std::uint8_t laser, std::int32_t offset_ns) {
+        return std::vector<test::FeatherColumn>{test::number_column("x", std::vector<float>{x}),
+                                                test::number_column("y", std::vector<float>{1.0f}),
+                                                test::number_column("z", std::vector<float>{1.0f}),
+                                                test::number_column("intensity", std::vector<std::uint8_t>{1}),
+                                                test::number_column("laser_number", std::vector<std::uint8_t>{laser}),
+                                                test::number_column("offset_ns", std::vector<std::int32_t>{offset_ns})};
+    };
+    refuse(sweep, point(2e4f, 1, 0), "point 0 at (20000, 1, 1), expected metres within 10000");
+    refuse(sweep, point(NAN, 1, 0), "column 'x': row 0 is nan");
+    refuse(sweep, point(1.0f, 64, 0), "column 'laser_number': row 0 is 64, expected 0 to 63");
+    refuse(sweep, point(1.0f, 1, 300000000), "column 'offset_ns': row 0 is 300000000, expected nanoseconds within 200000000");
+    refuse(sweep, {test::number_column("x", std::vector<float>())}, "no points, expected a sweep");
+    refuse(sweep, {test::number_column("x", std::vector<float>{1.0f})}, "column 'y': no such column among 'x'");
+    const std::string whole = test::read_text(sweep);
+    expect_refused(log, sweep, whole.substr(0, whole.size() / 2), "cut short");
+    expect_refused(log, sweep, "", "0 bytes");
+}
+
+TEST(Argoverse2, SaysWhatIsMissing) {
+    const Argoverse2Log log("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
+    const auto expect = [&](const std::string& part) {
+        try {
+            load_sequence("argoverse2:" + log.folder.string(), {});
+            ADD_FAILURE() << "no failure, expected " << part;
+        } catch (const DataError& error) {
+            EXPECT_THAT(error.what(), testing::HasSubstr(part));
+        }
+    };
+    fs::copy_file(log.sweep(0), log.sweep(0).parent_path() / "sweep_1.feather");
+    expect("sweep_1.feather: the name of a sweep, expected its time in nanoseconds");
+    fs::remove(log.sweep(0).parent_path() / "sweep_1.feather");
+    fs::remove(log.file("calibration/egovehicle_SE3_sensor.feather"));
+    expect("calibration/egovehicle_SE3_sensor.feather: no such file");
+    fs::remove(log.file("city_SE3_egovehicle.feather"));
+    expect("city_SE3_egovehicle.feather: no such file");
+    fs::remove(log.sweep(0));
+    expect("sensors/lidar: no sweeps, expected NANOSECONDS.feather");
+    fs::remove_all(log.file("sensors"));
+    expect("sensors/lidar: no such folder");
+}
+
+}  // namespace
+}  // namespace relidar

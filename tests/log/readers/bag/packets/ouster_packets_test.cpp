@@ -1,0 +1,454 @@
+// SPDX-License-Identifier: Apache-2.0
+// Packets of Ousters: of real range images, in every profile that is decoded, against the scans that a plain folder makes of the same
+// images (skipped where RELIDAR_SHARED does not hold them); and what may be wrong with a capture or its metadata.
+#include <relidar/log/dataset.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
+
+#include "base/bytes.hpp"
+#include "log/readers/bag/packets/ouster_packets.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::OusterImages;
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr const char* kProfileNames[] = {test::kLegacy, test::kSingle, test::kDual, test::kLowRate};
+
+fs::path fresh_folder(const std::string& name) {
+    fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster_packets" / name;
+    fs::remove_all(folder);
+    fs::create_directories(folder);
+    return folder;
+}
+
+void write_bytes(const fs::path& file, const std::string& bytes) {
+    std::ofstream(file, std::ios::binary) << bytes;
+}
+
+/// Second returns 1.5 m behind every fifth first one, some brighter than it.
+void add_second_returns(OusterImages& images) {
+    images.range_2_mm.assign(images.range_mm.size(), 0);
+    images.reflectivity_2 = images.range_2_mm;
+    for (std::size_t i = 0; i < images.range_mm.size(); i += 5)
+        if (images.range_mm[i] > 0) images.range_2_mm[i] = images.range_mm[i] + 1500, images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
+}
+
+/// Real scans; nothing where they are not there.
+std::optional<OusterImages> real_images(const std::string& name, const std::string& product, const std::string& profile) {
+    const char* shared = std::getenv("RELIDAR_SHARED");
+    const fs::path file = (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data/ouster" / name;
+    if (!fs::exists(file)) return std::nullopt;
+    const std::vector<NamedArray> arrays = read_npz(file);
+    const auto array = [&](const char* key) -> const NamedArray& {
+        return *std::ranges::find_if(arrays, [&](const NamedArray& a) { return a.name == key; });
+    };
+    OusterImages images;
+    images.product = product, images.profile = profile;
+    images.frames = array("range_mm").shape[0], images.rows = array("range_mm").shape[1], images.columns = array("range_mm").shape[2];
+    images.altitude_deg = array("alt").as_double(), images.azimuth_deg = array("az").as_double();
+    images.n_mm = array("n_mm").as_double()[0];
+    for (const double mm : array("range_mm").as_double())
+        images.range_mm.push_back(profile == test::kLowRate && mm > 262136.0 ? 0 : std::uint32_t(mm));  // 15 bits of 8 mm
+    for (const double v : array("refl").as_double()) images.reflectivity.push_back(std::uint32_t(v));
+    for (const double ns : array("ts").as_double()) images.time_ns.push_back(std::uint64_t(ns));
+    if (profile == test::kDual) add_second_returns(images);
+    return images;
+}
+
+/// A few beams in a room, some without a return.
+OusterImages small_images(const std::string& profile) {
+    OusterImages images;
+    images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
+    for (std::size_t row = 0; row < images.rows; ++row)  // not in the order of their altitudes
+        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1)), images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
+    for (std::size_t frame = 0; frame < images.frames; ++frame)
+        for (std::size_t row = 0; row < images.rows; ++row)
+            for (std::size_t column = 0; column < images.columns; ++column) {
+                const std::size_t k = frame + 3 * row + 7 * column;
+                images.range_mm.push_back(k % 6 == 0 ? 0 : std::uint32_t(4000 + 40 * row + 16 * column + frame));
+                images.reflectivity.push_back(std::uint32_t(k % 256));
+            }
+    for (std::size_t k = 0; k < images.frames * images.columns; ++k) images.time_ns.push_back(5000000000 + 781250 * k + k % 2 * 900);
+    if (profile == test::kDual) add_second_returns(images);
+    return images;
+}
+
+/// x y z intensity ring time return of each return, float64.
+std::string points_of(const OusterImages& images, std::size_t frame) {
+    std::vector<std::size_t> ring(images.rows);
+    for (std::size_t row = 0; row < images.rows; ++row)
+        ring[row] = std::size_t(std::ranges::count_if(images.altitude_deg, [&](double a) { return a > images.altitude_deg[row]; }));
+    std::vector<double> values;
+    const double forward_ns = double(images.time_ns[frame * images.columns + images.columns / 2]);
+    for (std::size_t row = 0; row < images.rows; ++row)
+        for (std::size_t column = 0; column < images.columns; ++column) {
+            const std::size_t i = images.at(frame, row, column);
+            const auto add = [&](double mm, double reflectivity, double number) {
+                // Ouster's equation, its LiDAR frame turned by 180 degrees about z
+                const double encoder = 2.0 * kPi * (1.0 - double(column) / double(images.columns)) + kPi;
+                const double theta = encoder - images.azimuth_deg[row] * kPi / 180.0, phi = images.altitude_deg[row] * kPi / 180.0;
+                const double n_m = 1e-3 * images.n_mm, r_m = 1e-3 * mm - n_m;
+                values.insert(values.end(),
+                              {r_m * std::cos(theta) * std::cos(phi) + n_m * std::cos(encoder),
+                               r_m * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder), r_m * std::sin(phi), reflectivity,
+                               double(ring[row]), 1e-9 * (double(images.time_ns[frame * images.columns + column]) - forward_ns), number});
+            };
+            const bool has_second = !images.range_2_mm.empty() && images.range_2_mm[i] > 0;
+            const bool is_second_first = has_second && images.reflectivity_2[i] > images.reflectivity[i];
+            if (images.range_mm[i] > 0) add(images.written_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
+            if (has_second) add(images.range_2_mm[i], images.reflectivity_2[i], !is_second_first);
+        }
+    const std::size_t n = values.size() / 7;
+    std::string head = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}", n);
+    head.append(63 - (10 + head.size()) % 64, ' ').append("\n");
+    std::string bytes("\x93NUMPY\1\0", 8);
+    append(bytes, std::uint16_t(head.size()));
+    bytes += head;
+    for (const double v : values) append(bytes, v);
+    return bytes;
+}
+
+Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
+    const fs::path folder = fresh_folder("folder");
+    std::string beams, frames, poses;
+    std::vector<std::size_t> order(images.rows);
+    for (std::size_t row = 0; row < images.rows; ++row) order[row] = row;
+    std::ranges::stable_sort(order, std::greater(), [&](std::size_t row) { return images.altitude_deg[row]; });
+    for (const std::size_t row : order)
+        beams += fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}", beams.empty() ? "" : ", ",
+                             images.altitude_deg[row], -images.azimuth_deg[row], 1e-3 * images.n_mm);
+    fs::create_directories(folder / "scans");
+    for (std::size_t f = 0; f < images.frames; ++f) {
+        const double time_s = 1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] - images.time_ns[images.columns / 2]);
+        write_bytes(folder / fmt::format("scans/{}.npy", f), points_of(images, f));
+        frames += fmt::format(R"({}{{"number": {}, "time_s": {:.9f}, "scan": "scans/{}.npy"}})", f ? ", " : "", f, time_s, f);
+        poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    }
+    write_bytes(folder / "poses.txt", poses);
+    write_bytes(folder / "sequence.json",
+                fmt::format(R"({{"format": "relidar log", "version": 1, "frames": [{}], "intensity_max": 255, "columns": )"
+                            R"(["x", "y", "z", "intensity", "ring", "time", "return"], "lidars": [{{"ring_0": "highest", "sensor": )"
+                            R"({{"columns": {}, "min_range_m": {}, "max_range_m": {}, "beams": [{}]}}}}]}})",
+                            frames, images.columns, limits.min_m, limits.max_m, beams));
+    DatasetOptions options;
+    options.max_range_m = 400.0;
+    return load_sequence(folder.string(), options);
+}
+
+/// A capture with its metadata beside it.
+fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams, const std::string& name = "drive") {
+    const fs::path folder = fresh_folder("capture_" + name);
+    test::write_pcap(folder / (name + ".pcap"), datagrams);
+    write_bytes(folder / (name + ".json"), test::ouster_metadata(images, 7502));
+    return folder / (name + ".pcap");
+}
+fs::path write_capture(const OusterImages& images) {
+    return write_capture(images, test::received(test::ouster_packets(images)));
+}
+
+/// As load_sequence(), or why not. A relidar without the reader of captures skips the test that calls it.
+struct Loaded {
+    Sequence log;
+    std::string error;
+
+    explicit Loaded(const fs::path& file, DatasetOptions options = {}) {
+        options.max_range_m = 400.0;
+        try {
+            log = load_sequence(file.string(), options);
+        } catch (const Error& failed) {
+            error = failed.what();
+        }
+    }
+    bool is_left_out() const { return error.find("RELIDAR_PCAP") != std::string::npos || error.find("RELIDAR_BAGS") != std::string::npos; }
+    std::string notes() const {
+        std::string all;
+        for (const std::string& note : log.notes) all += note + "\n";
+        return all;
+    }
+};
+
+/// Column at which the head stood for a ray, and its ring.
+std::pair<std::size_t, int> cell_of(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
+    const std::size_t ring = scan.rays.channel[ray];
+    const glm::vec3 d = scan.rays.direction[ray];
+    const double head = std::atan2(double(d.y), double(d.x)) - sensor.beams[ring].azimuth_offset_rad;
+    const int column = int(std::lround((kPi - head) / (2.0 * kPi) * sensor.columns));
+    return {ring, (column % sensor.columns + sensor.columns) % sensor.columns};
+}
+
+std::map<std::pair<std::size_t, int>, std::size_t> rays_by_cell(const Scan& scan, const SpinningSensor& sensor) {
+    std::map<std::pair<std::size_t, int>, std::size_t> cells;
+    for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) cells[cell_of(scan, ray, sensor)] = ray;
+    return cells;
+}
+
+/// Every ray of one is one of the other: where it starts, its direction, its time, and what it measured.
+void expect_same_scan(const Scan& found, const Scan& expected, const SpinningSensor& sensor) {
+    ASSERT_EQ(found.rays.rows, expected.rays.rows);
+    ASSERT_EQ(found.rays.columns, expected.rays.columns);
+    EXPECT_EQ(found.count_returns(), expected.count_returns());
+    ASSERT_EQ(found.second_returns.size(), expected.second_returns.size());
+    const auto cells = rays_by_cell(found, sensor), others = rays_by_cell(expected, sensor);
+    ASSERT_EQ(cells.size(), found.rays.size());
+    ASSERT_EQ(others.size(), cells.size());
+    std::size_t n_wrong = 0;
+    for (const auto& [cell, a] : cells) {
+        const std::size_t b = others.at(cell);
+        bool is_same = std::abs(found.range_m[a] - expected.range_m[b]) < 1e-4f && found.intensity[a] == expected.intensity[b] &&
+                       std::abs(found.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
+                       glm::distance(found.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
+        // the folder finds the phase of the columns in the points
+        is_same = is_same && glm::distance(found.rays.direction[a], expected.rays.direction[b]) < (found.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
+        for (std::size_t k = 0; k < found.second_returns.size(); ++k)
+            is_same = is_same && std::abs(found.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) < 1e-4f &&
+                      found.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
+        n_wrong += !is_same;
+    }
+    EXPECT_EQ(n_wrong, 0u) << "of " << cells.size();
+}
+
+void expect_same_log(const OusterImages& images, const Sequence& log) {
+    SCOPED_TRACE(images.product + " " + images.profile);
+    const SpinningSensor& sensor = log.lidars[0].sensor;
+    const Sequence folder = read_folder(images, sensor.range_limits());
+    ASSERT_EQ(log.frames.size(), images.frames);
+    EXPECT_EQ(sensor.columns, int(images.columns));
+    ASSERT_EQ(sensor.beams.size(), images.rows);
+    for (std::size_t f = 0; f < images.frames; ++f) {
+        EXPECT_NEAR(log.frames[f].time_s, folder.frames[f].time_s, 1e-6);
+        expect_same_scan(log.frames[f].scan, folder.frames[f].scan, sensor);
+    }
+}
+
+TEST(OusterPackets, RealScansAreThoseOfTheFolder) {
+    const std::pair<const char*, const char*> kReal[] = {{"OS-1-128_v2.3.0_1024x10_lb_n3.npz", "OS-1-128"},
+                                                         {"OS-2-128-U1_v2.3.0_1024x10.npz", "OS-2-128"}};
+    for (const auto& [name, product] : kReal)
+        for (const char* profile : kProfileNames) {
+            const std::optional<OusterImages> images = real_images(name, product, profile);
+            if (!images) GTEST_SKIP() << name << " is not there; RELIDAR_SHARED names another folder";
+            const Loaded loaded(write_capture(*images));
+            if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+            ASSERT_EQ(loaded.error, "");
+            EXPECT_THAT(loaded.notes(),
+                        HasSubstr(fmt::format("{} packets of a 128-beam Ouster, {}, profile {}", 64 * images->frames, product, profile)));
+            expect_same_log(*images, loaded.log);
+        }
+}
+
+TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
+    for (const char* profile : kProfileNames) {
+        const OusterImages images = small_images(profile);
+        const Loaded loaded(write_capture(images));
+        if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+        ASSERT_EQ(loaded.error, "");
+        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(), profile == std::string(test::kDual) ? 1u : 0u);
+        expect_same_log(images, loaded.log);
+    }
+}
+
+TEST(OusterPackets, NestedMetadataSaysTheSame) {
+    const OusterImages images = small_images(test::kSingle);
+    const fs::path capture = write_capture(images);
+    write_bytes(fs::path(capture).replace_extension(".json"), test::ouster_metadata(images, 7502, true));
+    const Loaded loaded(capture);
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.error, "");
+    expect_same_log(images, loaded.log);
+}
+
+TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
+    OusterImages images = small_images(test::kLegacy);
+    for (std::uint32_t& bright : images.reflectivity) bright *= 8;  // up to 2040
+    const Loaded loaded(write_capture(images));
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.error, "");
+    EXPECT_THAT(loaded.notes(), AllOf(HasSubstr("reflectivities up to 2040"), HasSubstr("above which 0.5 % of the points are")));
+    float most = 0.0f;
+    for (const float intensity : loaded.log.frames[0].scan.intensity) most = std::max(most, intensity);
+    EXPECT_EQ(most, 1.0f);
+}
+
+/// Rays of a frame by column, and which are there at all.
+struct Columns {
+    std::vector<std::size_t> rays, returns;
+
+    Columns(const Sequence& log, std::size_t frame) : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
+        const Scan& scan = log.frames[frame].scan;
+        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {
+            const auto column = std::size_t(cell_of(scan, ray, log.lidars[0].sensor).second);
+            ++rays[column], returns[column] += scan.range_m[ray] > 0.0f;
+        }
+    }
+};
+
+TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
+    for (const char* profile : {test::kLegacy, test::kSingle}) {
+        OusterImages images = small_images(profile);
+        images.is_valid.assign(images.frames * images.columns, true);
+        for (const std::size_t column : {0, 20, 21, 127}) images.is_valid[images.columns + column] = false;
+        const Loaded loaded(write_capture(images));
+        if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+        ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+        const Columns columns(loaded.log, 1), whole(loaded.log, 2);
+        for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
+        EXPECT_EQ(columns.rays[19], 3u * images.rows);  // its neighbour stands in for them
+        EXPECT_EQ(std::ranges::count(whole.rays, images.rows), std::ptrdiff_t(images.columns));
+        EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
+    }
+}
+
+TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
+    const OusterImages images = small_images(test::kSingle);
+    auto datagrams = test::received(test::ouster_packets(images));
+    datagrams[10].bytes.resize(500);          // columns 32 to 47 of frame 1
+    datagrams.erase(datagrams.begin() + 13);  // columns 80 to 95
+    const Loaded loaded(write_capture(images, datagrams));
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+    EXPECT_THAT(loaded.notes(), HasSubstr("2 packets are missing, whose rays count as dropped"));
+    const Columns columns(loaded.log, 1);
+    for (std::size_t column = 0; column < images.columns; ++column) {
+        const bool is_missing = column / 16 == 2 || column / 16 == 5;
+        EXPECT_EQ(columns.rays[column], images.rows) << column;
+        EXPECT_EQ(columns.returns[column] == 0, is_missing) << column;
+    }
+}
+
+TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
+    const OusterImages images = small_images(test::kDual);
+    auto datagrams = test::received(test::ouster_packets(images));
+    datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // of frame 1
+    const Loaded loaded(write_capture(images, datagrams));
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
+    EXPECT_NEAR(loaded.log.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
+}
+
+TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
+    for (const auto& [first, last] : {std::pair(32, 95), std::pair(5, 40), std::pair(0, 63), std::pair(100, 127)}) {
+        SCOPED_TRACE(fmt::format("{} to {}", first, last));
+        OusterImages images = small_images(test::kLowRate);
+        images.first = std::size_t(first), images.last = std::size_t(last);
+        const Loaded loaded(write_capture(images));
+        if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+        ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
+        EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
+        for (std::size_t f = 0; f < 4; ++f) {
+            EXPECT_EQ(loaded.log.frames[f].scan.rays.columns, last - first + 1);
+            const Columns columns(loaded.log, f);
+            for (std::size_t column = 0; column < images.columns; ++column)
+                EXPECT_EQ(columns.rays[column], images.is_in_window(column) ? images.rows : 0u) << column;
+            EXPECT_NEAR(loaded.log.frames[f].time_s, double(f) * 128 * 781250e-9, 1e-5);
+        }
+    }
+}
+
+TEST(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
+    OusterImages images = small_images(test::kSingle);
+    const Loaded boot(write_capture(images));
+    for (std::uint64_t& ns : images.time_ns) ns += 1700000000000000000;
+    const Loaded ptp(write_capture(images, test::received(test::ouster_packets(images), 7502, 0)));
+    if (boot.is_left_out()) GTEST_SKIP() << boot.error;
+    ASSERT_EQ(ptp.log.frames.size(), 4u) << ptp.error;
+    for (std::size_t f = 0; f < 4; ++f) {
+        EXPECT_EQ(boot.log.frames[f].time_s, ptp.log.frames[f].time_s);
+        EXPECT_EQ(boot.log.frames[f].scan.rays.time_offset_s, ptp.log.frames[f].scan.rays.time_offset_s);
+        EXPECT_EQ(boot.log.frames[f].scan.range_m, ptp.log.frames[f].scan.range_m);
+    }
+}
+
+TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
+    const OusterImages one = small_images(test::kSingle);
+    OusterImages other = small_images(test::kSingle);
+    other.product = "OS-0-16", other.n_mm = 27.0;
+    for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
+    auto datagrams = test::received(test::ouster_packets(one));
+    std::ranges::copy(test::received(test::ouster_packets(other), 7504), std::back_inserter(datagrams));
+    for (int k = 0; k < 40; ++k) datagrams.push_back({datagrams[0].stamp_ns + k * 10000000, std::string(48, '\1'), 7503});  // of the IMU
+    std::ranges::stable_sort(datagrams, {}, &test::Datagram::stamp_ns);
+    const fs::path folder = fresh_folder("two");
+    test::write_pcap(folder / "drive.pcap", datagrams);
+    write_bytes(folder / "front.json", test::ouster_metadata(one, 7502));
+    write_bytes(folder / "rear.json", test::ouster_metadata(other, 7504));
+    write_bytes(folder / "notes.json", R"({"weather": "fair"})");
+    for (const auto& [port, images] : {std::pair(7502, &one), std::pair(7504, &std::as_const(other))}) {
+        DatasetOptions options;
+        options.lidars = {fmt::format("192.168.1.201:{}", port)};
+        const Loaded loaded(folder / "drive.pcap", options);
+        if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+        ASSERT_EQ(loaded.error, "");
+        expect_same_log(*images, loaded.log);
+        EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("expected")));
+    }
+    write_bytes(folder / "rear.json", test::ouster_metadata(other, 7502));  // both say that they send to one port
+    const Loaded ambiguous(folder / "drive.pcap");
+    EXPECT_THAT(ambiguous.error, HasSubstr("packets of 3328 bytes on port 7502, expected one metadata that tells of them there"));
+    fs::remove(folder / "rear.json");
+    const Loaded half(folder / "drive.pcap");  // the other sensor's packets are not read by the first one's metadata
+    EXPECT_THAT(half.notes(), HasSubstr("packets of 3328 bytes on port 7504, expected one metadata that tells of them there"));
+    if (half.error.empty()) expect_same_log(one, half.log);
+    EXPECT_EQ(half.error, "");
+}
+
+TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
+    const OusterImages images = small_images(test::kSingle);
+    const auto error_with = [&](const std::string& metadata) {
+        const fs::path capture = write_capture(images);
+        write_bytes(fs::path(capture).replace_extension(".json"), metadata);
+        std::string error = Loaded(capture).error;
+        EXPECT_EQ(error.find('\n'), std::string::npos);
+        return error;
+    };
+    const fs::path bare = write_capture(images);
+    fs::remove(fs::path(bare).replace_extension(".json"));
+    const Loaded alone(bare);
+    if (alone.is_left_out()) GTEST_SKIP() << alone.error;
+    EXPECT_THAT(alone.error,
+                HasSubstr("packets of 3328 bytes on port 7502 look like an Ouster's, expected its metadata beside: drive.json"));
+    const std::string metadata = test::ouster_metadata(images, 7502);
+    const auto changed = [&](const std::string& from, const std::string& to) {
+        std::string text = metadata;
+        return text.replace(text.find(from), from.size(), to);
+    };
+    EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)), HasSubstr("drive.json: not valid JSON, truncated or damaged"));
+    EXPECT_THAT(error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_DUAL")),
+                HasSubstr("packets of the profile RNG15_RFL8_NIR8_DUAL, expected one that relidar decodes: LEGACY, RNG19"));
+    EXPECT_THAT(
+        error_with(changed(test::kSingle, test::kDual)),
+        HasSubstr("packets of 3328 bytes on port 7502, expected packets of 4352 bytes (RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
+    EXPECT_THAT(error_with(changed("\"columns_per_frame\": 128", "\"columns_per_frame\": 1024")),
+                HasSubstr("columns_per_frame is 1024, expected the 128 of its lidar_mode"));
+    EXPECT_THAT(error_with(changed("\"pixels_per_column\": 16", "\"pixels_per_column\": 64")),
+                HasSubstr("pixels_per_column is 64, expected the 16 of its beam_altitude_angles"));
+    EXPECT_THAT(error_with(changed("[0, 127]", "[0, 128]")), HasSubstr("column_window"));
+    EXPECT_THAT(error_with(changed("\"columns_per_packet\": 16", "\"columns_per_packet\": 24")),
+                HasSubstr("expected a number that divides"));
+    EXPECT_THAT(error_with(changed("\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"")), HasSubstr("columns_per_frame is 128"));
+    auto datagrams = test::received(test::ouster_packets(images));
+    for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, HasSubstr("a packet of type 2, expected 1: an Ouster's LiDAR data"));
+    for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;  // column 1024 and more
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, HasSubstr("expected less than the 128 of lidar_mode"));
+}
+
+}  // namespace
+}  // namespace relidar

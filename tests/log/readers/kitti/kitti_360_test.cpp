@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: Apache-2.0
+// KITTI-360: what the reader makes of a small one against the closed-form way and boxes it was written with.
+#include <relidar/log/dataset.hpp>
+
+#include <cmath>
+#include <cstdlib>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "log/readers/kitti/kitti_360_folder.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Kitti360Folder;
+using test::read_text;
+using test::write_text;
+using testing::Contains;
+using testing::HasSubstr;
+
+Sequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
+    return load_sequence(kitti.folder.string(), options);
+}
+
+std::size_t points_in(const Sequence& log, const Frame& frame, const BoxTrack& box) {
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
+        n += frame.scan.range_m[i] > 0.0f && box.holds(world_return(log, frame, i).point_m, frame.time_s, 0.0);
+    return n;
+}
+
+TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
+    const Kitti360Folder kitti("k360");
+    EXPECT_EQ(recognise_dataset(kitti.folder), "kitti360");
+    const Sequence log = read(kitti);
+    ASSERT_EQ(log.frames.size(), 3u);
+    EXPECT_TRUE(log.rolling_shutter);
+    EXPECT_EQ(log.frames[0].index, Kitti360Folder::kFirst);
+    EXPECT_NEAR(log.frames[2].time_s - log.frames[0].time_s, 0.2, 1e-9);
+    EXPECT_NEAR(log.frames[0].time_s, 235.0, 1e-9) << "after the drive's first sweep";
+    EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
+    EXPECT_EQ(log.lidars[0].sensor.columns, test::KittiDrive::kFirings);
+    EXPECT_EQ(log.frames[0].scan.count_returns(), kitti.sweeps.n_points);
+    double farthest = 0.0, latest = 0.0;
+    for (const Frame& frame : log.frames) {
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const glm::dvec3 point(frame.scan.point(i));
+            const double late = double(frame.scan.rays.time_offset_s[i]) / Kitti360Folder::kPeriod_s;
+            const glm::dvec3 truth(Kitti360Folder::world_from_velo(frame.index + late) * glm::dvec4(point, 1.0));
+            farthest = std::max(farthest, glm::distance(truth, world_return(log, frame, i).point_m + log.world_offset_m));
+            const double head = std::atan2(point.y, point.x) - log.lidars[0].sensor.beams[frame.scan.rays.channel[i]].azimuth_offset_rad;
+            latest = std::max(latest, std::abs(std::remainder(late + head / (2 * kPi), 1.0)));
+        }
+    }
+    EXPECT_LT(farthest, 1e-3);
+    EXPECT_LT(latest, 2e-3) << "of a turn: the left offset turns a ray by 26 mm over its range";
+}
+
+TEST(Kitti360, BoxesHoldWhatWasLabelled) {
+    const Kitti360Folder kitti("k360_boxes");
+    const Sequence log = read(kitti);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    const BoxTrack &driving = log.boxes[0], &standing = log.boxes[1];
+    EXPECT_EQ(driving.id, "13005");
+    EXPECT_EQ(standing.id, "13007");
+    EXPECT_EQ(driving.category, "car");
+    EXPECT_LT(glm::distance(driving.size_m, glm::dvec3(6, 3, 2)), 1e-9);
+    EXPECT_LT(glm::distance(standing.size_m, glm::dvec3(8, 4, 2)), 1e-9);
+    ASSERT_EQ(driving.world_from_box.pose.size(), 3u);
+    ASSERT_EQ(standing.world_from_box.pose.size(), 2u) << "of the frames in its window";
+    for (int i = 0; i < 3; ++i) {
+        const glm::dmat4 truth =
+            Kitti360Folder::world_from_velo(Kitti360Folder::kFirst + i) * test::box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
+        const Pose& found = driving.world_from_box.pose[std::size_t(i)];
+        EXPECT_EQ(driving.world_from_box.time_s[std::size_t(i)], log.frames[std::size_t(i)].time_s);
+        EXPECT_LT(glm::distance(found.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
+        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9) << "front, of a mirrored one too";
+        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
+    }
+    EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
+    for (const Frame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
+    EXPECT_FALSE(standing.present(log.frames[0].time_s)) << "not labelled there";
+    EXPECT_GT(points_in(log, log.frames[1], standing), 100u);
+    EXPECT_GT(points_in(log, log.frames[2], standing), 100u);
+}
+
+TEST(Kitti360, LabelsAreXmlForOthers) {
+    if (std::system("command -v xmllint > /dev/null") != 0) GTEST_SKIP() << "no xmllint";
+    const Kitti360Folder kitti("k360_xml");
+    EXPECT_EQ(std::system(("xmllint --noout '" + kitti.boxes().string() + "'").c_str()), 0);
+}
+
+TEST(Kitti360, DrivesAndPartsHaveNames) {
+    const Kitti360Folder kitti("k360_names");
+    DatasetOptions options;
+    options.sequence = "kd1";
+    Sequence log = read(kitti, options);
+    ASSERT_EQ(log.frames.size(), 2u);
+    EXPECT_EQ(log.frames[0].index, 2351);
+    EXPECT_EQ(log.test_frames, (std::vector<int>{2360, 2370, 2380, 2390}));
+    options.frames = {2352, -1};
+    EXPECT_EQ(read(kitti, options).frames.size(), 1u);
+    options.frames = {0, 2351};
+    EXPECT_THROW(read(kitti, options), UsageError);
+    options.frames = {};
+    for (const char* name : {"0000", "2013_05_28_drive_0000_sync"}) {
+        options.sequence = name;
+        EXPECT_EQ(read(kitti, options).frames.size(), 3u);
+        EXPECT_TRUE(read(kitti, options).test_frames.empty()) << "nobody has published a split of the drive";
+    }
+    options.sequence = "ks2";
+    EXPECT_THROW(read(kitti, options), UsageError) << "frames that are not there";
+    options.sequence = "0003";
+    try {
+        read(kitti, options);
+        FAIL();
+    } catch (const UsageError& error) {
+        EXPECT_THAT(error.what(), HasSubstr("dataset.sequence: found '0003', expected a drive of"));
+        EXPECT_THAT(error.what(), HasSubstr("(2013_05_28_drive_0000_sync), its number, or ks1"));
+    }
+    try {
+        load_sequence((kitti.folder / "data_3d_raw" / Kitti360Folder::kDrive).string(), {});
+        FAIL();
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), HasSubstr("a drive of KITTI-360, expected"));
+    }
+    options.sequence = "0001";
+    EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), options), UsageError) << "a KITTI raw drive is one";
+}
+
+TEST(Kitti360, MissingPartsAreErrorsOfUsage) {
+    const Kitti360Folder kitti("k360_parts");
+    DatasetOptions part;
+    part.sequence = "kd2";
+    EXPECT_THROW(load_sequence(kitti.folder.string(), part), UsageError) << "no scan of it";
+    part.sequence = "0002";
+    EXPECT_THROW(load_sequence(kitti.folder.string(), part), UsageError) << "no such drive";
+    EXPECT_THROW(load_sequence("kitti360:" + kitti.folder.parent_path().string(), part), DataError);
+}
+
+TEST(Kitti360, FramesWithoutAPose) {
+    const Kitti360Folder kitti("k360_gaps");
+    kitti.write_poses({2350, 2352});
+    Sequence log = read(kitti);
+    ASSERT_EQ(log.frames.size(), 3u);
+    EXPECT_THAT(log.notes, Contains("frames without a pose, taken between those of their neighbours: 2351"));
+    const glm::dvec3 there(Kitti360Folder::world_from_velo(2351)[3]);
+    EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
+    kitti.write_poses({2345, 2351});  // six frames apart: half a second is five
+    log = read(kitti);
+    ASSERT_EQ(log.frames.size(), 1u);
+    EXPECT_THAT(log.notes, Contains("frames without a pose, left out: 2350, 2352"));
+    // Long, but the car stands.
+    const std::string line = read_text(kitti.poses());
+    const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
+    write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
+    EXPECT_EQ(read(kitti).frames.size(), 3u);
+    kitti.write_poses({100, 200});
+    try {
+        read(kitti);
+        FAIL();
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), HasSubstr("none of the frames 2350 to 2352 has a pose, expected some between 100 and 200"));
+    }
+}
+
+TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
+    const Kitti360Folder kitti("k360_poses");
+    DatasetOptions options;
+    options.poses_file = kNoPoses;
+    const Sequence none = read(kitti, options);
+    EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
+    ASSERT_EQ(none.boxes.size(), 2u);
+    for (const Pose& pose : none.boxes[0].world_from_box.pose) EXPECT_LT(glm::distance(pose.translation, glm::dvec3(9.5, 0, 0)), 1e-6);
+    std::string lines;
+    for (int frame = 0; frame < 2353; ++frame) lines += fmt::format("1 0 0 {} 0 1 0 0 0 0 1 0\n", frame);
+    options.poses_file = kitti.folder / "mine.txt";
+    write_text(options.poses_file, lines);
+    const Sequence mine = read(kitti, options);
+    EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
+    EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
+    fs::remove_all(kitti.folder / "data_poses");
+    EXPECT_THAT(read(kitti, options).notes, Contains("no data_poses: boxes have no place"));
+    EXPECT_TRUE(read(kitti, options).boxes.empty());
+}
+
+// Drive 0004: objects without numbers, in train_full alone; other drives may have train alone.
+TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
+    const Kitti360Folder kitti("k360_0004");
+    const glm::dmat4 place = Kitti360Folder::world_from_velo(2351) * test::box_matrix({9.5, 0, 0}, 0.0, {1, 2, 3});
+    const auto fields = [](const std::string& label, int index, int timestamp) {
+        return fmt::format(
+            "<index>{}</index><label>{}</label><timestamp>{}</timestamp><dynamic>{}</dynamic><dynamicSeq>4</dynamicSeq>"
+            "<start_frame>2351</start_frame><end_frame>2351</end_frame>",
+            index, label, timestamp, timestamp < 0 ? 0 : 1);
+    };
+    fs::remove(kitti.boxes());
+    write_text(kitti.folder / "data_3d_bboxes/train" / kitti.boxes().filename(),
+               test::boxes_xml(
+                   test::object_xml(1, fields("pedestrian", 11, 2350), place) + test::object_xml(2, fields("pedestrian", 12, 2351), place) +
+                   test::object_xml(3, fields("car", 13, -1), place) + test::object_xml(4, fields("trafficSign", 14, -1), place)));
+    const Sequence log = read(kitti);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_EQ(log.boxes[0].id, "car-13");
+    EXPECT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);
+    EXPECT_EQ(log.boxes[1].id, "person-moving-4");
+    EXPECT_EQ(log.boxes[1].category, "person");
+    EXPECT_EQ(log.boxes[1].world_from_box.pose.size(), 2u);
+    fs::remove_all(kitti.folder / "data_3d_bboxes");
+    EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
+}
+
+/// Reads with a file changed, and puts it back.
+void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text, const std::string& part) {
+    const std::string good = read_text(file);
+    write_text(file, text);
+    try {
+        read(kitti);
+        ADD_FAILURE() << "no failure, expected " << part;
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), HasSubstr(part));
+        EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
+    }
+    write_text(file, good);
+}
+
+TEST(Kitti360, SaysWhichFileIsWrong) {
+    const Kitti360Folder kitti("k360_errors");
+    const std::string poses = read_text(kitti.poses()), line = poses.substr(0, poses.find('\n') + 1);
+    expect_error(kitti, kitti.poses(), "", "poses.txt: empty, expected a frame number and 12 numbers");
+    expect_error(kitti, kitti.poses(), line.substr(0, line.size() / 2), "poses.txt line 1: ");
+    expect_error(kitti, kitti.poses(), line + line, "poses.txt line 2: frame '2350' after 2350, expected frame numbers that rise");
+    expect_error(kitti, kitti.poses(), "x" + line, "poses.txt line 1: frame 'x2350', expected frame numbers");
+    expect_error(kitti, kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n", "poses.txt line 1: number 4 is nan");
+    expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n", "poses.txt line 1: the 3x3 block is no rotation");
+    expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n", "calib_cam_to_pose.txt: no line 'image_00:'");
+    expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n", "calib_cam_to_velo.txt line 1: 4 numbers, expected 12");
+    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n", "timestamps.txt: no two lines with times");
+    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n", "a sweep lasts 60 s");
+    expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: empty");
+    fs::remove(kitti.calibration("calib_cam_to_velo.txt"));
+    EXPECT_THROW(read(kitti), DataError);
+    fs::remove_all(kitti.raw());
+    EXPECT_THROW(read(kitti), DataError);
+}
+
+TEST(Kitti360, SaysWhichBoxIsWrong) {
+    const Kitti360Folder kitti("k360_box_errors");
+    const std::string whole = read_text(kitti.boxes());
+    const auto expect = [&](const std::string& from, const std::string& to, const std::string& part) {
+        std::string text = whole;
+        ASSERT_NE(text.find(from), std::string::npos) << from;
+        expect_error(kitti, kitti.boxes(), text.replace(text.find(from), from.size(), to), part);
+    };
+    expect("</opencv_storage>", "", ".xml: malformed XML at byte");
+    expect("<semanticId>13</semanticId>", "<semanticId>x</semanticId>", "object0: semanticId is 'x', expected a whole number");
+    expect("<instanceId>5</instanceId>", "<instanceId>5e9</instanceId>", "object0: instanceId is '5e9'");
+    expect("<timestamp>-1</timestamp>", "<timestamp>1.5</timestamp>", "object3: timestamp is '1.5'");
+    expect("<start_frame>2351</start_frame>", "", "object3: start_frame is ''");
+    expect("<rows>4</rows>", "<rows>400000000</rows>", "object0: transform: rows is '400000000'");
+    expect("<cols>4</cols>", "<cols>3</cols>", "object0: transform of 4 x 3 with 16 numbers, expected 4 x 4 with 16");
+    expect("e+00 ", "e+00 nan ", "object0: transform of 4 x 4 with 17 numbers");
+    expect("e+00 ", "e+99 ", "object0: number 1 of transform is ");
+    expect("<semanticId>13</semanticId>\n  <instanceId>7", "<semanticId>14</semanticId>\n  <instanceId>-995",
+           "object3: a truck of track 13005, which is a car elsewhere");
+    write_text(kitti.boxes(), "<html/>");
+    expect_error(kitti, kitti.boxes(), "<html/>", ".xml: no element opencv_storage");
+    const glm::dmat4 sheared{{2, 0, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
+    const auto one = [](const glm::dmat4& m) {
+        return test::boxes_xml(test::object_xml(0, test::object_fields("bus", 34, 1, 2351, 0, 0), m));
+    };
+    expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform: the 3x3 block is no rotation");
+    expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: transform has a size of 0 x 0 x 0 m");
+}
+
+}  // namespace
+}  // namespace relidar

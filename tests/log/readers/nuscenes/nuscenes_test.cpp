@@ -1,0 +1,232 @@
+// SPDX-License-Identifier: Apache-2.0
+// nuScenes: a folder written here, whose every ray is known, and damage of each of its files.
+#include <relidar/log/dataset.hpp>
+
+#include <cmath>
+#include <cstring>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "log/readers/kitti/kitti_drive.hpp"
+#include "log/readers/nuscenes/nuscenes_folder.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using test::NuscenesFolder;
+using test::NuscenesRay;
+
+Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103", DatasetOptions options = {}) {
+    options.sequence = scene;
+    return load_sequence(data.folder.string(), options);
+}
+
+/// A LiDAR's place is interpolated along chords, 0.944 m from the axle at 0.0175 rad a sweep. At s sweeps after the first end of a chord it
+/// is r angle^2 |s (s - 1)| / 2 off the arc; the first turn, s = -1 to 0, goes back along the chord after it.
+double off_arc_m(int frame, double s) {
+    const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? s - 1.0 : s;
+    return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
+}
+
+TEST(Nuscenes, EveryRayIsWhereItWasFired) {
+    const NuscenesFolder data("rays");
+    EXPECT_EQ(recognise_dataset(data.folder), "nuscenes");
+    const Sequence found = load(data);
+    EXPECT_EQ(found.name, "nuScenes scene-0103");
+    ASSERT_EQ(found.frames.size(), std::size_t(NuscenesFolder::kSweeps));
+    const SpinningSensor& sensor = found.lidars[0].sensor;
+    ASSERT_EQ(sensor.beams.size(), 32u);
+    EXPECT_NEAR(sensor.beams[0].elevation_rad * 180.0 / kPi, 10.67, 5e-3);
+    EXPECT_NEAR(sensor.beams[31].elevation_rad * 180.0 / kPi, -30.67, 5e-3);
+    const PoseTrack track = found.world_from_sensor(0);
+    for (const Frame& frame : found.frames) {
+        ASSERT_EQ(frame.scan.rays.columns, data.columns);
+        std::size_t n_returns = 0;
+        for (const NuscenesRay& ray : data.rays[std::size_t(frame.index)]) n_returns += ray.returned;
+        EXPECT_EQ(frame.scan.count_returns(), n_returns);
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
+            const double turned = 1.0 + double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)), ring = 31u - frame.scan.rays.channel[i];
+            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            const bool returned = frame.scan.range_m[i] > 0.0f;
+            ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
+            ASSERT_EQ(returned, ray.returned) << i;
+            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            const double off_m = off_arc_m(frame.index, turned);
+            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), off_m);
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction), returned ? off_m / 4.0 + 1e-6 : 4e-4) << i;
+            if (!returned) continue;
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+                      1e-4);
+            ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
+        }
+    }
+}
+
+TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
+    const NuscenesFolder data("boxes", 40);
+    const Sequence found = load(data);
+    for (std::size_t i = 0; i < found.frames.size(); ++i) {
+        EXPECT_NEAR(found.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
+        const Pose truth = NuscenesFolder::vehicle_at(found.frames[i].time_s), &pose = found.world_from_vehicle.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-8);
+        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
+    }
+    ASSERT_EQ(found.boxes.size(), 1u) << "the dog is in another scene";
+    const BoxTrack& box = found.boxes[0];
+    EXPECT_EQ(box.category, "vehicle.car");
+    EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6)) << "length first";
+    ASSERT_EQ(box.world_from_box.pose.size(), found.frames.size());
+    for (std::size_t i = 0; i < found.frames.size(); ++i) {
+        const Pose truth = NuscenesFolder::box_at(found.frames[i].time_s), &pose = box.world_from_box.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-8);
+        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
+    }
+}
+
+TEST(Nuscenes, ScenesFramesAndPoses) {
+    const NuscenesFolder data("scenes", 40);
+    EXPECT_EQ(load(data, "").name, "nuScenes scene-0061");
+    EXPECT_EQ(load(data, "").frames.size(), 1u);
+    EXPECT_EQ(load(data, "103").name, "nuScenes scene-0103");
+    try {
+        load(data, "scene-0104");
+        FAIL();
+    } catch (const UsageError& error) {
+        EXPECT_STREQ(error.what(), "dataset.sequence 'scene-0104': no such scene, expected one of 2: scene-0061, scene-0103");
+    }
+    DatasetOptions options;
+    options.frames = {3, 5};
+    const Sequence part = load(data, "103", options);
+    ASSERT_EQ(part.frames.size(), 2u);
+    EXPECT_EQ(part.frames[0].index, 3);
+    EXPECT_NEAR(part.frames[0].time_s, 0.15, 1e-9);
+    options.frames = {11, -1};
+    EXPECT_THROW(load(data, "103", options), UsageError);
+    options.frames = {};
+    options.poses_file = kNoPoses;
+    const Sequence unposed = load(data, "103", options);
+    EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
+    const glm::dvec3 seen = inverse(NuscenesFolder::vehicle_at(0.2)) * NuscenesFolder::box_at(0.2).translation;
+    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, seen), 1e-8) << "as the vehicle saw it";
+    test::write_text(data.table("sample_annotation"), "[]");
+    EXPECT_THAT(load(data).notes, testing::Contains("no annotations of this scene: nothing in it is labelled"));
+}
+
+TEST(Nuscenes, KeyframesAlone) {
+    const NuscenesFolder data("keyframes", 40);
+    fs::remove(data.sweep(4));
+    try {
+        load(data);
+        ADD_FAILURE() << "a hole among sweeps is an error";
+    } catch (const DataError& error) {
+        EXPECT_THAT(error.what(), testing::HasSubstr("turn_4.pcd.bin"));
+        EXPECT_THAT(error.what(), testing::HasSubstr("dataset.skip_broken=true leaves such scans out"));
+    }
+    DatasetOptions options;
+    options.skip_broken = true;
+    EXPECT_EQ(load(data, "103", options).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
+    fs::remove_all(data.folder / "sweeps");
+    const Sequence found = load(data);
+    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("its keyframes alone")));
+    ASSERT_EQ(found.frames.size(), 2u);
+    EXPECT_EQ(found.frames[1].index, 10);
+    EXPECT_NEAR(found.frames[1].time_s, 0.5, 1e-9);
+    EXPECT_EQ(found.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, found.frames[1].time_s}));
+    const PoseTrack track = found.world_from_sensor(0);
+    for (const Frame& frame : found.frames) {
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)), ring = 31u - frame.scan.rays.channel[i];
+            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
+            // a chord of half a second, from where the LiDAR turns about the axle
+            const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0), arc_m = 0.944 * 0.175 * 0.175;
+            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+                      1e-4);
+        }
+    }
+    options.frames = {1, 10};
+    EXPECT_THROW(load(data, "103", options), UsageError);
+}
+
+TEST(Nuscenes, SaysWhichRecordIsWrong) {
+    const NuscenesFolder data("tables", 40);
+    const auto expect = [&](const std::string& table, const std::string& from, const std::string& to, const std::string& part) {
+        const std::string good = test::read_text(data.table(table));
+        std::string bad = good;
+        ASSERT_NE(bad.find(from), std::string::npos) << from;
+        test::write_text(data.table(table), bad.replace(bad.find(from), from.size(), to));
+        try {
+            load(data);
+            ADD_FAILURE() << "no failure, expected " << part;
+        } catch (const DataError& error) {
+            EXPECT_THAT(error.what(), testing::HasSubstr(table + ".json"));
+            EXPECT_THAT(error.what(), testing::HasSubstr(part));
+            EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
+        }
+        test::write_text(data.table(table), good);
+    };
+    expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name': expected text");
+    expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533", "key 'timestamp': expected a number");
+    expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1", "key 'is_key_frame': expected true or false");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': 'd99' after 5 files");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "expected times that rise");
+    expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': 'gone' after 11 files");
+    expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel': no LIDAR_*");
+    expect("sample_data", "turn_0.pcd.bin", "turn_0.las", "a LiDAR's file 'samples/LIDAR_TOP/turn_0.las', expected one that ends in");
+    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733", "whose pose it is, expected at most 0.1 s");
+    expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ", "key 'rotation': expected 4 numbers");
+    expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7", "key 'rotation': expected a quaternion of length 1");
+    expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"", "no 'e5', the pose of sweeps/LIDAR_TOP/turn_5.pcd.bin");
+    expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ", "key 'translation': expected 3 numbers");
+    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size': 1.9 x -4.5 x 1.6, expected all above 0");
+    expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"", "no category of instance 'car'");
+    expect("sample", "[\n", "x", "'x' between objects, expected an array of objects");
+    expect("sample", "}\n]", "", "cut short, expected an array of objects");
+    expect("sample", "\n]", "", "cut short, expected an array of objects");
+    expect("sample", "\"token\": \"k1\",", "\"token\" \"k1\",", "record 0: ");
+    expect("category", "\"animal\"", "\"" + std::string(1 << 20, 'a') + "\"", "an object of more than 1048576 bytes");
+    fs::remove(data.table("ego_pose"));
+    EXPECT_THROW(load(data), DataError);
+}
+
+TEST(Nuscenes, SaysWhichFileIsWrong) {
+    const NuscenesFolder data("files", 40);
+    const std::string good = test::read_text(data.sweep(4));
+    const auto expect = [&](const std::string& bytes, const std::string& part) {
+        test::write_text(data.sweep(4), bytes);
+        try {
+            load(data);
+            ADD_FAILURE() << "no failure, expected " << part;
+        } catch (const DataError& error) {
+            EXPECT_THAT(error.what(), testing::HasSubstr("turn_4.pcd.bin: " + part));
+        }
+    };
+    const auto with = [&](std::size_t point, std::size_t field, float value) {
+        std::string bytes = good;
+        std::memcpy(bytes.data() + 20 * point + 4 * field, &value, 4);
+        return bytes;
+    };
+    expect("", "0 bytes, expected columns of 32 points of 20 bytes");
+    expect(good.substr(0, good.size() - 20), "25580 bytes, expected columns of 32 points");
+    expect(with(7, 1, NAN), "point 7 at (");
+    expect(with(7, 2, 2e4f), "point 7 at (");
+    expect(with(7, 3, INFINITY), "point 7 at (");
+    expect(with(7, 4, 32.0f), "point 7 of ring 32, expected 0 to 31");
+    expect(with(7, 4, 0.5f), "point 7 of ring 0.5, expected 0 to 31");
+    expect(std::string(640, '\0'), "no point beyond 1 m, expected some");
+    fs::remove(data.sweep(4));
+    EXPECT_THROW(load(data), DataError);
+    fs::remove(data.table("scene"));
+    EXPECT_THROW(load(data), DataError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,433 @@
+// SPDX-License-Identifier: Apache-2.0
+// The synthetic street: casts against closed forms, determinism, moving cars in their boxes, the file and its messages.
+#include <relidar/log/dataset.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include "../../../support/rig_street.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+SyntheticOptions small() { return {.n_frames = 5, .rows = 16, .columns = 256}; }
+
+RayTable one_ray(const glm::vec3& direction) {
+    RayTable rays;
+    rays.rows = rays.columns = 1;
+    rays.origin = {{0, 0, 0}};
+    rays.direction = {direction};
+    rays.time_offset_s = {0.0f};
+    rays.channel = {0};
+    return rays;
+}
+
+TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
+    const SyntheticOptions options = small();
+    const PoseTrack level{{0.2}, {Pose{}}};  // relidar's origin: the sensor in the middle frame, 1.8 m up
+    for (const double elevation : {-0.8, -0.5, -0.4}) {
+        const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
+        const Scan scan = cast_synthetic_street(options, one_ray(d), level, 0.2);
+        EXPECT_NEAR(scan.range_m[0], 1.8 / std::sin(-elevation), 1e-5);
+        EXPECT_GT(scan.intensity[0], 0.05f);
+    }
+    EXPECT_EQ(cast_synthetic_street(options, one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
+}
+
+/// Boxes of the street's own cars, as edits start from them.
+std::vector<StreetCar> own_cars(const SyntheticOptions& options) {
+    std::vector<StreetCar> cars;
+    for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
+    return cars;
+}
+
+TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
+    const SyntheticOptions options = small();
+    const Sequence street = make_synthetic_street(options);
+    const RayTable rays = make_rays(street.lidars[0].sensor);
+    const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
+               again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
+    std::size_t on_cars = 0;
+    const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        ASSERT_NEAR(plain.range_m[i], again.range_m[i], 1e-4);
+        on_cars += std::abs(plain.range_m[i] - without.range_m[i]) > 0.01f;
+    }
+    EXPECT_GT(on_cars, 20u) << "the cars must be seen";
+}
+
+TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
+    const SyntheticOptions options = small();
+    PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground
+    const double rear = 12.0 - 0.5 * 4.3;
+    std::vector<StreetCar> cars{own_cars(options)[0]};
+    for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
+    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear - 4.0, 1e-4);
+    for (double& time_s : cars[0].track.world_from_box.time_s) time_s += 1.0;
+    EXPECT_EQ(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0],
+              cast_synthetic_street(options, {}, one_ray({1, 0, 0}), still, 0.2).range_m[0])
+        << "later: not there yet";
+    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 1.2).range_m[0], rear - 4.0, 1e-4);
+    cars[0].shapes_of = 2;
+    EXPECT_THROW(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2), DataError);
+}
+
+TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
+    // At the middle frame the car ahead has its centre 12 m ahead; it drives 1.05 times as fast as the sensor.
+    const SyntheticOptions options = small();
+    PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground, in the car's body
+    const double rear = 12.0 - 0.5 * 4.3;
+    const double t = 0.05;
+    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear, 1e-5);
+    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2 + t).range_m[0], rear + 8.4 * t, 1e-5);
+    RayTable late = one_ray({1, 0, 0});
+    late.time_offset_s[0] = static_cast<float>(t);
+    EXPECT_NEAR(cast_synthetic_street(options, late, still, 0.2).range_m[0], rear + 8.4 * t, 1e-5);
+}
+
+TEST(Synthetic, SameSeedSameLog) {
+    const Sequence a = make_synthetic_street(small()), b = make_synthetic_street(small());
+    SyntheticOptions other = small();
+    other.seed = 2;
+    const Sequence c = make_synthetic_street(other);
+    for (std::size_t f = 0; f < a.frames.size(); ++f) {
+        EXPECT_EQ(a.frames[f].scan.range_m, b.frames[f].scan.range_m);
+        EXPECT_EQ(a.frames[f].scan.intensity, b.frames[f].scan.intensity);
+    }
+    EXPECT_NE(a.frames[0].scan.range_m, c.frames[0].scan.range_m);
+}
+
+TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
+    SyntheticOptions options = small();
+    options.range_noise_m = 0.0;
+    const Sequence log = make_synthetic_street(options);
+    EXPECT_NEAR(glm::length(log.world_from_vehicle.pose[2].translation), 0.0, 1e-12);
+    for (const Frame& frame : log.frames) {
+        const Scan exact = cast_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
+        std::size_t agree = 0;
+        for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
+            const bool hit = exact.range_m[i] > 0.0f, measured = frame.scan.range_m[i] > 0.0f;
+            agree += hit == measured;
+            if (!hit || !measured) continue;
+            ASSERT_FLOAT_EQ(exact.range_m[i], frame.scan.range_m[i]);
+        }
+        EXPECT_GT(agree, exact.range_m.size() * 9 / 10);
+        EXPECT_LT(exact.count_returns(), exact.range_m.size());
+    }
+}
+
+TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_limits";
+    save_synthetic(small(), folder);
+    DatasetOptions options;
+    options.min_range_m = 5.0;
+    options.max_range_m = 20.0;
+    const Sequence all = load_sequence(folder.string(), {}), some = load_sequence(folder.string(), options);
+    EXPECT_EQ(some.lidars[0].sensor.min_range_m, 5.0);
+    EXPECT_EQ(some.lidars[0].sensor.max_range_m, 20.0);
+    std::size_t near = 0, far = 0;
+    for (std::size_t f = 0; f < all.frames.size(); ++f)
+        for (std::size_t i = 0; i < all.frames[f].scan.range_m.size(); ++i) {
+            const float range = all.frames[f].scan.range_m[i];
+            const bool kept = range >= 5.0f && range <= 20.0f;
+            ASSERT_EQ(some.frames[f].scan.range_m[i], kept ? range : 0.0f);
+            near += range > 0.0f && range < 5.0f;
+            far += range > 20.0f;
+        }
+    EXPECT_GT(near, 0u);
+    EXPECT_GT(far, 0u);
+    options.min_range_m = 20.0;
+    EXPECT_THROW(load_sequence(folder.string(), options), UsageError);
+    fs::remove_all(folder);
+}
+
+TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_poses";
+    save_synthetic(small(), folder);
+    const Sequence exact = load_sequence(folder.string(), {});
+    const fs::path file = folder / "poses.txt";
+    {
+        std::ofstream out(file);
+        out.precision(17);
+        for (const Pose& pose : exact.world_from_vehicle.pose) {   // the same places, but 0.5 m further left in the street's world
+            const glm::dmat4 m = to_matrix(pose);
+            const glm::dvec3 t = pose.translation + exact.world_offset_m + glm::dvec3(0.0, 0.5, 0.0);
+            for (int r = 0; r < 3; ++r) out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
+        }
+    }
+    DatasetOptions options;
+    options.poses_file = file;
+    const Sequence moved = load_sequence(folder.string(), options);
+    const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
+        ASSERT_EQ(from.pose.size(), to.pose.size());
+        for (std::size_t k = 0; k < from.pose.size(); ++k)
+            EXPECT_LT(glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)), 1e-9);
+    };
+    expect_moved(exact.world_from_vehicle, moved.world_from_vehicle);
+    for (std::size_t b = 0; b < exact.boxes.size(); ++b) expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
+    EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m) << "scans are what the sensor saw from the exact poses";
+    fs::remove_all(folder);
+}
+
+TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_sizes";
+    fs::create_directories(folder);
+    std::ofstream(folder / "street.toml") << "n_frames = 10000\nrows = 256\ncolumns = 8192\n";
+    try {
+        load_sequence(folder.string(), {});
+        FAIL();
+    } catch (const DataError& error) {
+        EXPECT_NE(std::string(error.what())
+                      .find("street.toml: synthetic street: 10000 frames of 2097152 rays are 2.1e+10 rays, expected at most 2e+08"),
+                  std::string::npos)
+            << error.what();
+    }
+    DatasetOptions one;
+    one.frames = {0, 1};
+    EXPECT_EQ(load_sequence(folder.string(), one).frames.size(), 1u);
+    std::string dots = "a";
+    for (int i = 0; i < 40000; ++i) dots += ".a";
+    for (const std::string& text : {dots + " = 1\n", "[" + dots + "]\nx = 1\n"}) {
+        std::ofstream(folder / "street.toml") << text;
+        EXPECT_THROW(load_sequence(folder.string(), {}), DataError);
+    }
+    fs::remove_all(folder);
+}
+
+/// A street logged through a rig.
+SyntheticOptions rig_street() {
+    SyntheticOptions options{.n_frames = 4, .range_noise_m = 0.0};
+    options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
+    return options;
+}
+
+TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
+    const SyntheticOptions options = rig_street();
+    const Sequence log = make_synthetic_street(options);
+    ASSERT_EQ(log.lidars.size(), 4u);
+    ASSERT_EQ(log.frames.size(), 16u);
+    EXPECT_EQ(log.world_from_vehicle.pose.size(), 4u) << "a pose for each sweep";
+    for (const Frame& frame : log.frames) {
+        const Lidar& lidar = log.lidar_of(frame);
+        const PoseTrack track = log.world_from_sensor(frame.lidar);
+        EXPECT_EQ(frame.scan.rays.direction, nominal_rays(lidar, frame.time_s).direction) << lidar.name;
+        const Scan truth = frame.lidar == test::kTwoReturns ? cast_synthetic_beams(options, frame.scan.rays, track, frame.time_s)
+                                                            : cast_synthetic_street(options, frame.scan.rays, track, frame.time_s);
+        std::size_t n = 0;
+        for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
+            if (!(truth.range_m[i] > 0.0f && frame.scan.range_m[i] > 0.0f)) continue;
+            ASSERT_NEAR(frame.scan.range_m[i], truth.range_m[i], 1e-5) << lidar.name << " ray " << i;
+            ++n;
+        }
+        EXPECT_GT(n, truth.range_m.size() / 2) << lidar.name;
+    }
+    EXPECT_NE(log.frames[test::kRosette].scan.rays.direction, log.frames[4 + test::kRosette].scan.rays.direction) << "other petals";
+    EXPECT_TRUE(log.frames[0].scan.second_returns.empty());
+}
+
+TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
+    const SyntheticOptions options = rig_street();
+    const Sequence log = make_synthetic_street(options);
+    const Frame& frame = log.frames[test::kTwoReturns];
+    ASSERT_EQ(frame.scan.second_returns.size(), 1u);
+    const PoseTrack track = log.world_from_sensor(frame.lidar);
+    std::size_t n = 0, met = 0;
+    for (std::size_t i = 0; i < frame.scan.range_m.size() && n < 200; ++i) {
+        const float second_m = frame.scan.second_returns[0].range_m[i];
+        if (second_m == 0.0f) continue;
+        ++n;
+        EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f) << "means of returns whose nearest parts are 0.5 m apart";
+        RayTable fan = one_ray(frame.scan.rays.direction[i]);   // 20 x 20 directions of the cone
+        fan.time_offset_s.clear(), fan.origin.clear(), fan.channel.clear(), fan.direction.clear();
+        const glm::vec3 d = frame.scan.rays.direction[i], side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
+        const glm::vec3 up = glm::cross(side, d);
+        for (int k = 0; k < 400; ++k) {
+            const float u = (float(k % 20) - 9.5f) / 10.0f, v = (float(k / 20) - 9.5f) / 10.0f;
+            fan.direction.push_back(glm::normalize(d + 4.5e-3f * (u * side + v * up)));
+            fan.origin.emplace_back(0.0f), fan.time_offset_s.push_back(frame.scan.rays.time_offset_s[i]), fan.channel.push_back(0);
+        }
+        fan.columns = 400;
+        const Scan scan = cast_synthetic_street(options, fan, track, frame.time_s);
+        const auto [low, high] = std::ranges::minmax(scan.range_m);
+        const bool near = std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
+        met += near || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);   // a slope's mean
+    }
+    EXPECT_GE(n, 100u);
+    EXPECT_GE(met, n * 98 / 100);
+}
+
+TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_synthetic_rig_log";
+    const SyntheticOptions options = rig_street();
+    save_synthetic(options, folder);
+    EXPECT_EQ(read_synthetic(folder).rig, options.rig);
+    const Sequence all = load_sequence(folder.string(), {});
+    DatasetOptions some;
+    some.lidars = {"wide", "front"};
+    const Sequence two = load_sequence(folder.string(), some);
+    ASSERT_EQ(two.lidars.size(), 2u);
+    EXPECT_EQ(two.lidars[0].name, "front") << "in the order of the log";
+    ASSERT_EQ(two.frames.size(), 8u);
+    EXPECT_EQ(two.frames[1].scan.range_m, all.frames[3].scan.range_m);
+    EXPECT_EQ(two.world_from_vehicle.time_s, all.world_from_vehicle.time_s);
+    EXPECT_THAT(two.notes, testing::Contains("LiDARs left out: top, flower"));
+    some.lidars = {"top", "roof"};
+    EXPECT_THAT([&] { load_sequence(folder.string(), some); },
+                testing::ThrowsMessage<UsageError>("lidar: found \"roof\", expected one of top, front, flower, wide"));
+    std::ofstream(folder / "street.toml") << "rig = \"street.toml\"\n";
+    EXPECT_THAT([&] { load_sequence(folder.string(), {}); }, testing::ThrowsMessage<DataError>(testing::HasSubstr("found no rig in")));
+}
+
+TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
+    EXPECT_THROW(cast_synthetic_beams(small(), one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
+}
+
+TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
+    const SyntheticOptions options = small();
+    const PoseTrack track{{0.2}, {make_synthetic_street(options).world_from_sensor(0).at(0.2)}};
+    RayTable narrow = make_rays(
+        ScanningWindow{.name = "", .rows = 12, .columns = 30, .left_rad = 1.0, .right_rad = -1.0, .top_rad = 0.05, .bottom_rad = -0.1});
+    RayTable wide = narrow, mixed = narrow;
+    narrow.divergence_rad = 1e-3f, wide.divergence_rad = 0.03f;
+    for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
+    const auto cast = [&](const RayTable& rays) { return cast_synthetic_beams(options, rays, track, 0.2); };
+    const Scan a = cast(narrow), b = cast(wide), both = cast(mixed);
+    std::size_t differ = 0;
+    for (std::size_t i = 0; i < mixed.size(); ++i) {
+        EXPECT_EQ(both.range_m[i], (i % 2 ? b : a).range_m[i]) << i;
+        EXPECT_EQ(both.second_returns[0].range_m[i], (i % 2 ? b : a).second_returns[0].range_m[i]) << i;
+        differ += a.range_m[i] != b.range_m[i];
+    }
+    EXPECT_GT(differ, mixed.size() / 2);
+}
+
+TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
+    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
+    save_synthetic(small(), folder);
+    const Sequence exact = load_sequence(folder.string(), {});
+    DatasetOptions options;
+    options.poses_file = kNoPoses;
+    Sequence log = load_sequence(folder.string(), options);
+    for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
+    const glm::dvec3 as_seen = inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
+    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, as_seen), 1e-9);
+    set_vehicle_poses(log, exact.world_from_vehicle);
+    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, exact.boxes[0].world_from_box.pose[0].translation), 1e-9);
+    fs::remove_all(folder);
+}
+
+TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
+    SyntheticOptions with = small(), without = small();
+    with.range_noise_m = without.range_noise_m = 0.0;
+    without.moving_cars = false;
+    const Sequence log = make_synthetic_street(with), empty = make_synthetic_street(without);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_TRUE(empty.boxes.empty());
+    std::size_t on_cars = 0;
+    for (std::size_t f = 0; f < log.frames.size(); ++f) {
+        const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
+        for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
+            const double t = log.frames[f].time_s + static_cast<double>(scan.rays.time_offset_s[i]);
+            const glm::dvec3 world = log.world_from_vehicle.at(t) * glm::dvec3(scan.point(i));
+            const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
+            on_cars += changed;
+            if (scan.range_m[i] == 0.0f) continue;
+            ASSERT_EQ(changed, in_moving_box(log.boxes, world, t, 0.0)) << f << " " << i;
+        }
+    }
+    EXPECT_GT(on_cars, 50u);
+}
+
+TEST(Synthetic, SavedAndLoadedAgain) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_street";
+    SyntheticOptions options = small();
+    options.seed = 99;
+    options.speed_mps = 6;
+    options.people = options.gait = true;
+    save_synthetic(options, folder);
+    EXPECT_EQ(recognise_dataset(folder), "synthetic");
+    DatasetOptions part;
+    part.sequence = "kd1";
+    EXPECT_THROW(load_sequence(folder.string(), part), UsageError) << "a street is one drive";
+    EXPECT_THROW(load_sequence("synthetc:" + folder.string(), {}), UsageError);
+    EXPECT_THROW(load_sequence((folder / "none").string(), {}), DataError);
+    EXPECT_THROW(load_sequence("synthetic:" + (folder / "none").string(), {}), DataError);
+    const Sequence made = make_synthetic_street(options);
+    DatasetOptions range;
+    range.frames = {1, 3};
+    const Sequence read = load_sequence("synthetic:" + folder.string(), range);
+    ASSERT_EQ(read.frames.size(), 2u);
+    EXPECT_EQ(read.frames[1].index, 2);
+    EXPECT_EQ(read.world_offset_m, made.world_offset_m);
+    const Scan whole = load_sequence(folder.string(), {}).frames[2].scan;
+    EXPECT_EQ(whole.range_m, made.frames[2].scan.range_m);
+    EXPECT_TRUE(read.rolling_shutter);
+    range.rolling_shutter = false;
+    EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter)
+        << "the setting must reach initialisation and training, not rendering alone";
+    range.frames = {5, 9};
+    EXPECT_THROW(load_sequence(folder.string(), range), UsageError);
+}
+
+TEST(Synthetic, WrongFilesAreNamed) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_wrong_street";
+    fs::create_directories(folder);
+    const auto message = [&](const std::string& text) -> std::string {
+        std::ofstream(folder / "street.toml") << text;
+        try {
+            load_sequence(folder.string(), {});
+        } catch (const DataError& error) {
+            return error.what();
+        }
+        return "no DataError";
+    };
+    using testing::HasSubstr;
+    EXPECT_THAT(message("row = 16\n"), HasSubstr("street.toml line 1: unknown key 'row', did you mean 'rows'?"));
+    EXPECT_THAT(message("rows = 1\n"), HasSubstr("rows is 1, expected 2 ... 256"));
+    EXPECT_THAT(message("range_noise_m = nan\n"), HasSubstr("range_noise_m is nan"));
+    EXPECT_THAT(message("speed_mps = \"fast\"\n"), HasSubstr("line 1: speed_mps has the wrong type"));
+    EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
+    EXPECT_THAT(message("gait = true\n"), HasSubstr("gait is true without people"));
+    EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
+    for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})   // libFuzzer: casts of what no integer holds
+        EXPECT_THAT(message(std::string("rows = ") + real + "\n"),
+                    HasSubstr("street.toml line 1: rows has the wrong type or size, expected a whole number"));
+    SyntheticOptions options;
+    options.columns = 0;
+    EXPECT_THROW(make_synthetic_street(options), UsageError);
+}
+
+/// People's boxes hold their returns, whose number falls with range as it does on a street.
+class SyntheticPeople : public testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(Gait, SyntheticPeople, testing::Bool());
+
+TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
+    SyntheticOptions options = {.n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true, .gait = GetParam()};
+    const Sequence street = make_synthetic_street(options);
+    options.people = options.gait = false;
+    EXPECT_EQ(make_synthetic_street(options).boxes.size(), 2u);
+    std::vector<std::string> categories;
+    for (const BoxTrack& box : street.boxes) categories.push_back(box.category);
+    EXPECT_THAT(categories, testing::ElementsAre("Car", "Car", "Pedestrian", "Pedestrian", "Pedestrian", "Cyclist"));
+    for (const std::size_t person : {2u, 5u}) {
+        std::size_t inside = 0;
+        const Frame& frame = street.frames[2];
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            if (frame.scan.range_m[ray] > 0.0f) {
+                const WorldReturn w = world_return(street, frame, ray);
+                inside += street.boxes[person].holds(w.point_m, w.time_s, 0.01);
+            }
+        EXPECT_GT(inside, 10u) << categories[person];
+    }
+}
+
+}  // namespace
+}  // namespace relidar

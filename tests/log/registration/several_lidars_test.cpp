@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// Logs of two LiDARs registered: what both see at one time is one scan of the vehicle; one that sweeps at other times rides along.
+#include <gtest/gtest.h>
+
+#include <relidar/log/clouds.hpp>
+#include <relidar/log/registration.hpp>
+
+#include "../../support/two_lidars.hpp"
+#include "street_poses.hpp"
+
+namespace relidar {
+namespace {
+
+SyntheticOptions two_lidar_options() {
+    return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
+}
+
+/// Twice the same poses: of each sweep, and off_s later, when the second LiDAR sweeps.
+Sequence one_after_the_other(double off_s) {
+    const Sequence together = test::two_lidar_street(two_lidar_options());
+    Sequence street = together;
+    const RayTable rays = make_rays(street.lidars[1].sensor);
+    street.frames.clear();
+    street.world_from_vehicle = {};
+    for (const Frame& frame : together.frames) {
+        const double time_s = frame.time_s + frame.lidar * off_s;
+        add_frame(street, frame.index, time_s, together.world_from_vehicle.at(time_s), frame.lidar).scan =
+            frame.lidar == 0 ? frame.scan : cast_synthetic_street(two_lidar_options(), rays, together.world_from_sensor(1), time_s);
+    }
+    check_sequence(street);
+    return street;
+}
+
+std::vector<int> all_poses(const Sequence& street) {
+    std::vector<int> all;
+    for (int k = 0; k < int(street.world_from_vehicle.pose.size()); ++k) all.push_back(k);
+    return all;
+}
+
+TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
+    const Sequence street = test::two_lidar_street(two_lidar_options());
+    const PoseTrack& exact = street.world_from_vehicle;
+    const Split split = split_frames(street, 5);
+    for (const PoseTrack& wrong : {test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1), test::drifting(exact, 0.2, 0.3 * test::kDegree)}) {
+        const Registration found = register_scans(test::with_poses(street, wrong), split, {});
+        ASSERT_TRUE(found.done);
+        EXPECT_TRUE(found.lost.empty());
+        const test::PoseError error = test::error_of(found.world_from_vehicle, exact, all_poses(street));
+        EXPECT_LT(error.median_m, 0.005);
+        EXPECT_LT(error.worst_m, 0.02);
+        EXPECT_LT(error.median_deg, 0.02);
+    }
+}
+
+TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
+    Sequence street = test::two_lidar_street(two_lidar_options());
+    const PoseTrack exact = street.world_from_vehicle;
+    Scan& missed = street.frames[8].scan;
+    std::fill(missed.range_m.begin(), missed.range_m.end(), 0.0f);
+    PoseTrack wrong = exact;
+    wrong.pose[4].translation += glm::dvec3(0.2, -0.3, 0.1);
+    const Registration found = register_scans(test::with_poses(street, wrong), split_frames(street, 0), {});
+    EXPECT_TRUE(found.lost.empty());
+    EXPECT_LT(test::error_of(found.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
+}
+
+/// Rays of one sweep lie between poses of both, in whichever order they come.
+TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
+    for (const double off_s : {0.05, 0.01, 0.09}) {
+        const Sequence street = one_after_the_other(off_s);
+        const PoseTrack& exact = street.world_from_vehicle;
+        ASSERT_EQ(exact.pose.size(), 24u);
+        const PoseTrack sweeps = test::two_lidar_street(two_lidar_options()).world_from_vehicle;
+        const PoseTrack drift = test::drifting(sweeps, 0.2, 0.3 * test::kDegree);
+        PoseTrack wrong = exact;
+        for (std::size_t k = 0; k < wrong.pose.size(); ++k)
+            wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);
+        const Registration found = register_scans(test::with_poses(street, wrong), split_frames(street, 5), {});
+        ASSERT_TRUE(found.done);
+        EXPECT_TRUE(found.lost.empty());
+        const test::PoseError error = test::error_of(found.world_from_vehicle, exact, all_poses(street));
+        EXPECT_LT(error.median_m, 0.01) << off_s;
+        EXPECT_LT(error.worst_m, 0.03) << off_s;
+    }
+}
+
+TEST(SeveralLidars, AreFollowedWithoutPoses) {
+    const Sequence street = test::two_lidar_street(two_lidar_options());
+    PoseTrack none = street.world_from_vehicle;
+    for (Pose& pose : none.pose) pose = {};
+    RegisterOptions blind;
+    blind.given_motion = false;
+    const Registration found = register_scans(test::with_poses(street, none), split_frames(street, 5), blind);
+    ASSERT_TRUE(found.done);
+    const test::PoseError error = test::error_of(found.world_from_vehicle, street.world_from_vehicle, all_poses(street));
+    EXPECT_LT(error.median_m, 0.01);
+    EXPECT_LT(error.worst_m, 0.03);
+}
+
+}  // namespace
+}  // namespace relidar

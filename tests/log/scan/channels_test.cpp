@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+// The list of channels: names, what is wrong with a caller's own, and that the guide says what the list says.
+#include <relidar/log/channels.hpp>
+
+#include <cstring>
+
+#include <gmock/gmock.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+
+namespace relidar {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+std::string refusal(const std::string& names) {
+    try {
+        wanted_channels(names);
+    } catch (const UsageError& error) {
+        return error.what();
+    }
+    return "";
+}
+
+TEST(ChannelList, IsAskedForByNames) {
+    const std::vector<ChannelInfo> wanted = wanted_channels("seen, normal,seen");
+    ASSERT_EQ(wanted.size(), 2u) << "each once";
+    EXPECT_EQ(wanted[0].name, "seen");
+    EXPECT_EQ(wanted[1].name, "normal");
+    EXPECT_TRUE(wanted_channels("").empty());
+    EXPECT_THAT(refusal("normal,sean"), HasSubstr("found \"sean\", did you mean seen?, expected some of normal, incidence, spread, seen"));
+}
+
+TEST(ChannelList, NumbersAndRowsAgree) {
+    const std::vector<ScanChannel> channels{{{.name = "way"}, std::vector<glm::vec3>{{1.0f, 2.0f, 3.0f}, {4.0f, 5.0f, 6.0f}}},
+                                            {{.name = "label"}, std::vector<std::int32_t>{7, -8}},
+                                            {{.name = "share"}, std::vector<float>{0.5f, 0.25f}}};
+    std::vector<std::string> names;
+    std::vector<bool> integers;
+    for (const auto& [name, is_integer] : numbers_of(channels, ".")) names.push_back(name), integers.push_back(is_integer);
+    EXPECT_THAT(names, ElementsAre("way.x", "way.y", "way.z", "label", "share"));
+    EXPECT_THAT(integers, ElementsAre(false, false, false, true, false));
+    std::string bytes;
+    append_row(bytes, channels, 1);
+    ASSERT_EQ(bytes.size(), 20u);
+    float z, share;
+    std::int32_t label;
+    std::memcpy(&z, &bytes[8], 4), std::memcpy(&label, &bytes[12], 4), std::memcpy(&share, &bytes[16], 4);
+    EXPECT_EQ(z, 6.0f);
+    EXPECT_EQ(label, -8);
+    EXPECT_EQ(share, 0.25f);
+}
+
+TEST(ChannelList, WhatACallerAddsIsChecked) {
+    const auto check = [](const std::string& name, std::size_t n) {
+        check_channels({{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(n)}}, 3, "a scan");
+    };
+    EXPECT_NO_THROW(check("label_2", 3));
+    EXPECT_THROW(check("label", 2), DataError);
+    for (const char* name : {"", "my label", "Label", "range", "instance", "range_2", "mine", "x"})
+        EXPECT_THROW(check(name, 3), DataError) << name;
+}
+
+/// A row of a table in Markdown: | `name` | unit | meaning |
+std::string row_of(const ChannelInfo& channel) {
+    return "\n| `" + channel.name + "` | " + channel.unit + (channel.unit.empty() ? "" : " ") + "| " + channel.meaning + " |";
+}
+
+TEST(ChannelList, IsWhatTheGuideSays) {
+    const std::string guide = read_file(std::filesystem::path(RELIDAR_SOURCE_DIR) / "docs" / "guide.md");
+    for (const ChannelInfo& channel : file_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
+    for (const ChannelInfo& channel : optional_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
+}
+
+}  // namespace
+}  // namespace relidar

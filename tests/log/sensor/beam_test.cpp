@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a beam measures, and what it makes of that: each direction undoes the other, and a head found from a point is the one that fired.
+#include <relidar/log/sensor.hpp>
+
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/math.hpp>
+#include "base/random.hpp"
+
+namespace relidar {
+namespace {
+
+TEST(Beam, MeasuringAndItsInverseArePairs) {
+    Random random(11);
+    for (int i = 0; i < 1000; ++i) {
+        const Beam beam{.intensity_gain = 0.5 + random.uniform(),
+                         .intensity_offset = 0.1 * random.uniform(),
+                         .range_offset_m = 0.2 * random.uniform() - 0.1};
+        const double range = 1.0 + 80.0 * random.uniform(), fall = 0.3 + 0.5 * random.uniform(), albedo = 0.6 * random.uniform();
+        EXPECT_NEAR(beam.surface_range(beam.measured_range(range)), range, 1e-12);
+        EXPECT_NEAR(beam.measured_range(beam.surface_range(range)), range, 1e-12);
+        EXPECT_NEAR(beam.surface_intensity(beam.measured_intensity(albedo, fall), fall), albedo, 1e-12);
+    }
+}
+
+TEST(Beam, CutsWhatItCannotMeasure) {
+    const Beam beam{.intensity_gain = 2.0, .intensity_offset = -0.1, .range_offset_m = -0.5};
+    EXPECT_EQ(beam.measured_intensity(0.9, 1.0), 1.0);
+    EXPECT_EQ(beam.measured_intensity(0.01, 1.0), 0.0);
+    EXPECT_NEAR(beam.measured_intensity(0.3, 0.5), 2.0 * 0.5 * 0.3 - 0.1, 1e-15);
+    EXPECT_EQ(beam.measured_range(0.2), 0.0);
+    EXPECT_EQ(beam.measured_range(0.0), 0.0) << "nothing came back";
+    EXPECT_EQ(beam.surface_range(0.0), 0.0);
+    EXPECT_EQ((Beam{.range_offset_m = 3.0}.surface_range(1.0)), 1e-3);
+}
+
+TEST(HeadAzimuth, IsTheHeadThatFired) {
+    Random random(12);
+    for (int i = 0; i < 1000; ++i) {
+        const Beam beam{.elevation_rad = random.uniform() - 0.5,
+                        .azimuth_offset_rad = 0.4 * random.uniform() - 0.2,
+                        .origin_offset_m = 0.1 * random.uniform(),
+                        .origin_up_m = 0.3 * random.uniform(),
+                        .origin_left_m = 0.1 * random.uniform() - 0.05};
+        const double head = 2.0 * kPi * (random.uniform() - 0.5), range = 1.0 + 60.0 * random.uniform();
+        const BeamRay ray = beam_ray(beam, head);
+        EXPECT_NEAR(std::remainder(head_azimuth(beam, ray.origin_m + range * ray.direction) - head, 2.0 * kPi), 0.0, 1e-12);
+    }
+}
+
+}  // namespace
+}  // namespace relidar

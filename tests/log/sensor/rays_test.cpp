@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+// Spinning ray tables against closed forms: directions, beam origins, firing times, whole-column moves of offset beams.
+#include <relidar/log/sensor.hpp>
+
+#include <cmath>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+
+namespace relidar {
+namespace {
+
+SpinningSensor two_beams() {
+    SpinningSensor sensor;
+    sensor.name = "two";
+    sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = -0.3}};
+    sensor.columns = 8;
+    sensor.first_azimuth_rad = kPi - kPi / 8;
+    return sensor;
+}
+
+double azimuth(const glm::vec3& d) {
+    return std::atan2(d.y, d.x);
+}
+
+TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
+    const RayTable rays = make_rays(two_beams());
+    ASSERT_EQ(rays.size(), 16u);
+    for (int c = 0; c < 8; ++c) {
+        const double az = kPi - kPi / 8 - c * kPi / 4;
+        EXPECT_NEAR(azimuth(rays.direction[c]), az, 1e-6);
+        EXPECT_NEAR(rays.direction[8 + c].z, std::sin(-0.3), 1e-6);
+        EXPECT_NEAR(rays.time_offset_s[c], -az / (2 * kPi) * 0.1, 1e-8);
+        EXPECT_EQ(rays.channel[8 + c], 1);
+    }
+    SpinningSensor other = two_beams();
+    other.clockwise = false;
+    EXPECT_NEAR(make_rays(other).time_offset_s[0], -rays.time_offset_s[0], 1e-9);
+}
+
+TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {
+    // theta = 0: origin (n, 0, 0), direction at the azimuth offset (Ouster's xyz formula with r = n).
+    const BeamRay ray = beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
+    EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.015, 0, 0)), 0.0, 1e-12);
+    EXPECT_NEAR(std::atan2(ray.direction.y, ray.direction.x), 0.05, 1e-12);
+}
+
+TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
+    const double el = -0.2, up = 0.12;
+    for (const double head : {0.0, 1.0, -2.5}) {
+        const BeamRay ray = beam_ray({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
+        const double t = -(ray.origin_m.x * ray.direction.x + ray.origin_m.y * ray.direction.y) / std::pow(std::cos(el), 2);
+        const glm::dvec3 p = ray.origin_m + t * ray.direction;
+        EXPECT_NEAR(std::hypot(p.x, p.y), 0.0, 1e-12);
+        EXPECT_NEAR(p.z, up / std::cos(el), 1e-12);
+        EXPECT_NEAR(glm::dot(ray.origin_m, ray.direction), 0.0, 1e-12);
+        EXPECT_NEAR(glm::length(ray.origin_m), up, 1e-12);
+    }
+    const BeamRay left = beam_ray({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
+    EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam looks along +y: its left is -x
+}
+
+TEST(Rays, OffsetBeamsAreMovedByWholeColumns) {
+    SpinningSensor sensor = two_beams();
+    sensor.columns = 360;
+    sensor.first_azimuth_rad = kPi - kPi / 360;
+    sensor.beams[1].azimuth_offset_rad = 7.3 * kPi / 180;
+    const RayTable rays = make_rays(sensor);
+    for (int c = 0; c < 360; ++c) {
+        const double difference = azimuth(rays.direction[360 + c]) - azimuth(rays.direction[c]);
+        EXPECT_NEAR(std::remainder(difference, 2 * kPi), 0.3 * kPi / 180, 1e-5);
+        const double head = azimuth(rays.direction[360 + c]) - 7.3 * kPi / 180;
+        EXPECT_NEAR(rays.time_offset_s[360 + c], -std::remainder(head, 2 * kPi) / (2 * kPi) * 0.1, 1e-7);
+    }
+}
+
+TEST(Rays, ImpossibleSensorsAreRefused) {
+    SpinningSensor sensor = two_beams();
+    sensor.beams.clear();
+    EXPECT_THROW(make_rays(sensor), UsageError);
+    sensor = two_beams();
+    sensor.columns = 0;
+    EXPECT_THROW(make_rays(sensor), UsageError);
+    sensor = two_beams();
+    sensor.beams[1].origin_up_m = std::numeric_limits<double>::quiet_NaN();
+    EXPECT_THROW(make_rays(sensor), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,333 @@
+// SPDX-License-Identifier: Apache-2.0
+// Poses between observations, rays in the world, moving boxes and the split, against hand-computed numbers.
+#include <relidar/log/sequence.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+namespace {
+
+Pose turned(double yaw, const glm::dvec3& t) {
+    return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t};
+}
+
+double yaw_of(const Pose& pose) {
+    const glm::dvec3 x = pose.rotation * glm::dvec3(1, 0, 0);
+    return std::atan2(x.y, x.x);
+}
+
+TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
+    const PoseTrack track{{0.0, 1.0, 3.0}, {turned(0.0, {0, 0, 0}), turned(0.2, {1, 0, 0}), turned(0.2, {1, 4, 0})}};
+    EXPECT_NEAR(track.at(0.5).translation.x, 0.5, 1e-12);
+    EXPECT_NEAR(yaw_of(track.at(0.5)), 0.1, 1e-9);
+    EXPECT_NEAR(track.at(2.0).translation.y, 2.0, 1e-12);
+    EXPECT_NEAR(track.at(-0.5).translation.x, -0.5, 1e-12);
+    EXPECT_NEAR(yaw_of(track.at(-0.5)), -0.1, 1e-9);
+    EXPECT_NEAR(track.at(3.5).translation.y, 5.0, 1e-12);
+    EXPECT_THROW(PoseTrack{}.at(0.0), DataError);
+    const PoseTrack one{{2.0}, {turned(0.3, {1, 2, 3})}};
+    EXPECT_NEAR(one.at(7.0).translation.z, 3.0, 1e-12);
+}
+
+TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
+    const PoseTrack track{{0.0, 1.0, 1.5, 3.0},
+                          {turned(0.0, {0, 0, 0}), turned(0.8, {1, 0, 0}), turned(0.8, {2, 0, 1}), turned(-0.4, {1, 4, 0})}};
+    const PoseTrack fine = with_fine_turns(track);
+    const Pose mounted = turned(0.3, {2, 1, 0.5});
+    const PoseTrack coarse_ride = moved_track(track, mounted), ride = moved_track(fine, mounted);
+    double largest_m = 0.0, coarse_m = 0.0;
+    for (double t = 0.0; t <= 3.0; t += 0.01) {
+        EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12) << "the same path at " << t;
+        EXPECT_NEAR(yaw_of(fine.at(t)), yaw_of(track.at(t)), 1e-9);
+        const glm::dvec3 truth = (track.at(t) * mounted).translation;
+        largest_m = std::max(largest_m, glm::distance(ride.at(t).translation, truth));
+        coarse_m = std::max(coarse_m, glm::distance(coarse_ride.at(t).translation, truth));
+    }
+    EXPECT_LT(largest_m, 1e-5);
+    EXPECT_GT(coarse_m, 0.1) << "along chords";
+    EXPECT_EQ(fine.time_s.size(), fine.pose.size());
+    EXPECT_TRUE(with_fine_turns({}).pose.empty());
+    EXPECT_EQ(with_fine_turns({{0.0, 1.0}, {turned(0.2, {0, 0, 0}), turned(0.2, {9, 0, 0})}}).pose.size(), 2u) << "straight on needs none";
+}
+
+TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
+    const auto turned = [](double angle, const glm::dvec3& t) {
+        return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};
+    };
+    Sequence log;
+    log.world_from_vehicle = {{0.0, 1.0}, {turned(0.1, {0, 0, 0}), turned(0.3, {8, 1, 0})}};
+    log.boxes.push_back({"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
+    const Sequence before = log;
+    const PoseTrack track{{0.0, 1.0}, {turned(0.2, {0.3, -0.2, 0.1}), turned(0.25, {8.1, 1.4, 0.2})}};
+    set_vehicle_poses(log, track);
+    EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
+    for (std::size_t k = 0; k < 2; ++k) {
+        const double t_s = before.boxes[0].world_from_box.time_s[k];
+        const Pose seen = inverse(before.world_from_vehicle.at(t_s)) * before.boxes[0].world_from_box.pose[k],
+                   sees = inverse(log.world_from_vehicle.at(t_s)) * log.boxes[0].world_from_box.pose[k];
+        EXPECT_LT(glm::length(seen.translation - sees.translation), 1e-12);
+        EXPECT_NEAR(std::abs(glm::dot(seen.rotation, sees.rotation)), 1.0, 1e-12);
+        EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation - log.boxes[0].world_from_box.pose[k].translation), 0.1);
+    }
+}
+
+TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
+    const PoseTrack track{{0.0, 1.0}, {turned(0.0, {0, 0, 0}), turned(0.0, {10, 0, 0})}};
+    RayTable rays;
+    rays.origin = {{0, 0, 0.2f}};
+    rays.direction = {{0, 1, 0}};
+    rays.time_offset_s = {0.05f};
+    const WorldRay rolling = world_ray(track, 0.5, rays, 0, true), global = world_ray(track, 0.5, rays, 0, false);
+    EXPECT_NEAR(rolling.origin_m.x, 5.5, 1e-6);
+    EXPECT_NEAR(global.origin_m.x, 5.0, 1e-12);
+    EXPECT_NEAR(rolling.origin_m.z, 0.2, 1e-6);
+}
+
+TEST(Scan, PointsAndReturns) {
+    Scan scan;
+    scan.rays.origin = {{0, 0, 1}, {0, 0, 0}};
+    scan.rays.direction = {{1, 0, 0}, {0, 1, 0}};
+    scan.range_m = {3.0f, 0.0f};
+    EXPECT_EQ(scan.count_returns(), 1u);
+    EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
+}
+
+/// A car observed n times, step_s apart, at a speed, its labels jittering by 9 cm from one to the next, as KITTI's do.
+BoxTrack driven(int n, double speed_mps, double step_s = 0.1) {
+    BoxTrack box;
+    box.size_m = {4.4, 1.8, 1.6};
+    for (int i = 0; i < n; ++i) {
+        box.world_from_box.time_s.push_back(step_s * i);
+        box.world_from_box.pose.push_back(turned(0.0, {step_s * i * speed_mps, i % 2 ? 0.045 : -0.045, 0}));
+    }
+    return box;
+}
+
+TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
+    EXPECT_FALSE(BoxTrack{}.moves());
+    for (const int n : {1, 2, 95}) EXPECT_FALSE(driven(n, 0.0).moves()) << n;
+    EXPECT_FALSE(driven(95, 0.18).moves()) << "1.7 m of drift while it is seen";
+    EXPECT_TRUE(driven(95, 0.3).moves()) << "2.5 m are more than drift";
+    EXPECT_TRUE(driven(30, 8.0).moves());
+    EXPECT_TRUE(driven(2, 8.0).moves()) << "seen twice";
+    BoxTrack starts = driven(95, 0.0);   // a car that waits, then goes 1.6 m in the last second
+    for (std::size_t i = 85; i < 95; ++i) starts.world_from_box.pose[i].translation.x += 0.02 * double((i - 85) * (i - 85));
+    EXPECT_TRUE(starts.moves());
+    BoxTrack walker = driven(95, 0.1), hurried = driven(6, 1.2);
+    walker.size_m = hurried.size_m = {0.7, 0.6, 1.8};
+    EXPECT_TRUE(walker.moves()) << "0.9 m are more than its size, however slow";
+    EXPECT_TRUE(hurried.moves()) << "for half a second";
+}
+
+/// Labels of two a second that are off by up to a decimetre each, interpolated to sweeps of twenty a second, as those of nuScenes.
+TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
+    std::mt19937 random(3);
+    std::uniform_real_distribution<double> off(-0.1, 0.1);
+    for (int things = 0; things < 200; ++things) {
+        PoseTrack keyframes;
+        const int n = 2 + things % 12;
+        for (int k = 0; k < n; ++k) {
+            keyframes.time_s.push_back(0.5 * k);
+            keyframes.pose.push_back(turned(0.3, {10.0 + off(random), 5.0 + off(random), off(random)}));
+        }
+        BoxTrack parked{"p", "car", {4.4, 1.8, 1.6}, {}}, driving = parked;
+        for (int i = 0; i <= 10 * (n - 1); ++i) {
+            for (BoxTrack* box : {&parked, &driving}) {
+                box->world_from_box.time_s.push_back(0.05 * i);
+                box->world_from_box.pose.push_back(keyframes.at(0.05 * i));
+            }
+            driving.world_from_box.pose.back().translation.x += 2.0 * 0.05 * i;
+        }
+        EXPECT_FALSE(parked.moves()) << n << " keyframes";
+        EXPECT_TRUE(driving.moves()) << n << " keyframes";
+    }
+}
+
+TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
+    BoxTrack car;
+    car.size_m = {4, 2, 1.5};
+    car.world_from_box = {{0.0, 0.1, 0.2}, {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
+    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));  // length lies along y: centre 0.5, half 2
+    EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.0));
+    EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.2));
+    BoxTrack parked = car;
+    for (Pose& pose : parked.world_from_box.pose) pose.translation = {};
+    EXPECT_FALSE(in_moving_box({parked}, {0.0, 0.5, 0.0}, 0.05, 0.0));
+    EXPECT_TRUE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.04, 0.0));  // the sweep of the first label
+    EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
+}
+
+/// Rays of a head that turns evenly, from an azimuth and a time on, half a turn or more.
+RayTable turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int n) {
+    RayTable rays;
+    rays.rows = 1;
+    rays.columns = n;
+    for (int i = 0; i < n; ++i) {
+        const double azimuth = from_rad + (sensor.clockwise ? -1.0 : 1.0) * 2.0 * kPi * i / 500.0;
+        rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
+        rays.time_offset_s.push_back(static_cast<float>(from_s + sensor.period_s * i / 500.0));
+    }
+    return rays;
+}
+
+TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
+    Sequence sequence;
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    for (const bool clockwise : {true, false}) {
+        sensor.clockwise = clockwise;
+        for (const double from_rad : {-2.5, 0.3, 2.0}) {
+            for (const double from_s : {-0.05, -0.099, 0.003}) {
+                const RayTable rays = turning_rays(sensor, from_rad, from_s, 500);
+                const auto start = find_start(rays, sensor);
+                ASSERT_TRUE(start.has_value());
+                for (std::size_t i = 1; i < 500; i += 7) {   // the first is as near to the end of the turn as to its beginning
+                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
+                    ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6) << from_rad << " " << from_s << " " << i;
+                }
+            }
+        }
+    }
+}
+
+TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
+    const ScanningWindow window{.name = "w", .rows = 2, .columns = 40, .left_rad = 1.0, .right_rad = -0.8, .top_rad = 0.1,
+                                .bottom_rad = 0.0, .period_s = 0.08};
+    Sequence sequence;
+    sequence.lidars[0].sensor.period_s = 0.0;
+    sequence.lidars[0].pattern = window;
+    for (const float later_s : {0.0f, 0.04f, -0.1f}) {   // the frame's time in the middle of the scan, at its beginning, after its end
+        RayTable rays = make_rays(window);
+        for (float& t : rays.time_offset_s) t += later_s;
+        const auto start = find_start(rays, sequence.lidars[0]);
+        EXPECT_EQ(start.has_value(), later_s != 0.0f);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}), 7.0 + double(rays.time_offset_s[i]),
+                        1.1e-3) << "half a column: " << later_s << " " << i;
+    }
+    EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
+    const Rosette rosette{.name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
+    sequence.lidars[0].pattern = rosette;
+    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05) << "half of 0.1 s after its beginning";
+    EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
+}
+
+TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
+    SpinningSensor sensor;
+    EXPECT_FALSE(find_start(turning_rays(sensor, kPi, -0.05, 500), sensor).has_value());
+    EXPECT_TRUE(find_start(turning_rays(sensor, kPi, 0.0, 500), sensor).has_value());
+    RayTable at_once = turning_rays(sensor, 0.0, 0.0, 500);
+    for (float& t : at_once.time_offset_s) t = 0.0f;
+    EXPECT_FALSE(find_start(at_once, sensor).has_value()) << "all rays of one moment";
+    sensor.period_s = 0.0;
+    EXPECT_FALSE(find_start(at_once, sensor).has_value());
+}
+
+TEST(Split, EveryTenthOfFiftyButTheFirst) {
+    Sequence sequence;
+    for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
+    const Split split = split_frames(sequence, 10);
+    EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
+    EXPECT_EQ(split.train.size(), 46u);
+    EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
+    EXPECT_THROW(split_frames(sequence, 1), UsageError);
+}
+
+TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
+    Sequence sequence;
+    for (int i = 2351; i <= 2400; ++i)
+        if (i != 2355) sequence.frames.emplace_back().index = i;   // one without a pose shifts nothing
+    sequence.test_frames = {2360, 2370, 2380, 2390};
+    const auto indices = [&](const Split& split) {
+        std::vector<int> all;
+        for (const int position : split.test) all.push_back(sequence.frames[std::size_t(position)].index);
+        return all;
+    };
+    EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
+    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400})) << "named ones go first";
+    EXPECT_TRUE(split_frames(sequence, 0).test.empty());
+    EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
+}
+
+/// Frames 100, 103, 106 ... of two LiDARs, the second of which missed sweep 106.
+Sequence numbered_in_threes() {
+    Sequence sequence;
+    for (int i = 0; i < 8; ++i) {
+        for (int lidar = 0; lidar < 2; ++lidar) {
+            if (i == 2 && lidar == 1) continue;
+            Frame& frame = sequence.frames.emplace_back();
+            frame.index = 100 + 3 * i;
+            frame.lidar = lidar;
+        }
+    }
+    return sequence;
+}
+
+TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
+    const Sequence sequence = numbered_in_threes();
+    const auto held_out = [&](const std::string& list) {
+        const Split split = split_frames(sequence, 10, list);
+        std::vector<int> all = split.train;
+        all.insert(all.end(), split.test.begin(), split.test.end());
+        std::sort(all.begin(), all.end());
+        for (std::size_t i = 0; i < all.size(); ++i) EXPECT_EQ(all[i], int(i)) << list << ": every frame is in one part";
+        EXPECT_EQ(all.size(), sequence.frames.size());
+        return split.test;
+    };
+    EXPECT_EQ(held_out("100"), (std::vector<int>{0, 1})) << "the first one, too, and test_every has no say";
+    EXPECT_EQ(held_out("121, 103"), (std::vector<int>{2, 3, 13, 14})) << "in any order";
+    EXPECT_EQ(held_out("106"), std::vector<int>{4});
+    EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
+    EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
+
+    Sequence ten;
+    for (int i = 0; i < 50; ++i) ten.frames.emplace_back().index = i;
+    EXPECT_EQ(split_frames(ten, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
+}
+
+TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
+    const Sequence sequence = numbered_in_threes();
+    const auto refused = [&](const std::string& list, const std::string& why) {
+        try {
+            split_frames(sequence, 10, list);
+            ADD_FAILURE() << list << ": accepted";
+        } catch (const UsageError& error) {
+            const std::string message = error.what();
+            EXPECT_NE(message.find("dataset.test_frames: "), std::string::npos) << message;
+            EXPECT_NE(message.find(why), std::string::npos) << list << ": " << message;
+            EXPECT_EQ(message.find('\n'), std::string::npos) << message;
+        }
+    };
+    refused("104", "found 104, expected frames that are read of the log: 100, 103, 106, 109, 112, ... 121 (8 in all)");
+    refused("100:104", "found 101,");
+    refused("100:99999999", "found 101,");
+    refused("103,103", "found 103 twice");
+    refused("100:101,100", "found 100 twice");
+    refused("100,103,106,109,112,115,118,121", "found all frames");
+    for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103", "1:2:3", "123456789"})
+        refused(bad, "expected a frame's number");
+    refused("100,ten", "found \"ten\"");
+}
+
+TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
+    BoxTrack car{"1", "Car", {4, 2, 1.5}, {}};
+    for (int i = 0; i < 6; ++i) {
+        car.world_from_box.time_s.push_back(0.1 * i);
+        car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
+    }
+    EXPECT_EQ(car.labelled_part().world_from_box.time_s, car.world_from_box.time_s);
+    car.n_before = 2, car.n_after = 1;
+    const PoseTrack labelled = car.labelled_part().world_from_box;
+    EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
+    EXPECT_EQ(labelled.pose.front().translation.x, 2.0);
+    EXPECT_EQ(car.labelled_part().n_before + car.labelled_part().n_after, 0u);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: Apache-2.0
+// Runs of blocks joined to one: what it holds, what it renders against the same surfels in one piece, and what is wrong with its files.
+#include <algorithm>
+#include <set>
+
+#include <gmock/gmock.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+#include "../../support/device.hpp"
+#include "two_streets.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::SizeIs;
+
+constexpr int kFrames = 80;
+
+/// 790 m in four blocks, a wall each 7 m beside the way, and a car that two blocks have learnt.
+class JoinedBlocks : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        DeviceTest::SetUp();
+        if (IsSkipped() || HasFatalFailure()) return;
+        std::string pattern = (fs::temp_directory_path() / "relidar-blocks-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+        folder = pattern;
+        log = test::log_along(kFrames, [](int i) { return glm::dvec3(10.0 * i, 0.0, 0.0); });
+        log.lidars[0].sensor.beams = {{0.02}, {-0.05}};
+        log.lidars[0].sensor.columns = 64;
+        log.lidars[0].sensor.first_azimuth_rad = kPi;
+        log.boxes.push_back({"car", "Car", {4, 2, 2}, {{0.0, 7.9}, {Pose{{1, 0, 0, 0}, {30, 5, 0}}, Pose{{1, 0, 0, 0}, {260, 5, 0}}}}});
+        run = {folder / "run", make_preset("quick"), log, split_frames(log, 10), {}};
+        run.config.refine.enabled = false;
+        std::vector<float> xs;
+        for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
+        whole = make_background_scene(test::walls_at(xs));
+        for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;   // none across the way
+        blocks = plan_blocks(log, run.split, {200.0, 40.0});
+        ASSERT_THAT(blocks, SizeIs(4));
+        for (std::size_t k = 0; k < blocks.size(); ++k) save_block(k);
+        join_blocks(run, blocks, folders);
+        save_run(run);
+    }
+    void TearDown() override {
+        if (!folder.empty()) fs::remove_all(folder);
+        DeviceTest::TearDown();
+    }
+
+    /// As training leaves it. Blocks 0 and 1 have learnt the car; the first saw it near in more frames.
+    void save_block(std::size_t k) {
+        const BlockLog part = block_log(log, run.split, blocks[k], run.config);
+        folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
+        relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
+        keep_own_surfels(block.scene, log, blocks, k);
+        block.scene.sensor_drop = {1, 2, {0.25f * float(k), 0.5f}};
+        for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(k);   // as refined
+        block.refined_poses = "sensor";
+        if (k < 2) {
+            const Surfels car = test::walls_at({0.1f * float(k)});
+            block.scene.models.push_back({"car", std::uint32_t(block.scene.surfels.size()), std::uint32_t(car.size())});
+            block.scene.instances.push_back({1, "car"});
+            block.scene.surfels.append(car);
+        }
+        save_run(block);
+    }
+
+    RenderedScan rendered(const Scene& scene, const Config& config, int frame) {
+        ScanRenderer renderer(device(), scene, config, log);
+        return renderer.render(configured_sensor(config, log), log.frames[std::size_t(frame)].time_s);
+    }
+
+    fs::path folder;
+    Sequence log;
+    relidar::Run run;
+    Scene whole;
+    std::vector<Block> blocks;
+    std::vector<fs::path> folders;
+};
+
+void expect_same(const RenderedScan& a, const RenderedScan& b, const std::string& what) {
+    ASSERT_EQ(a.image.range_m.size(), b.image.range_m.size());
+    std::size_t returned = 0;
+    for (std::size_t i = 0; i < a.image.range_m.size(); ++i) {
+        returned += a.image.drop_prob[i] < 0.5f;
+        EXPECT_FLOAT_EQ(a.image.range_m[i], b.image.range_m[i]) << what << ", ray " << i;
+        EXPECT_FLOAT_EQ(a.image.drop_prob[i], b.image.drop_prob[i]) << what << ", ray " << i;
+        EXPECT_EQ(a.instance[i], b.instance[i]) << what << ", ray " << i;
+    }
+    EXPECT_GT(returned, 20u) << what << ": hardly a ray meets anything";
+}
+
+TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
+    const relidar::Run read = load_run(run.folder);
+    EXPECT_THAT(read.scene.blocks, SizeIs(4));
+    EXPECT_EQ(read.scene.models[0].count, 0u);
+    EXPECT_EQ(count_surfels(read.scene), whole.surfels.size() + 3);
+    ASSERT_THAT(read.scene.instances, SizeIs(2));
+    EXPECT_EQ(read.scene.instances[1].track, "car");
+    EXPECT_EQ(read.scene.surfels.mean[read.scene.models[1].first].x, 0.0f) << "the car of block 0";
+
+    const Scene all = whole_scene(read.scene);
+    EXPECT_TRUE(all.blocks.empty());
+    const auto places = [](const Scene& scene) {
+        std::multiset<std::tuple<float, float, float>> found;
+        for (std::uint32_t i = 0; i < scene.models[0].count; ++i)
+            found.emplace(scene.surfels.mean[i].x, scene.surfels.mean[i].y, scene.surfels.sh[i * kShFloats]);
+        return found;
+    };
+    EXPECT_EQ(places(all), places(whole));
+}
+
+TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
+    for (std::size_t k = 0; k < blocks.size(); ++k)
+        for (const int position : blocks[k].own)
+            EXPECT_DOUBLE_EQ(run.sequence.world_from_vehicle.pose[std::size_t(position)].translation.z, 0.001 * double(k));
+    EXPECT_EQ(run.refined_poses, "sensor");
+    double frames = 0.0, sum = 0.0;
+    for (std::size_t k = 0; k < blocks.size(); ++k) {
+        frames += double(blocks[k].train.size());
+        sum += 0.25 * double(k) * double(blocks[k].train.size());
+    }
+    EXPECT_NEAR(run.scene.sensor_drop.probability[0], sum / frames, 1e-6);
+    EXPECT_NEAR(run.scene.sensor_drop.probability[1], 0.5, 1e-6);
+}
+
+TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
+    Config config = run.config;
+    config.render.memory_mib = 0;
+    const Scene one = whole_scene(run.scene);
+    const SensorChoice sensor = configured_sensor(config, log);
+    const std::uint64_t before = device().allocated_bytes();
+    std::uint64_t most = 0;
+    {
+        ScanRenderer in_blocks(device(), run.scene, config, log);
+        // along the way, and back to its beginning: blocks come and go
+        for (const int frame : {0, 20, 21, 40, 60, 79, 3}) {
+            const RenderedScan scan = in_blocks.render(sensor, log.frames[std::size_t(frame)].time_s);
+            most = std::max(most, device().allocated_bytes() - before);
+            expect_same(scan, rendered(one, config, frame), "frame " + std::to_string(frame));
+        }
+        EXPECT_FALSE(in_blocks.times().milliseconds.empty());
+    }
+    EXPECT_EQ(device().allocated_bytes(), before);
+    ScanRenderer all(device(), one, config, log);
+    all.render(sensor, 0.0);
+    EXPECT_LT(double(most), 0.8 * double(device().allocated_bytes() - before)) << "blocks that are far away are on the device";
+}
+
+TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {
+    relidar::Run read = load_run(run.folder);
+    const RenderedScan before = rendered(read.scene, read.config, 22);
+    read.folder = folder / "edited";
+    save_run(read);
+    fs::remove_all(run.folder);
+    expect_same(rendered(load_run(folder / "edited").scene, run.config, 22), before, "the edited run");
+}
+
+TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
+    fs::rename(folders[2], folder / "aside");
+    EXPECT_THAT(data_error([&] { load_run(run.folder); }),
+                HasSubstr("blocks/002/model.safetensors: no such file, expected it in a run of 4 blocks"));
+    fs::create_directories(folders[2]);
+    fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
+    EXPECT_THAT(data_error([&] { whole_scene(load_run(run.folder).scene); }), HasSubstr("blocks/002/model.safetensors: found "));
+    Scene scene = run.scene;
+    scene.blocks[1].file = folder / "aside" / kModelFile;   // not below the run
+    save_model(run.folder / kModelFile, scene);
+    EXPECT_THAT(data_error([&] { load_run(run.folder); }), HasSubstr("expected a file in the folder of the model"));
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// Logs that drive known ways, without scans, and walls that stand beside them.
+#pragma once
+
+#include <cmath>
+#include <functional>
+
+#include <relidar/run/blocks.hpp>
+
+namespace relidar::test {
+
+/// A log of n frames, a tenth of a second each, whose vehicle is at way(i) at frame i.
+inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
+    Sequence log;
+    log.name = "way";
+    for (int i = 0; i < n; ++i) {
+        log.frames.push_back({100 + i, 0.1 * i, {}});
+        log.world_from_vehicle.time_s.push_back(0.1 * i);
+        log.world_from_vehicle.pose.push_back({{1, 0, 0, 0}, way(i)});
+    }
+    return log;
+}
+
+/// Surfels that return, of 1 m standard deviation, facing along x, 10 m apart along y at each x.
+inline Surfels walls_at(const std::vector<float>& xs) {
+    Surfels surfels;
+    surfels.resize(3 * xs.size());
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        surfels.mean[i] = {xs[i / 3], -10.0f + 10.0f * float(i % 3), 0.5f};
+        surfels.rotation[i] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+        surfels.log_scale[i] = glm::vec2(0.0f);
+        surfels.opacity_logit[i] = 6.0f;
+        for (std::size_t k = 0; k < kShFloats; ++k) surfels.sh[i * kShFloats + k] = 0.0f;
+        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;               // hit logit
+        surfels.sh[i * kShFloats] = 0.01f * (xs[i / 3] - 100.0f) / 3.0f;   // another brightness each
+    }
+    return surfels;
+}
+
+}  // namespace relidar::test

@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checkpoint files: whatever is wrong with one is noticed and said in one line, the one before it is taken, and the last good one is
+// never lost. Python reads them with what the face says about the format.
+#include <cstdlib>
+#include <limits>
+#include <random>
+
+#include <relidar/run/checkpoint.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+#include "../../support/file_size_limit.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+using CheckpointFile = TemporaryFolder;
+
+Checkpoint example(int iteration) {
+    Checkpoint checkpoint{iteration, {{"setting/loss.depth", "0.1"}, {"layout", "{\"models\":[]}"}}, {}};
+    StateWriter write(checkpoint);
+    write("steps", std::vector<std::uint64_t>{1, 2, 0xFFFFFFFFFFFFFFFFull});
+    write("values", std::vector<float>{0.1f, -0.0f, 1e-40f, 3e38f});
+    write("extent", 1.0 / 3.0);
+    write("nothing", std::vector<double>{});
+    return checkpoint;
+}
+
+void expect_equal(const Checkpoint& a, const Checkpoint& b) {
+    EXPECT_EQ(a.iteration, b.iteration);
+    EXPECT_EQ(a.texts, b.texts);
+    ASSERT_EQ(a.arrays.size(), b.arrays.size());
+    for (std::size_t i = 0; i < a.arrays.size(); ++i) {
+        EXPECT_EQ(a.arrays[i].name, b.arrays[i].name);
+        EXPECT_EQ(a.arrays[i].dtype, b.arrays[i].dtype);
+        EXPECT_EQ(a.arrays[i].shape, b.arrays[i].shape);
+        EXPECT_TRUE(a.arrays[i].bytes == b.arrays[i].bytes) << a.arrays[i].name;
+    }
+}
+
+/// The newest checkpoint of a folder, and what was noted on the way.
+struct Loaded {
+    std::optional<Checkpoint> checkpoint;
+    std::vector<std::string> notes;
+};
+Loaded load(const fs::path& folder) {
+    Loaded loaded;
+    loaded.checkpoint = load_newest_checkpoint(folder, [&](const std::string& note) { loaded.notes.push_back(note); });
+    return loaded;
+}
+
+TEST_F(CheckpointFile, ComesBackBitByBit) {
+    write_checkpoint(folder / "a", example(400));
+    expect_equal(read_checkpoint(folder / "a"), example(400));
+}
+
+TEST_F(CheckpointFile, PythonReadsItAndGetsTheSameChecksum) {
+    if (std::system("python3 -c 'import json, struct, zlib' 2>/dev/null") != 0) GTEST_SKIP() << "no python3";
+    write_checkpoint(folder / "a", example(400));
+    put(folder / "read.py", R"(
+import json, struct, sys, zlib
+file = open(sys.argv[1], 'rb').read()
+size = struct.unpack('<Q', file[:8])[0]
+header, data = json.loads(file[8:8 + size]), file[8 + size:]
+meta = header.pop('__metadata__')
+types = {'F32': ('f4', 'f'), 'F64': ('f8', 'd'), 'U64': ('u8', 'Q')}
+crc = 0
+for key in sorted(meta):
+    if key != 'crc32': crc = zlib.crc32(key.encode() + b'\0' + meta[key].encode() + b'\0', crc)
+values = {}
+for name, a in sorted(header.items(), key=lambda item: (item[1]['data_offsets'], list(header).index(item[0]))):
+    bytes_of = data[a['data_offsets'][0]:a['data_offsets'][1]]
+    numpy, code = types[a['dtype']]
+    crc = zlib.crc32(f"{name}\0{numpy}\0{','.join(map(str, a['shape']))}\0".encode() + bytes_of, crc)
+    values[name] = struct.unpack('<%d%s' % (len(bytes_of) // struct.calcsize(code), code), bytes_of)
+assert meta['format'] == 'relidar checkpoint' and meta['version'] == '1' and meta['iteration'] == '400', meta
+assert meta['setting/loss.depth'] == '0.1', meta
+assert values['steps'] == (1, 2, 2**64 - 1) and values['extent'] == (1 / 3,) and values['nothing'] == (), values
+assert '%08x' % crc == meta['crc32'], (hex(crc), meta['crc32'])
+)");
+    EXPECT_EQ(std::system(("python3 '" + (folder / "read.py").string() + "' '" + (folder / "a").string() + "'").c_str()), 0);
+}
+
+TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
+    save_checkpoint(folder, example(100), 2);
+    save_checkpoint(folder, example(200), 2);
+    const fs::path newest = list_checkpoints(folder).back();
+    const std::string whole = contents(newest);
+    constexpr std::size_t kCuts = 200;
+    for (std::size_t i = 0; i < kCuts; ++i) {
+        const std::size_t length = i * whole.size() / kCuts;
+        SCOPED_TRACE(length);
+        put(newest, whole.substr(0, length));
+        const std::string message = data_error([&] { read_checkpoint(newest); });
+        EXPECT_NE(message.find(newest.string()), std::string::npos) << message;
+        const Loaded loaded = load(folder);
+        ASSERT_TRUE(loaded.checkpoint);
+        EXPECT_EQ(loaded.checkpoint->iteration, 100);
+        EXPECT_EQ(loaded.notes.size(), 1u);
+    }
+    put(newest, whole.substr(0, whole.size() - 1));   // and the last byte
+    EXPECT_EQ(load(folder).checkpoint->iteration, 100);
+}
+
+TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
+    write_checkpoint(folder / "a", example(400));
+    const std::string whole = contents(folder / "a");
+    std::mt19937 random(7);
+    for (int i = 0; i < 2000; ++i) {
+        const std::size_t bit = random() % (8 * whole.size());
+        SCOPED_TRACE(bit);
+        std::string flipped = whole;
+        flipped[bit / 8] = static_cast<char>(flipped[bit / 8] ^ (1 << bit % 8));
+        put(folder / "a", flipped);
+        try {
+            expect_equal(read_checkpoint(folder / "a"), example(400));   // one blank of the header's padding for another, at most
+        } catch (const DataError&) {
+        }
+    }
+}
+
+TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
+    const auto message = [&](const std::string& key, const std::string& value) {
+        write_checkpoint(folder / "a", example(400));
+        std::map<std::string, std::string> texts;
+        const std::vector<NamedArray> arrays = read_safetensors(folder / "a", &texts);
+        if (value.empty()) texts.erase(key);
+        else texts[key] = value;
+        write_safetensors(folder / "a", arrays, texts);
+        return data_error([&] { read_checkpoint(folder / "a"); });
+    };
+    EXPECT_NE(message("version", "2").find("metadata version: found \"2\", expected \"1\""), std::string::npos);
+    EXPECT_NE(message("format", "relidar model").find("expected \"relidar checkpoint\""), std::string::npos);
+    EXPECT_NE(message("crc32", "").find("crc32: missing"), std::string::npos);
+    EXPECT_NE(message("setting/loss.depth", "0.2").find("checksum"), std::string::npos);
+    EXPECT_NE(message("iteration", "").find("checksum"), std::string::npos);
+}
+
+TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
+    for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+        Checkpoint checkpoint = example(400);
+        StateWriter write(checkpoint);
+        write("moments", std::vector<float>{1.0f, 2.0f, bad});
+        const std::string before = data_error([&] { check_finite(checkpoint); });
+        EXPECT_NE(before.find("array moments: row 2 holds"), std::string::npos) << before;
+        write_checkpoint(folder / "a", checkpoint);
+        EXPECT_NE(data_error([&] { read_checkpoint(folder / "a"); }).find("array moments: row 2"), std::string::npos);
+    }
+}
+
+TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
+    for (const int iteration : {10, 20, 30, 40}) save_checkpoint(folder / "c", example(iteration), 2);
+    put(folder / "c" / "notes.txt", "somebody's");
+    ASSERT_EQ(list_checkpoints(folder / "c").size(), 2u);
+    EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
+    put(list_checkpoints(folder / "c").back(), "damaged");   // training goes on from 30 ...
+    EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
+    save_checkpoint(folder / "c", example(35), 2);           // ... and the damaged future of 40 must not outlive 30
+    EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
+    EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);
+    EXPECT_TRUE(load(folder / "c").notes.empty());
+    save_checkpoint(folder / "c", example(100'000'000), 1);   // more digits than the name pads to
+    EXPECT_EQ(list_checkpoints(folder / "c").size(), 1u);
+    EXPECT_EQ(load(folder / "c").checkpoint->iteration, 100'000'000);
+    remove_checkpoints(folder / "c");
+    EXPECT_TRUE(fs::exists(folder / "c" / "notes.txt"));
+    EXPECT_TRUE(list_checkpoints(folder / "c").empty());
+}
+
+TEST_F(CheckpointFile, NoneIsNothingAndOnlyDamagedOnesAreAnError) {
+    EXPECT_FALSE(load(folder / "nowhere").checkpoint);
+    EXPECT_FALSE(load(folder).checkpoint);
+    save_checkpoint(folder, example(10), 2);
+    put(list_checkpoints(folder).back(), "damaged");
+    EXPECT_NE(data_error([&] { load(folder); }).find("found 1 checkpoint"), std::string::npos);
+}
+
+TEST_F(CheckpointFile, AFullDiskLosesNothing) {
+    save_checkpoint(folder, example(10), 1);
+    {
+        const test::FileSizeLimit limit(256);
+        EXPECT_NE(data_error([&] { save_checkpoint(folder, example(20), 1); }).find("File too large"), std::string::npos);
+    }
+    EXPECT_EQ(files().size(), 1u);
+    EXPECT_EQ(load(folder).checkpoint->iteration, 10);
+    save_checkpoint(folder, example(30), 1);
+    EXPECT_EQ(load(folder).checkpoint->iteration, 30);
+}
+
+}  // namespace
+}  // namespace relidar

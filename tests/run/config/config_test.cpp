@@ -1,0 +1,326 @@
+// SPDX-License-Identifier: Apache-2.0
+// Settings: every key survives TOML, wrong keys and values get one clear line, presets are what docs/method.md says.
+#include <relidar/run/stage_options.hpp>
+
+#include <map>
+#include <set>
+
+#include <fmt/format.h>
+
+#include <relidar/diff/backward.hpp>
+#include <relidar/diff/traversal.hpp>
+#include <relidar/log/channels.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+
+namespace relidar {
+namespace {
+
+using ConfigFile = TemporaryFolder;
+
+template <class Call>
+std::string usage_error(const Call& call) { return error_message<UsageError>(call); }
+
+std::string set_error(const std::string& key, const std::string& value) {
+    return usage_error([&] {
+        Config config;
+        set_key(config, key, value);
+    });
+}
+
+std::string value_of(const Config& config, const std::string& key) {
+    for (const ConfigKey& entry : config_keys(config))
+        if (entry.key == key) return entry.value;
+    ADD_FAILURE() << "no key " << key;
+    return "";
+}
+
+void expect_equal(const Config& a, const Config& b) {
+    const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
+    ASSERT_EQ(x.size(), y.size());
+    for (std::size_t i = 0; i < x.size(); ++i) EXPECT_EQ(x[i].value, y[i].value) << x[i].key;
+}
+
+Config through_toml(const Config& config, const std::filesystem::path& folder) {
+    put(folder / "config.toml", to_toml(config));
+    Config result;
+    load_config(result, folder / "config.toml");
+    return result;
+}
+
+/// Gives a key another value that it accepts.
+bool change(Config& config, const std::string& key) {
+    const std::string before = value_of(config, key);
+    for (const char* value : {"0.12345678", "seen", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "ray",
+                              "surfel", "median", "expected", "gaussian", "adaptive", "pixel", "direction", "grid", "sensor", "none",
+                              "removed", "range", "clamp", "a \"b\" \\c"}) {
+        if (value == before) continue;
+        try {
+            set_key(config, key, value);
+            return true;
+        } catch (const UsageError&) {
+        }
+    }
+    return false;
+}
+
+TEST_F(ConfigFile, PresetsRoundTrip) {
+    for (const char* name : {"paper", "released", "default", "quick"}) {
+        const Config config = make_preset(name);
+        EXPECT_EQ(config.preset, name);
+        EXPECT_TRUE(through_toml(config, folder) == config) << name << ": constants come with the preset";
+    }
+}
+
+TEST_F(ConfigFile, EveryKeyRoundTrips) {
+    const Config defaults = make_preset("default");
+    Config all = defaults;
+    for (const ConfigKey& entry : config_keys(defaults)) {
+        if (entry.key == "preset") continue;
+        Config one = defaults;
+        ASSERT_TRUE(change(one, entry.key)) << entry.key << " takes no other value";
+        EXPECT_NE(value_of(one, entry.key), entry.value) << entry.key;
+        expect_equal(one, through_toml(one, folder));
+        change(all, entry.key);
+    }
+    expect_equal(all, through_toml(all, folder));
+}
+
+TEST_F(ConfigFile, ValuesReadBackBitByBit) {
+    Config config;
+    config.loss.depth = 0.1f / 3.0f;
+    config.refine.rate = 1.6e-4 / 7.0;
+    config.train.seed = 9007199254740991u;
+    const Config read = through_toml(config, folder);
+    EXPECT_EQ(read.loss.depth, config.loss.depth);
+    EXPECT_EQ(read.refine.rate, config.refine.rate);
+    EXPECT_EQ(read.train.seed, config.train.seed);
+}
+
+/// A run of another version has other settings than this one.
+TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
+    const std::string whole = to_toml(make_preset("quick"));
+    const auto error = [&](const std::string& text) {
+        put(folder / "config.toml", text);
+        return data_error([&] { load_saved_config(folder / "config.toml"); });
+    };
+    put(folder / "config.toml", whole);
+    expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
+    const std::string file = (folder / "config.toml").string() + ": setting ";
+    const std::string advice = "; a run of another version of relidar must be trained again";
+    EXPECT_EQ(error(whole + "[mars]\ncolour = \"red\"\n"),
+              file + "mars.colour: unknown key, expected one that `relidar list settings --all` lists" + advice);
+    const std::string line = "alpha_min = 0.04\n";
+    std::string less = whole;
+    ASSERT_NE(less.find(line), std::string::npos);
+    EXPECT_EQ(error(less.erase(less.find(line), line.size())), file + "image.alpha_min: missing, expected every setting" + advice);
+    EXPECT_EQ(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
+              file + "preset: missing, expected every setting" + advice);
+    std::string changed = whole;
+    const std::string quoted = "rolling_shutter = \"auto\"";
+    ASSERT_NE(changed.find(quoted), std::string::npos);
+    EXPECT_EQ(error(changed.replace(changed.find(quoted), quoted.size(), "rolling_shutter = true")),
+              file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
+}
+
+/// What nobody needs to know is left out, unless it was chosen; what is shown reads back to the same settings.
+TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
+    for (const char* name : {"paper", "quick"}) {
+        Config config = make_preset(name);
+        config.loss.box = 0.25f;
+        config.train.iterations = 17;
+        put(folder / "short.toml", to_short_toml(config));
+        Config read;
+        load_config(read, folder / "short.toml");
+        expect_equal(read, config);
+        EXPECT_EQ(to_short_toml(config).find("keep_hits"), std::string::npos);
+        EXPECT_LT(to_short_toml(config).size(), to_toml(config).size() / 2 + 2000);
+    }
+}
+
+TEST(Config, ChannelsAreAList) {
+    Config config;
+    set_key(config, "render.channels", "normal, seen");
+    EXPECT_EQ(wanted_channels(config.render.channels).size(), 2u);
+    set_key(config, "render.channels", "");
+    EXPECT_NE(set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "), std::string::npos);
+}
+
+TEST(Config, KeysAreUniqueAndExplained) {
+    std::set<std::string> seen;
+    for (const ConfigKey& entry : config_keys(Config{})) {
+        EXPECT_TRUE(seen.insert(entry.key).second) << entry.key << " twice";
+        EXPECT_GT(entry.help.size(), 10u) << entry.key;
+        if (entry.key == "preset") continue;
+        Config config;
+        EXPECT_NO_THROW(set_key(config, entry.key, entry.value)) << entry.key << ": the default is not accepted";
+    }
+    EXPECT_GT(seen.size(), 45u);
+    EXPECT_LE(seen.size(), 80u) << "each costs its reader a minute: one that nobody turns is a constant of the code";
+}
+
+TEST(Config, UnknownKeyNamesTheNearest) {
+    EXPECT_EQ(set_error("loss.dept", "1"), "setting loss.dept: unknown key, did you mean loss.depth?");
+    EXPECT_EQ(set_error("train.iteration", "1"), "setting train.iteration: unknown key, did you mean train.iterations?");
+    EXPECT_NE(set_error("", "1").find("unknown key"), std::string::npos);
+    // constants of the presets are no settings
+    for (const char* key : {"train.mean_rate", "init.flatness", "densify.from", "refine.batch"})
+        EXPECT_NE(set_error(key, "1").find(std::string("setting ") + key + ": unknown key"), std::string::npos) << key;
+}
+
+TEST(Config, BadValuesGetOneClearLine) {
+    EXPECT_EQ(set_error("loss.depth", "abc"), "setting loss.depth: found \"abc\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "-0.1"), "setting loss.depth: found \"-0.1\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "nan"), "setting loss.depth: found \"nan\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "inf"), "setting loss.depth: found \"inf\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "1e99"), "setting loss.depth: found \"1e99\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", ""), "setting loss.depth: found \"\", expected a number >= 0");
+    EXPECT_EQ(set_error("loss.depth", "0.1 "), "setting loss.depth: found \"0.1 \", expected a number >= 0");
+    EXPECT_EQ(set_error("train.iterations", "1.5"), "setting train.iterations: found \"1.5\", expected an integer >= 0");
+    EXPECT_EQ(set_error("train.iterations", "99999999999"), "setting train.iterations: found \"99999999999\", expected an integer >= 0");
+    EXPECT_EQ(set_error("trace.chunk", "65"), "setting trace.chunk: found \"65\", expected an integer in 1..64");
+    EXPECT_EQ(set_error("init.voxel_m", "0"), "setting init.voxel_m: found \"0\", expected a number > 0");
+    EXPECT_EQ(set_error("init.normals", "yes"), "setting init.normals: found \"yes\", expected true or false");
+    EXPECT_EQ(set_error("image.sh_direction", "hit"), "setting image.sh_direction: found \"hit\", expected one of ray, surfel");
+    EXPECT_EQ(set_error("train.seed", "-1"), "setting train.seed: found \"-1\", expected an integer >= 0");
+    EXPECT_NE(set_error("dataset.poses", "a\nb").find("expected text"), std::string::npos);
+}
+
+TEST(Config, FailedSetChangesNothing) {
+    Config config;
+    EXPECT_THROW(set_key(config, "image.sh_degree", "9"), UsageError);
+    expect_equal(config, Config{});
+}
+
+TEST(Config, PresetReplacesEverything) {
+    Config config;
+    set_key(config, "loss.depth", "5");
+    set_key(config, "preset", "paper");
+    expect_equal(config, make_preset("paper"));
+    EXPECT_NE(usage_error([] { make_preset("papr"); }).find("did you mean 'paper'"), std::string::npos);
+}
+
+TEST(Config, PaperIsThePaper) {
+    const Config c = make_preset("paper");
+    EXPECT_EQ(c.train.iterations, 30000);
+    EXPECT_EQ(c.train.rays_per_iteration, 0);
+    EXPECT_EQ(c.train.sh_degree_interval, 1000);
+    EXPECT_EQ(c.train.mean_rate, 1.6e-4);
+    EXPECT_EQ(c.train.mean_rate_final, 1.6e-6);
+    EXPECT_EQ(c.train.rate_decay, 1.0);
+    EXPECT_EQ(c.init.voxel_m, 0.15);
+    EXPECT_EQ(c.init.voxel_growth, 0.0);
+    EXPECT_EQ(c.init.normal_neighbours, 6);
+    EXPECT_EQ(c.init.opacity, 0.1);
+    EXPECT_EQ(c.loss.depth, 0.1f);
+    EXPECT_EQ(c.loss.drop, 0.01f);
+    EXPECT_EQ(c.loss.intensity, 0.1f);
+    EXPECT_EQ(c.loss.intensity_ssim, 0.0f);
+    EXPECT_EQ(c.loss.chamfer, 0.01f);
+    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.distortion + c.loss.normal + c.loss.likelihood, 0.0f);
+    EXPECT_FALSE(c.loss.normalised_depth);
+    EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
+    EXPECT_EQ(c.render.range, "expected");
+    EXPECT_EQ(trace_options(c).chunk, 16);
+    EXPECT_EQ(c.densify.strategy, DensifyStrategy::adaptive);
+    EXPECT_EQ(c.densify.gradient_threshold, 2e-4);
+    EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
+    EXPECT_EQ(c.densify.until, 15000);
+    EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
+}
+
+/// docs/method.md section 5, column by column: three weights, and nothing else.
+TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
+    Config c = make_preset("released");
+    EXPECT_EQ(c.loss.intensity_ssim, 0.15f);
+    EXPECT_EQ(c.loss.chamfer, 0.0f);
+    EXPECT_EQ(c.loss.box, 0.01f);
+    EXPECT_EQ(c.train.rays_per_iteration, 0) << "structural similarity is of images";
+    const Config paper = make_preset("paper");
+    c.preset = paper.preset;
+    c.loss.intensity_ssim = paper.loss.intensity_ssim, c.loss.chamfer = paper.loss.chamfer, c.loss.box = paper.loss.box;
+    expect_equal(c, paper);
+}
+
+TEST(Config, EnumFieldsReachTheirStages) {
+    Config config;
+    EXPECT_EQ(backward_options(config).reduction, Reduction::automatic);
+    set_key(config, "train.deterministic", "true");
+    EXPECT_EQ(backward_options(config).reduction, Reduction::gather);
+    set_key(config, "trace.chunk", "8");
+    EXPECT_EQ(trace_options(config).chunk, 8);
+}
+
+/// Rendering casts rays without what losses want of them, except for the normals of surfels; training with it.
+TEST(Config, LossesReachTheTraceOfTraining) {
+    Config config;
+    EXPECT_FALSE(training_trace_options(config).wants_geometry());
+    set_key(config, "loss.likelihood", "0.1");
+    config.loss.likelihood_scale_m = 0.2f;
+    const TraceOptions likelihood = training_trace_options(config);
+    EXPECT_FALSE(likelihood.geometry);
+    ASSERT_TRUE(likelihood.likelihood);
+    EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
+    EXPECT_TRUE(rendering_trace_options(config).geometry);
+    set_key(config, "image.primitive", "gaussian");
+    EXPECT_FALSE(rendering_trace_options(config).wants_geometry());
+    set_key(config, "render.range", "mode");
+    set_key(config, "sensor.return_separation_m", "0.7");
+    EXPECT_EQ(rendering_trace_options(config).mode_gap_m, 0.7f);
+    EXPECT_FALSE(training_trace_options(config).mode_gap_m);
+    set_key(config, "loss.likelihood", "0");
+    set_key(config, "loss.normal", "0.1");
+    EXPECT_TRUE(training_trace_options(config).geometry);
+    EXPECT_FALSE(training_trace_options(config).likelihood);
+}
+
+TEST_F(ConfigFile, BadFilesNameFileAndKey) {
+    const auto error = [&](const std::string& text) {
+        put(folder / "c.toml", text);
+        return usage_error([&] {
+            Config config;
+            load_config(config, folder / "c.toml");
+        });
+    };
+    const std::string file = (folder / "c.toml").string() + ": ";
+    EXPECT_EQ(error("[loss]\ndpth = 1\n"), file + "setting loss.dpth: unknown key, did you mean loss.depth?");
+    EXPECT_EQ(error("[loss]\ndepth = nan\n"), file + "setting loss.depth: found \"nan\", expected a number >= 0");
+    EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"), file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
+    EXPECT_EQ(error("[sensor]\ngrid = 360\n"), file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
+    EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"), file + "setting loss.depth: found a TOML array, expected a single value");
+    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean loss.box?");
+    EXPECT_NE(error("[\"lo\\nss\"]\ndepth = 1\n").find("unknown key"), std::string::npos);
+}
+
+TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
+    Config config;
+    put(folder / "c.toml", "[loss]\ndepth = \n");
+    const std::string message = data_error([&] { load_config(config, folder / "c.toml"); });
+    EXPECT_NE(message.find("c.toml:2: not valid TOML"), std::string::npos) << message;
+    std::string dots = "loss";
+    for (int i = 0; i < 40000; ++i) dots += ".a";
+    put(folder / "c.toml", dots + " = 1\n");
+    EXPECT_NE(data_error([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: a key of more than 8 parts"), std::string::npos);
+    EXPECT_NE(data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"), std::string::npos);
+    EXPECT_NE(data_error([&] { load_config(config, folder); }).find(folder.string()), std::string::npos);
+}
+
+TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
+    Config config;
+    put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");   // no preset: what is not named stays
+    set_key(config, "train.seed", "42");
+    load_config(config, folder / "c.toml");
+    EXPECT_EQ(config.train.iterations, 5);
+    EXPECT_EQ(config.train.seed, 42u);
+    put(folder / "c.toml", "preset = \"quick\"\n[train]\niterations = 6\n");
+    load_config(config, folder / "c.toml");
+    Config expected = make_preset("quick");
+    expected.train.iterations = 6;
+    expect_equal(config, expected);
+    put(folder / "c.toml", "[train]\niterations = 7\nseed = -1\n");
+    EXPECT_THROW(load_config(config, folder / "c.toml"), UsageError);
+    expect_equal(config, expected);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,221 @@
+// SPDX-License-Identifier: Apache-2.0
+// model.safetensors: exact round trip, and refusal of cut files, missing or misshapen arrays, values that are not finite and
+// models that do not cover the surfels.
+#include <relidar/run/run.hpp>
+
+#include <algorithm>
+#include <limits>
+
+#include <relidar/base/arrays.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+#include "example_run.hpp"
+
+namespace relidar {
+namespace {
+
+class ModelFile : public TemporaryFolder {
+protected:
+    void SetUp() override {
+        TemporaryFolder::SetUp();
+        path = folder / "model.safetensors";
+        scene = make_background_scene(example_surfels(4));
+        scene.models = {{"background", 0, 3}, {"track 7", 3, 1, {2.25f, 0.875f, 0.75f}}};
+        scene.instances = {{0, ""}, {1, "7"}};
+        save_model(path, scene);
+        save_model(folder / "rigid.safetensors", scene);
+        arrays = read_safetensors(path, &metadata);
+    }
+    std::string load_error() {
+        return data_error([&] { load_model(path); });
+    }
+    std::string error_with_layout(const std::string& layout) {
+        metadata["layout"] = layout;
+        write_safetensors(path, arrays, metadata);
+        return load_error();
+    }
+    NamedArray& array(const std::string& name) {
+        return *std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
+    }
+
+    std::filesystem::path path;
+    Scene scene;
+    std::vector<NamedArray> arrays;
+    std::map<std::string, std::string> metadata;
+};
+
+TEST_F(ModelFile, RoundTripsExactly) {
+    const Scene read = load_model(path);
+    EXPECT_EQ(read.surfels.mean, scene.surfels.mean);
+    EXPECT_EQ(read.surfels.rotation, scene.surfels.rotation);
+    EXPECT_EQ(read.surfels.log_scale, scene.surfels.log_scale);
+    EXPECT_EQ(read.surfels.opacity_logit, scene.surfels.opacity_logit);
+    EXPECT_EQ(read.surfels.sh, scene.surfels.sh);
+    ASSERT_EQ(read.models.size(), 2u);
+    EXPECT_EQ(read.models[1].name, "track 7");
+    EXPECT_EQ(read.models[1].first, 3u);
+    EXPECT_EQ(read.models[1].count, 1u);
+    EXPECT_EQ(read.models[0].half_size_m, glm::vec3(0.0f));
+    EXPECT_EQ(read.models[1].half_size_m, glm::vec3(2.25f, 0.875f, 0.75f));
+    ASSERT_EQ(read.instances.size(), 2u);
+    EXPECT_EQ(read.instances[1].model, 1u);
+    EXPECT_EQ(read.instances[1].track, "7");
+}
+
+TEST_F(ModelFile, HasTheDocumentedArrays) {
+    const std::map<std::string, std::vector<std::size_t>> expected{
+        {"mean", {4, 3}}, {"rotation", {4, 4}}, {"log_scale", {4, 2}}, {"opacity_logit", {4}}, {"sh", {4, 3, 16}}};
+    ASSERT_EQ(arrays.size(), expected.size());
+    for (const NamedArray& a : arrays) {
+        EXPECT_EQ(a.shape, expected.at(a.name)) << a.name;
+        EXPECT_EQ(a.dtype, "f4");
+    }
+}
+
+TEST_F(ModelFile, GaussiansHaveASixthArray) {
+    make_primitive(scene.surfels, Primitive::gaussian, 0.3);
+    save_model(path, scene);
+    arrays = read_safetensors(path, &metadata);
+    EXPECT_EQ(array("log_scale_w").shape, std::vector<std::size_t>{4});
+    EXPECT_EQ(load_model(path).surfels.log_scale_w, scene.surfels.log_scale_w);
+    EXPECT_EQ(metadata.at("primitive"), "gaussian");
+    metadata.erase("primitive");
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("primitive: missing, expected one of surfel, gaussian"), std::string::npos);
+    metadata["primitive"] = "gaussian";
+    array("log_scale_w").shape = {2, 2};
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array log_scale_w"), std::string::npos);
+    arrays.pop_back();
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array log_scale_w: missing"), std::string::npos);
+    metadata["primitive"] = "cube";
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("primitive: found \"cube\", expected one of surfel, gaussian"), std::string::npos);
+}
+
+/// A row of relidar/scene/primitives.h is all that files need to know of a primitive.
+TEST_F(ModelFile, EveryPrimitiveComesBack) {
+    for (const PrimitiveKind& kind : kPrimitives) {
+        make_primitive(scene.surfels, kind.primitive, 0.3);
+        save_model(path, scene);
+        EXPECT_EQ(load_model(path).surfels.primitive, kind.primitive) << kind.name;
+        EXPECT_EQ(load_model(path).surfels.log_scale_w.size(), kind.third_scale ? 4u : 0u) << kind.name;
+        write_safetensors(path, read_safetensors(path, &metadata), metadata);
+        EXPECT_EQ(metadata.at("primitive"), kind.name);
+        Config config;
+        set_key(config, "image.primitive", kind.name);
+        EXPECT_EQ(config.image.primitive, kind.primitive);
+    }
+}
+
+TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
+    scene.surfels.add_gait();
+    scene.surfels.gait[3] = {0.25f, 2.5f, {0.1f, -0.2f, 0.3f}};
+    scene.models[1].stride_m = 1.25f;
+    save_model(path, scene);
+    const Scene read = load_model(path);
+    ASSERT_TRUE(read.surfels.bends);
+    for (std::size_t i = 0; i < 4; ++i) {
+        EXPECT_EQ(read.surfels.gait[i].phase, scene.surfels.gait[i].phase);
+        EXPECT_EQ(read.surfels.gait[i].sharpness, scene.surfels.gait[i].sharpness);
+        EXPECT_EQ(read.surfels.gait[i].swing, scene.surfels.gait[i].swing);
+    }
+    EXPECT_EQ(read.models[0].stride_m, 0.0f);
+    EXPECT_EQ(read.models[1].stride_m, 1.25f);
+    EXPECT_FALSE(load_model(folder / "rigid.safetensors").surfels.bends) << "saved before it had a gait";
+
+    arrays = read_safetensors(path, &metadata);
+    NamedArray& gait = array("gait");
+    gait.shape = {4, 4}, gait.bytes.resize(64);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array gait"), std::string::npos);
+}
+
+TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
+    EXPECT_TRUE(load_model(path).sensor_drop.empty());
+    scene.sensor_drop = {2, 3, {0.0f, 0.25f, 1.0f, 1.0f / 3.0f, 0.5f, 0.75f}};
+    save_model(path, scene);
+    const DropTable read = load_model(path).sensor_drop;
+    EXPECT_EQ(read.channels, 2);
+    EXPECT_EQ(read.bins, 3);
+    EXPECT_EQ(read.probability, scene.sensor_drop.probability);
+    const float bad[2] = {0.5f, 1.5f};
+    arrays.push_back(make_array("sensor_drop", {1, 2}, bad, 2));
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array sensor_drop: holds 1.5, expected probabilities"), std::string::npos);
+    arrays.back() = make_array("sensor_drop", {2}, bad, 2);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array sensor_drop: found f4 [2], expected f4 [channels, bins]"), std::string::npos);
+}
+
+TEST_F(ModelFile, AnEmptySceneRoundTrips) {
+    save_model(path, make_background_scene({}));
+    EXPECT_EQ(load_model(path).surfels.size(), 0u);
+}
+
+TEST_F(ModelFile, CutFilesAreRefused) {
+    const std::string whole = contents(path);
+    for (std::size_t keep = 0; keep < whole.size(); keep += keep < 600 ? 37 : 211) {
+        put(path, std::string_view(whole).substr(0, keep));
+        EXPECT_NE(load_error().find("model.safetensors"), std::string::npos) << keep;
+    }
+    std::filesystem::remove(path);
+    EXPECT_NE(load_error().find("model.safetensors: no such file"), std::string::npos);
+}
+
+TEST_F(ModelFile, ArraysAreChecked) {
+    const std::vector<NamedArray> whole = arrays;
+    for (const char* name : {"mean", "rotation", "log_scale", "opacity_logit", "sh"}) {
+        arrays = whole;
+        std::erase_if(arrays, [&](const NamedArray& a) { return a.name == name; });
+        write_safetensors(path, arrays, metadata);
+        EXPECT_NE(load_error().find(std::string("array ") + name + ": missing"), std::string::npos);
+    }
+    arrays = whole;
+    array("sh").shape = {4, 48};
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array sh: found f4 [4, 48], expected f4 [4, 3, 16]"), std::string::npos);
+    arrays = whole;
+    const float one_row[4] = {1, 0, 0, 0};
+    array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array rotation: found shape [1, 4], expected 4 rows"), std::string::npos);
+}
+
+TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
+    const float bad[8] = {0, 0, 0, 0, 0, std::numeric_limits<float>::quiet_NaN(), 0, 0};
+    array("log_scale") = make_array("log_scale", {4, 2}, bad, 8);
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("array log_scale: row 2 holds nan"), std::string::npos);
+    scene.surfels.sh[1 * kShFloats + 5] = std::numeric_limits<float>::infinity();
+    EXPECT_NE(data_error([&] { save_model(path, scene); }).find("array sh: row 1 holds inf"), std::string::npos);
+    scene.surfels.rotation.pop_back();
+    EXPECT_THROW(save_model(path, scene), DataError);
+}
+
+TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
+    const std::string models = R"({"models":[{"name":"b","first":)", box = R"(,"half_size_m":[0,0,0]}])";
+    const std::string instances = R"(,"instances":[{"model":0,"track":""}]})";
+    const auto error = [&](const std::string& text) { return error_with_layout(models + text); };
+    EXPECT_NE(error(R"(0,"count":3)" + box + instances).find("models of 3 surfels, expected 4"), std::string::npos);
+    EXPECT_NE(error(R"(1,"count":3)" + box + instances).find("models[0].first: found 1, expected 0"), std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4,"half_size_m":[1,-1,1]}])" + instances).find("half_size_m[1]: found -1"), std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4}])" + instances).find("models[0].half_size_m: missing"), std::string::npos);
+    EXPECT_NE(error(R"(0,"count":-4)" + box + instances).find("models[0].count: found -4"), std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[{"model":1,"track":""}]})").find("instances[0].model: found 1"),
+              std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[]})").find("found no model or no instance"), std::string::npos);
+    EXPECT_NE(error_with_layout("{").find("metadata layout: not valid JSON"), std::string::npos);
+}
+
+TEST_F(ModelFile, OtherFilesAreRefused) {
+    write_safetensors(path, arrays, {{"format", "pt"}});
+    EXPECT_NE(load_error().find("metadata format: found \"pt\", expected \"relidar model\""), std::string::npos);
+    metadata["version"] = "9";
+    write_safetensors(path, arrays, metadata);
+    EXPECT_NE(load_error().find("metadata version: found \"9\""), std::string::npos);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+// Evaluations of many frames against each of them scored by itself; their images are there while they are seen, and go.
+#include <relidar/score/evaluation.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/scene/scene.hpp>
+
+#include "../../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kFrames = 35;   // more than are scored at once, twice
+
+class EvaluationOf : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        run.sequence = make_synthetic_street({.n_frames = kFrames, .rows = 8, .columns = 64});
+        run.config = make_preset("quick");
+        run.config.refine.enabled = false;
+        run.split = split_frames(run.sequence, 0);
+        run.config.init.voxel_m = 0.5;
+        run.scene = initialise_scene(run.sequence, run.split.train, run.config.init);
+        positions.resize(kFrames);
+        std::iota(positions.begin(), positions.end(), 0);
+    }
+
+    /// Every frame was seen with its images, and all but the middle one are forgotten.
+    void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& seen) {
+        ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
+        ASSERT_EQ(seen.size(), std::size_t(kFrames));
+        for (std::size_t i = 0; i < seen.size(); ++i) {
+            EXPECT_EQ(seen[i].frame, int(i));
+            EXPECT_EQ(seen[i].real.range_m.size(), 512u);
+            EXPECT_EQ(seen[i].rendered.image.range_m.size(), 512u);
+            const std::size_t n_kept = i == std::size_t(kFrames) / 2 ? 512 : 0;
+            EXPECT_EQ(evaluation.frames[i].real.range_m.size(), n_kept) << i;
+            EXPECT_EQ(evaluation.frames[i].rendered.image.range_m.size(), n_kept) << i;
+            EXPECT_EQ(evaluation.frames[i].rendered.median_range_m.capacity() > 0, n_kept > 0 && !seen[i].rendered.median_range_m.empty());
+            EXPECT_EQ(evaluation.frames[i].rendered.trace_ms, seen[i].rendered.trace_ms);
+        }
+    }
+
+    relidar::Run run;
+    std::vector<int> positions;
+};
+
+TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
+    ScanRenderer renderer(device(), run);
+    std::vector<ScoredFrame> seen;
+    const auto see = [&](ScoredFrame& frame) {
+        seen.push_back(frame);
+        frame.metrics["own"] = frame.frame;
+    };
+    std::vector<double> told;
+    const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, positions,
+                                                  [&](std::string_view, double done) { told.push_back(done); }, see);
+    expect_forgotten(evaluation, seen);
+    EXPECT_EQ(told.size(), std::size_t(kFrames) + 1);
+    EXPECT_TRUE(std::is_sorted(told.begin(), told.end()) && told.back() == 1.0);
+    EXPECT_DOUBLE_EQ(evaluation.mean.at("own"), 0.5 * (kFrames - 1)) << "metrics that are added where a frame is seen count";
+    double sum = 0.0;
+    for (int i = 0; i < kFrames; ++i) {
+        const ScoredFrame alone = score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
+        EXPECT_GT(alone.metrics.size(), 20u);
+        for (const auto& [name, value] : alone.metrics) {
+            const double found = evaluation.frames[std::size_t(i)].metrics.at(name);
+            EXPECT_TRUE(found == value || (std::isnan(found) && std::isnan(value))) << "frame " << i << ", " << name;
+        }
+        sum += alone.metrics.at("strict/depth_rmse_m");
+    }
+    EXPECT_NEAR(evaluation.mean.at("strict/depth_rmse_m"), sum / kFrames, 1e-9);
+}
+
+TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
+    const auto count = [&] {
+        ScanRenderer renderer(device(), run);
+        const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
+        return std::ranges::count_if(evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
+    };
+    EXPECT_GT(count(), 0);
+    std::ranges::fill(run.sequence.frames[3].scan.intensity, 0.0f);
+    EXPECT_EQ(count(), 0);
+}
+
+TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
+    run.split = {{}, {}};
+    for (int i = 0; i < kFrames; ++i) {
+        run.split.train.push_back(i);   // its own neighbours: what is scored is beside the point
+        run.split.test.push_back(i);
+    }
+    std::vector<ScoredFrame> seen;
+    const Evaluation evaluation =
+        evaluate_baseline("nearest", run.config, run.sequence, run.split, {}, [&](const ScoredFrame& frame) { seen.push_back(frame); });
+    expect_forgotten(evaluation, seen);
+    EXPECT_EQ(evaluation.title, "baseline nearest");
+}
+
+/// Errors by range against the images, ray by ray.
+TEST_F(EvaluationOf, CountsErrorsByRange) {
+    ScanRenderer renderer(device(), run);
+    std::vector<ScoredFrame> seen;
+    evaluate_frames(renderer, run.config, run.sequence, {3, 20}, {}, [&](const ScoredFrame& frame) { seen.push_back(frame); });
+    double all = 0.0;
+    for (const ScoredFrame& frame : seen) {
+        constexpr double kEdges_m[] = {0, 10, 20, 30, 40, 60, 80};
+        for (std::size_t r = 0; r < 6; ++r) {
+            std::array<double, 5> expected{};
+            for (std::size_t i = 0; i < frame.real.range_m.size(); ++i) {
+                const double real_m = frame.real.range_m[i], rendered_m = frame.rendered.image.range_m[i];
+                const double off_m = std::abs(rendered_m - real_m);
+                if (real_m <= kEdges_m[r] || real_m > kEdges_m[r + 1]) continue;
+                const bool is_missed = frame.rendered.image.drop_prob[i] >= 0.5f || rendered_m <= 0.0;
+                expected[is_missed ? 4 : off_m < 0.05 ? 0 : off_m < 0.2 ? 1 : off_m < 1.0 ? 2 : 3] += 1.0;
+                all += 1.0;
+            }
+            EXPECT_EQ(frame.range_errors.rays[r], expected) << "range " << r;
+        }
+    }
+    EXPECT_GT(all, 500.0);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+// Assets: what is seen of an actor, what is kept of it, its files, and that it renders elsewhere as the actor did.
+#include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/run/edit.hpp>
+#include <relidar/simulate/assets.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+#include "../../support/device.hpp"
+#include "car.hpp"
+
+namespace relidar {
+namespace {
+
+using testing::HasSubstr;
+
+const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};   // its rear turned to the LiDAR
+
+class Sightings : public test::DeviceTest {
+protected:
+    double seen(const relidar::Run& run, BoxSide side) {
+        const auto sightings = sight_actors(device(), run);
+        return sightings.empty() ? 0.0 : seen_surface(kCarSize_m, sightings.at("7")).seen(side);
+    }
+};
+
+TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
+    const relidar::Run run = run_of(plates(), kAhead);
+    const auto sightings = sight_actors(device(), run);
+    ASSERT_EQ(sightings.count("7"), 1u);
+    const ActorSightings& actor = sightings.at("7");
+    ASSERT_GT(actor.points_m.size(), 100u);
+    for (const glm::vec3& point_m : actor.points_m) EXPECT_LT(point_m.x, -1.6f) << "at the rear, or on the rim of a side";
+    const auto on_plate = std::ranges::count_if(actor.points_m, [](const glm::vec3& p) { return std::abs(p.x + 1.95f) < 0.02f; });
+    EXPECT_GT(double(on_plate), 0.8 * double(actor.points_m.size()));
+    EXPECT_NEAR(actor.nearest_m, 8.05, 0.02);
+    EXPECT_GT(seen(run, BoxSide::rear), 0.9);
+    EXPECT_EQ(seen(run, BoxSide::left) + seen(run, BoxSide::right), 0.0);
+}
+
+TEST_F(Sightings, TurnWithTheActor) {
+    const Pose across{glm::angleAxis(0.5 * kPi, glm::dvec3(0, 0, 1)), {10.0, 0.0, -0.5}};   // its left side turned to us
+    EXPECT_GT(seen(run_of(plates(), across), BoxSide::left), 0.9);
+    EXPECT_EQ(seen(run_of(plates(), across), BoxSide::right), 0.0);
+}
+
+TEST_F(Sightings, WhatHidesAnActorHidesIt) {
+    relidar::Run run = run_of(plates(), kAhead);
+    Surfels wall;
+    wall.resize(1);
+    wall.mean[0] = {4.0f, 0.0f, 0.0f};
+    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    wall.log_scale[0] = glm::vec2(std::log(5.0f));
+    wall.opacity_logit[0] = 8.0f;
+    run.scene = with_background(run.scene, wall);
+    EXPECT_EQ(seen(run, BoxSide::rear), 0.0);
+}
+
+TEST_F(Sightings, HeldOutFramesDoNotCount) {
+    relidar::Run run = run_of(plates(), kAhead);
+    run.split = {{}, {0, 1, 2}};
+    EXPECT_TRUE(sight_actors(device(), run).empty());
+}
+
+TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
+    Surfels car = plates();
+    const std::size_t n = car.size();
+    car.opacity_logit[3] = -7.0f;               // below 1 / 255
+    car.mean[5] = {2.3f, 0.0f, 0.0f};           // 30 cm before the box
+    const Asset asset = make_asset(run_of(car, kAhead), "7", {});
+    EXPECT_EQ(asset.facts.surfels, n - 2);
+    EXPECT_EQ(asset.run.scene.surfels.size(), n - 2);
+    EXPECT_EQ(asset.facts.mirrored, 0u) << "nothing was seen that a mirror image could be of";
+}
+
+TEST(MakeAsset, OnlyVehiclesAreMirrored) {
+    ActorSightings left = from_outside(plates().mean);
+    for (std::size_t i = left.points_m.size(); i-- > 0;) {
+        if (left.points_m[i].y > 0.9f) continue;
+        left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i)), left.directions.erase(left.directions.begin() + std::ptrdiff_t(i));
+    }
+    for (const auto& [category, is_vehicle] :
+         {std::pair("Car", true), {"Pedestrian", false}, {"Cyclist", false}, {kDiscoveredCategory, true}}) {
+        relidar::Run run = run_of(plates(), kAhead);
+        run.sequence.boxes[0].category = category;
+        const Asset asset = make_asset(run, "7", left);
+        EXPECT_EQ(asset.facts.kind == ObjectKind::vehicle, is_vehicle) << category;
+        EXPECT_EQ(asset.facts.mirrored > 0, is_vehicle) << category;
+        EXPECT_EQ(asset.facts.completed > 0.1, is_vehicle) << category;
+        EXPECT_DOUBLE_EQ(asset.facts.score(), asset.facts.seen + asset.facts.completed);
+    }
+}
+
+TEST(MakeAsset, IsARunOfThatActorAlone) {
+    relidar::Run run = run_of(plates(), kAhead);
+    run.scene.instances.push_back({1, "copy"});
+    run.sequence.boxes.push_back(run.sequence.boxes[0]);
+    run.sequence.boxes[1].id = "copy";
+    run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});   // without a model
+    const Asset asset = make_asset(run, "7", {});
+    EXPECT_EQ(asset.facts.name, "car-7");
+    EXPECT_EQ(only_track(asset.run), "car-7");
+    ASSERT_EQ(asset.run.sequence.boxes.size(), 1u);
+    EXPECT_EQ(asset.run.sequence.boxes[0].id, "car-7");
+    EXPECT_EQ(asset.run.scene.models.size(), 2u);
+    EXPECT_THROW(make_asset(run, "nobody", {}), UsageError);
+    EXPECT_THROW(only_track(run), UsageError) << "it has two";
+}
+
+class AssetFiles : public TemporaryFolder {};
+
+TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
+    Asset asset = make_asset(run_of(plates(), kAhead), "7", from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
+    asset.facts.clearance_m = 0.15;
+    save_asset(asset, folder / "car-7");
+    EXPECT_EQ(asset_clearance(load_run(folder / "car-7")), 0.15);
+    EXPECT_FALSE(asset_clearance(run_of(plates(), kAhead)));
+    ASSERT_EQ(asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
+    const AssetFacts found = read_asset_facts(folder / "car-7");
+    EXPECT_EQ(found.name, "car-7");
+    EXPECT_EQ(found.category, "Car");
+    EXPECT_EQ(found.kind, ObjectKind::vehicle);
+    EXPECT_EQ(found.size_m, kCarSize_m);
+    EXPECT_EQ(found.source_track, "7");
+    EXPECT_EQ(found.sensor, "small");
+    EXPECT_EQ(found.seen_sides, asset.facts.seen_sides);
+    EXPECT_EQ(found.seen, asset.facts.seen);
+    EXPECT_EQ(found.completed, asset.facts.completed);
+    EXPECT_GT(found.seen, 0.0);
+    EXPECT_EQ(found.nearest_m, 8.25);
+    EXPECT_EQ(found.surfels, asset.facts.surfels);
+    EXPECT_EQ(found.mirrored, asset.facts.mirrored);
+    EXPECT_GT(found.mirrored, 0u);
+    EXPECT_EQ(load_run(folder / "car-7").scene.surfels.sh, asset.run.scene.surfels.sh);
+}
+
+TEST_F(AssetFiles, DamageIsNamed) {
+    EXPECT_THAT(data_error([&] { asset_folders(folder); }), HasSubstr("found no asset"));
+    EXPECT_THAT(data_error([&] { asset_folders(folder / "nowhere"); }), HasSubstr("nowhere"));
+    save_asset(make_asset(run_of(plates(), kAhead), "7", from_outside({}, 8.0)), folder / "car-7");
+    const std::string good = contents(folder / "car-7" / kAssetFile);
+    const nlohmann::json wrong = {{"seen", 1.5}, {"kind", "plane"}, {"size_m", {1, 2}}, {"format", "x"}};
+    for (const auto& [member, value] : wrong.items()) {
+        nlohmann::json json = nlohmann::json::parse(good);
+        json[member] = value;
+        put(folder / "car-7" / kAssetFile, json.dump());
+        EXPECT_THAT(data_error([&] { read_asset_facts(folder / "car-7"); }), HasSubstr(member));
+    }
+}
+
+class InsertedAsset : public Sightings {};
+
+TEST_F(InsertedAsset, RendersAsTheActorItWas) {
+    const relidar::Run run = run_of(plates(), kAhead);
+    const Asset asset = make_asset(run, "7", from_outside(plates().mean));   // nothing is mirrored or left out
+    ASSERT_EQ(asset.facts.mirrored, 0u);
+    const DrivingScene empty = remove_track(run.driving(), "7");
+    Pose dataset_from_car = kAhead;
+    dataset_from_car.translation += run.sequence.world_offset_m;
+    const DrivingScene inserted = insert_track(empty, asset.run.driving(), asset.facts.name, {dataset_from_car});
+    const SensorChoice sensor = configured_sensor(run.config, run.sequence);
+    const RenderedScan before = ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
+    const RenderedScan after = ScanRenderer(device(), inserted.scene, run.config, inserted.sequence).render(sensor, 0.5);
+    EXPECT_EQ(after.instance, before.instance);
+    ASSERT_GT(std::ranges::count(before.instance, 1), 50);
+    for (std::size_t i = 0; i < before.weight.size(); ++i) EXPECT_NEAR(after.median_range_m[i], before.median_range_m[i], 1e-5) << i;
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: Apache-2.0
+// Mirror images of surfels: covariances and harmonics against their definitions, and whole cars by rendering them from both sides.
+#include <relidar/simulate/assets.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../reference/surfel.hpp"
+#include "../../support/device.hpp"
+#include "../../support/surfels.hpp"
+#include "car.hpp"
+
+namespace relidar {
+namespace {
+
+const glm::dmat3 kMirror(glm::dvec3(1, 0, 0), glm::dvec3(0, -1, 0), glm::dvec3(0, 0, 1));
+
+Surfels anywhere(std::size_t n) { return random_surfels(n, glm::vec3(-1.0f), glm::vec3(1.0f), 3); }
+
+/// Of the disc, or of the ellipsoid.
+glm::dmat3 covariance(const Surfels& surfels, std::size_t i) {
+    const glm::vec4 q = surfels.rotation[i];
+    const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
+    glm::dvec3 sigma(std::exp(surfels.log_scale[i].x), std::exp(surfels.log_scale[i].y), 0.0);
+    if (kind_of(surfels.primitive).third_scale) sigma.z = std::exp(surfels.log_scale_w[i]);
+    const glm::dmat3 scaled(sigma.x * axes[0], sigma.y * axes[1], sigma.z * axes[2]);
+    return scaled * glm::transpose(scaled);
+}
+
+double difference(const glm::dmat3& a, const glm::dmat3& b) {
+    double most = 0.0;
+    for (int c = 0; c < 3; ++c)
+        for (int r = 0; r < 3; ++r) most = std::max(most, std::abs(a[c][r] - b[c][r]));
+    return most;
+}
+
+TEST(Mirror, CovarianceIsMirrored) {
+    Surfels discs = anywhere(50), ellipsoids = discs;
+    make_primitive(ellipsoids, Primitive::gaussian, 0.3);
+    for (const Surfels* surfels : {&discs, &ellipsoids}) {
+        const Surfels other = mirrored_left_right(*surfels);
+        for (std::size_t i = 0; i < surfels->size(); ++i) {
+            EXPECT_EQ(other.mean[i], glm::vec3(kMirror * glm::dvec3(surfels->mean[i])));
+            EXPECT_LT(difference(covariance(other, i), kMirror * covariance(*surfels, i) * kMirror), 1e-9);
+        }
+    }
+}
+
+TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
+    const Surfels surfels = anywhere(20);
+    const std::vector<reference::Surfel> here = test::to_reference(surfels), there = test::to_reference(mirrored_left_right(surfels));
+    std::mt19937 random(9);
+    std::normal_distribution<double> normal;
+    for (std::size_t i = 0; i < here.size(); ++i) {
+        for (int k = 0; k < 20; ++k) {
+            const glm::dvec3 direction = glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
+            const glm::dvec3 expected = reference::sh_values(here[i], direction, 3);
+            const glm::dvec3 found = reference::sh_values(there[i], kMirror * direction, 3);
+            EXPECT_LT(glm::length(found - expected), 1e-12);
+            EXPECT_GT(glm::length(reference::sh_values(here[i], kMirror * direction, 3) - expected), 1e-6) << "they depend on it";
+        }
+    }
+}
+
+TEST(Mirror, TwiceIsNoChange) {
+    const Surfels surfels = anywhere(5), twice = mirrored_left_right(mirrored_left_right(surfels));
+    EXPECT_EQ(twice.mean, surfels.mean);
+    EXPECT_EQ(twice.rotation, surfels.rotation);
+    EXPECT_EQ(twice.sh, surfels.sh);
+}
+
+/// Rays from a place 8 m to the right of the car, or to the left where y is -1, towards it.
+RayTable rays_from_the_right(double y) {
+    RayTable rays;
+    rays.rows = 40, rays.columns = 80;
+    for (int row = 0; row < rays.rows; ++row) {
+        for (int column = 0; column < rays.columns; ++column) {
+            const glm::dvec3 from(0.7, -8.0 * y, 1.2), to(-1.6 + 0.04 * column, -0.9 * y, -0.5 + 0.025 * row);
+            rays.origin.push_back(glm::vec3(from));
+            rays.direction.push_back(glm::vec3(glm::normalize(to - from)));
+            rays.time_offset_s.push_back(0.0f);
+            rays.channel.push_back(0);
+        }
+    }
+    return rays;
+}
+
+class MirroredCar : public test::DeviceTest {
+protected:
+    RenderedScan seen(const relidar::Run& run, const RayTable& rays) {
+        const PoseTrack stands{{0.5}, {Pose{{1, 0, 0, 0}, run.sequence.world_offset_m}}};
+        const std::string track = run.scene.instances[1].track;
+        return ScanRenderer(device(), run.scene, run.config, run.sequence)
+            .render({.rays = rays, .name = "rays"}, {0.5, stands, ActorPoses{{track, stands}}});
+    }
+};
+
+TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
+    const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
+    Surfels guessed = left;   // and what training has left on the side that nothing looked at
+    guessed.append(random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
+    const Asset asset = make_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
+    EXPECT_EQ(asset.facts.mirrored, left.size());
+    EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
+    const RenderedScan expected = seen(asset.run, rays_from_the_right(-1.0)), found = seen(asset.run, rays_from_the_right(1.0));
+    ASSERT_EQ(found.weight.size(), expected.weight.size());
+    std::size_t met = 0;
+    for (std::size_t i = 0; i < found.weight.size(); ++i) {
+        EXPECT_NEAR(found.weight[i], expected.weight[i], 1e-3) << i;
+        EXPECT_NEAR(found.image.intensity[i], expected.image.intensity[i], 1e-3) << i;
+        EXPECT_NEAR(found.image.drop_prob[i], expected.image.drop_prob[i], 1e-3) << i;
+        if (expected.weight[i] < 0.1f) continue;
+        EXPECT_NEAR(found.mean_range_m[i], expected.mean_range_m[i], 0.01f) << i;
+        ++met;
+    }
+    EXPECT_GT(met, 500u);
+}
+
+TEST_F(MirroredCar, KeepsWhatWasSeen) {
+    const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
+    const Surfels found = make_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
+    for (std::size_t i = 0; i < left.size(); ++i) {
+        const auto it = std::ranges::find(found.mean, left.mean[i]);
+        ASSERT_NE(it, found.mean.end()) << i;
+        const auto k = std::size_t(it - found.mean.begin());
+        EXPECT_EQ(found.rotation[k], left.rotation[i]);
+        EXPECT_TRUE(std::equal(left.sh.begin() + std::ptrdiff_t(i * kShFloats), left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
+                               found.sh.begin() + std::ptrdiff_t(k * kShFloats)));
+    }
+}
+
+}  // namespace
+}  // namespace relidar

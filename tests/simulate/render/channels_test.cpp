@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: Apache-2.0
+// Channels go where their rays go: through beams of several sub-rays, grids and rigs, none in another's place, a caller's own among them.
+#include <algorithm>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../support/device.hpp"
+#include "simulate/render/footprint.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kStep = 14;   // from ray to ray, more than there are channels
+constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
+
+const std::vector<std::int32_t>& labels_of(const RenderedScan& scan) {
+    return *find_values<std::int32_t>(scan.channels, kLabel);
+}
+const std::vector<float>& shares_of(const RenderedScan& scan) {
+    return *find_values<float>(scan.channels, kShare);
+}
+const std::vector<glm::vec3>& ways_of(const RenderedScan& scan) {
+    return *find_values<glm::vec3>(scan.channels, kWay);
+}
+
+/// Rays of which every value says which channel and which ray it is of: 14 ray + channel. All return, from nearly one place.
+RenderedScan marked_scan(int n, int first = 0) {
+    RenderedScan scan;
+    scan.image.rows = 1, scan.image.columns = n;
+    std::vector<std::int32_t> label;
+    std::vector<float> share;
+    std::vector<glm::vec3> way;
+    for (int i = 0; i < n; ++i) {
+        const auto code = float(kStep * (first + i));
+        scan.image.origin.emplace_back(0.0f);
+        scan.image.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.05f * float(first + i), 0.0f)));
+        scan.image.range_m.push_back(code + 1.0f), scan.median_range_m.push_back(code + 2.0f), scan.mean_range_m.push_back(code + 3.0f);
+        scan.image.intensity.push_back(code + 4.0f), scan.image.drop_prob.push_back(1e-6f * (code + 5.0f)),
+            scan.weight.push_back(code + 6.0f);
+        scan.instance.push_back(int(code) + 7), scan.ring.push_back(0), scan.time_offset_s.push_back(code + 8.0f);
+        label.push_back(int(code) + 9), share.push_back(code + 10.0f), way.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
+    }
+    scan.channels = {{{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kWay}, way}};
+    return scan;
+}
+
+/// Whether entry `at` of a scan is what marked_scan() says of a ray.
+void expect_marks(const RenderedScan& scan, std::size_t at, int ray) {
+    const auto code = float(kStep * ray);
+    EXPECT_NEAR(scan.image.range_m[at], code + 1.0f, 1e-3f) << at;
+    EXPECT_NEAR(scan.median_range_m[at], code + 2.0f, 1e-3f) << at;
+    EXPECT_NEAR(scan.mean_range_m[at], code + 3.0f, 1e-3f) << at;
+    EXPECT_EQ(scan.image.intensity[at], code + 4.0f) << at;
+    EXPECT_EQ(scan.image.drop_prob[at], 1e-6f * (code + 5.0f)) << at;
+    EXPECT_EQ(scan.weight[at], code + 6.0f) << at;
+    EXPECT_EQ(scan.instance[at], int(code) + 7) << at;
+    EXPECT_EQ(labels_of(scan)[at], int(code) + 9) << at;
+    EXPECT_EQ(shares_of(scan)[at], code + 10.0f) << at;
+    EXPECT_EQ(ways_of(scan)[at], glm::vec3(code + 11.0f, code + 12.0f, code + 13.0f)) << at;
+}
+
+TEST(Channels, AMergedScanHasThemOfEachRay) {
+    const RenderedScan merged = merge_scans({marked_scan(2), marked_scan(3, 2)}, {Pose{}, Pose{}});
+    for (int ray = 0; ray < 5; ++ray) expect_marks(merged, std::size_t(ray), ray);
+}
+
+TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
+    RenderedScan bare = marked_scan(2);
+    bare.channels.clear();
+    for (const bool first : {true, false}) {
+        const RenderedScan merged =
+            first ? merge_scans({bare, marked_scan(1)}, {Pose{}, Pose{}}) : merge_scans({marked_scan(1), bare}, {Pose{}, Pose{}});
+        const std::size_t known = first ? 2 : 0;
+        for (std::size_t i = 0; i < 3; ++i) {
+            EXPECT_EQ(labels_of(merged)[i], i == known ? 9 : -5) << i;
+            EXPECT_EQ(ways_of(merged)[i], i == known ? glm::vec3(11.0f, 12.0f, 13.0f) : glm::vec3(0.0f)) << i;
+        }
+    }
+    RenderedScan other = marked_scan(2);
+    other.channels[0].values = std::vector<float>(2);
+    EXPECT_THROW(merge_scans({marked_scan(2), other}, {Pose{}, Pose{}}), UsageError) << "of another type";
+    other.channels[0].values = std::vector<std::int32_t>(1);
+    EXPECT_THROW(merge_scans({other}, {Pose{}}), DataError) << "of another length";
+    other = marked_scan(2);
+    other.channels[1].info.name = "range";
+    EXPECT_THROW(merge_scans({other}, {Pose{}}), DataError) << "a basic channel's name";
+}
+
+TEST(Channels, ACellHasThemOfItsRay) {
+    const RangeGrid grid = kitti360_grid();
+    const RenderedScan scan = marked_scan(5), binned = project_scan(scan, grid);
+    std::set<std::size_t> taken;
+    for (std::size_t ray = 0; ray < 5; ++ray) {
+        const std::optional<int> cell = project(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
+        ASSERT_TRUE(cell && taken.insert(std::size_t(*cell)).second);
+        expect_marks(binned, std::size_t(*cell), int(ray));
+        EXPECT_EQ(binned.time_offset_s[std::size_t(*cell)], float(kStep * int(ray)) + 8.0f);
+    }
+    for (std::size_t cell = 0; cell < binned.weight.size(); ++cell) {
+        if (taken.contains(cell)) continue;
+        ASSERT_EQ(labels_of(binned)[cell], -5);
+        ASSERT_EQ(shares_of(binned)[cell], 0.0f);
+    }
+}
+
+/// Five sub-rays that meet one surface 10 m away, the middle one as dark as the rest.
+TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
+    RenderedScan parts = marked_scan(5);
+    parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);
+    parts.channels.push_back({{.name = "my_drop", .join = ChannelJoin::drop}, std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
+    parts.channels.push_back({{.name = "my_light", .join = ChannelJoin::intensity}, std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 4.0f}});
+    parts.channels.push_back({{.name = "my_range", .join = ChannelJoin::range}, std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 9.0f}});
+    SensorConfig config;
+    config.sub_rays = 5;
+    RayTable ray{1, 1, {{0, 0, 0}}, {{1, 0, 0}}, {0.0f}, {0}};
+    const auto first_of = [](const RenderedScan& scan, const char* name) { return find_values<float>(scan.channels, name)->at(0); };
+    for (const bool replaced : {false, true}) {
+        RenderedScan joined = join_footprints(parts, ray, config);
+        if (replaced) {
+            RenderedScan old = join_footprints(parts, ray, config);
+            for (auto& [info, values, second] : old.channels) std::visit([](auto& v) { v.assign(1, {}); }, values);
+            old.weight = {0.0f}, old.instance = {-1};
+            replace_rays(old, {0}, joined);
+            joined = old;
+        }
+        EXPECT_EQ(joined.weight[0], 6.0f);
+        EXPECT_EQ(joined.instance[0], 7);
+        EXPECT_NEAR(joined.image.range_m[0], 29.0f, 1e-3f);
+        EXPECT_NEAR(joined.mean_range_m[0], 31.0f, 1e-3f);
+        EXPECT_EQ(labels_of(joined)[0], 9);
+        EXPECT_EQ(shares_of(joined)[0], 10.0f);
+        EXPECT_EQ(ways_of(joined)[0], glm::vec3(11.0f, 12.0f, 13.0f));
+        EXPECT_NEAR(first_of(joined, "my_drop"), 0.3f, 1e-6f) << "the mean over all";
+        EXPECT_NEAR(first_of(joined, "my_light"), 3.0f, 1e-6f);
+        EXPECT_NEAR(first_of(joined, "my_range"), 4.0f, 1e-5f) << "weighed by light, of which all have the same";
+    }
+}
+
+class RenderedChannels : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        SyntheticOptions options;
+        options.n_frames = 4;
+        log = make_synthetic_street(options);
+        scene = initialise_scene(log, {0, 1, 2, 3}, {});
+        for (const std::string& name : optional_channel_names())
+            config.render.channels += (config.render.channels.empty() ? "" : ",") + name;
+    }
+    RenderedScan scan(const std::string& sensor = "native") {
+        ScanRenderer renderer(device(), scene, config, log);
+        renderer.compare_with(find_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
+        return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
+    }
+    Sequence log;
+    Scene scene;
+    Config config;
+};
+
+TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
+    for (const int sub_rays : {1, 5}) {
+        config.sensor.sub_rays = sub_rays, config.sensor.divergence_mrad = 3.0;
+        for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
+            const RenderedScan found = scan(sensor);
+            std::vector<std::string> names, expected = optional_channel_names();
+            for (const ScanChannel& channel : found.channels) {
+                names.push_back(channel.info.name);
+                EXPECT_EQ(size(channel.values), found.image.range_m.size()) << channel.info.name;
+                EXPECT_FALSE(channel.info.meaning.empty());
+            }
+            std::ranges::sort(names), std::ranges::sort(expected);
+            EXPECT_EQ(names, expected) << sensor;
+        }
+    }
+}
+
+TEST_F(RenderedChannels, AreWantedByName) {
+    config.render.channels = "normal,sprad";
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);
+    config.render.channels.clear();
+    ScanRenderer renderer(device(), scene, config, log);
+    renderer.want_channels("spread");
+    renderer.want_channels("spread");
+    EXPECT_EQ(renderer.render(configured_sensor(config, log), 0.1).channels.size(), 1u);
+    config.image.primitive = Primitive::gaussian;
+    scene.surfels.resize(scene.surfels.size(), Primitive::gaussian);
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).want_channels("normal"), UsageError) << "3D Gaussians have none";
+}
+
+}  // namespace
+}  // namespace relidar

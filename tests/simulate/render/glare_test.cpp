@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+// What blinds a sensor, on whole scans: stray light against its integral, the sun before and behind a wall.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/math.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../support/device.hpp"
+#include "simulate/render/stray_light.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kDegree = kPi / 180.0;
+constexpr int kBeams = 128, kSteps = 192;
+constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
+
+/// Rays a quarter of a degree apart towards a wall at 20 m, on which reflectors are round: as {azimuth_deg, elevation_deg, range_m}.
+RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
+    constexpr std::size_t n = std::size_t(kBeams) * kSteps;
+    RenderedScan scan;
+    scan.image.rows = kBeams, scan.image.columns = kSteps;
+    for (int row = 0; row < kBeams; ++row) {
+        for (int column = 0; column < kSteps; ++column) {
+            const double azimuth = kDegree * kStep_deg * (column - kSteps / 2 + 0.5);
+            const double elevation = kDegree * kStep_deg * (kBeams / 2 - row - 0.5);
+            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            const auto has_ray = [&](const glm::dvec3& r) {
+                return std::hypot(azimuth - r.x * kDegree, elevation - r.y * kDegree) < kRadius_deg * kDegree;
+            };
+            const auto met = std::ranges::find_if(reflectors, has_ray);
+            scan.image.direction.push_back(glm::vec3(d));
+            scan.image.range_m.push_back(met == reflectors.end() ? 20.0f : float(met->z));
+            scan.image.intensity.push_back(met == reflectors.end() ? 0.2f : 1.0f);
+            scan.ring.push_back(std::uint16_t(row));
+        }
+    }
+    scan.image.origin.assign(n, glm::vec3(0.0f)), scan.image.drop_prob.assign(n, 0.0f);
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 0), scan.time_offset_s.assign(n, 0.0f);
+    return scan;
+}
+std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std::size_t(column); }
+
+/// Integral of angle^-3 over a round reflector in front, by small squares, degrees.
+double integral_at(double azimuth_deg, double elevation_deg) {
+    constexpr double kFine_deg = 0.05;
+    double sum = 0.0;
+    for (double a = -kRadius_deg; a < kRadius_deg; a += kFine_deg)
+        for (double e = -kRadius_deg; e < kRadius_deg; e += kFine_deg)
+            if (std::hypot(a, e) < kRadius_deg) sum += kFine_deg * kFine_deg / std::pow(std::hypot(a - azimuth_deg, e - elevation_deg), 3);
+    return sum;
+}
+
+TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
+    const RenderedScan scan = wall_with({{0.0, 0.0, 4.0}});
+    double sum = 0.0, squares = 0.0, n = 0.0;
+    const auto expected_in = [](int column) {
+        std::vector<double> of_row;
+        for (int row = 0; row < kBeams; ++row)
+            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kSteps / 2 + 0.5), kStep_deg * (kBeams / 2 - row - 0.5)));
+        return of_row;
+    };
+    const std::vector<double> of_near = expected_in(kSteps / 2 + 24), of_far = expected_in(kSteps / 2 - 60);
+    for (std::uint64_t seed = 0; seed < 40; ++seed) {
+        const std::vector<Echo> stray = stray_light(scan, 1e-4, seed);
+        ASSERT_EQ(stray.size(), scan.ring.size());
+        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, PointSource::nothing) << "the reflector itself";
+        for (int row = 0; row < kBeams; ++row) {
+            const Echo &here = stray[ray_at(row, kSteps / 2 + 24)], &beside = stray[ray_at(row, kSteps / 2 - 60)];
+            ASSERT_EQ(here.source, PointSource::blooming);
+            ASSERT_NEAR(here.range_m, 4.0, 1e-6);
+            const double deviate = here.reflectivity / of_near[std::size_t(row)];
+            EXPECT_NEAR(beside.reflectivity / of_far[std::size_t(row)] / deviate, 1.0, 0.15) << "squares of a degree, and a beam's deviate";
+            sum += std::log(deviate), squares += std::log(deviate) * std::log(deviate), ++n;
+        }
+        const std::vector<Echo> again = stray_light(scan, 1e-4, seed);
+        for (std::size_t i = 0; i < stray.size(); i += 97) ASSERT_EQ(stray[i].reflectivity, again[i].reflectivity);
+    }
+    EXPECT_NEAR(sum / n, 0.0, 4.0 * 3.0 / std::sqrt(n));
+    EXPECT_NEAR(std::sqrt(squares / n), 3.0, 4.0 * 3.0 / std::sqrt(2.0 * n));
+    EXPECT_TRUE(stray_light(scan, 0.0, 1).empty());
+    EXPECT_TRUE(stray_light(wall_with({}), 1e-4, 1).empty());
+}
+
+/// At twice the range the same angle has a quarter of the power.
+TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
+    const RenderedScan scan = wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
+    const std::vector<Echo> stray = stray_light(scan, 1e-4, 1);
+    const int row = kBeams / 2 + 20;
+    EXPECT_NEAR(stray[ray_at(row, kSteps / 2)].range_m, 4.0, 1e-6);
+    EXPECT_NEAR(stray[ray_at(row, kSteps / 2 + 32)].range_m, 8.0, 1e-6);
+}
+
+TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
+    RenderedScan scan = wall_with({{0.0, 0.0, 4.0}});
+    const RenderedScan before = scan;
+    const std::vector<Echo> stray = stray_light(scan, 1e-3, 1);
+    const Air air({.bloom = 1e-3}, {});
+    add_weather(scan, air, {}, {.stray = stray}, 1);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    int bloomed = 0;
+    for (std::size_t i = 0; i < source.size(); ++i) {
+        const double own = double(before.image.intensity[i]) / std::pow(double(before.image.range_m[i]), 2);
+        if (stray[i].reflectivity / 16.0 > own) {
+            ++bloomed;
+            ASSERT_EQ(source[i], std::int32_t(PointSource::blooming));
+            ASSERT_NEAR(scan.median_range_m[i], 4.0, 1e-5);
+            ASSERT_EQ(scan.instance[i], -1);
+        } else {
+            ASSERT_EQ(source[i], std::int32_t(PointSource::surface));
+            ASSERT_EQ(scan.median_range_m[i], before.median_range_m[i]);
+        }
+    }
+    EXPECT_GT(bloomed, 100);
+}
+
+class GlareInScenes : public test::DeviceTest {};
+
+/// A disc of 2 m, 12 m ahead, and beams from -1 to 2.5 degrees.
+Surfels disc_ahead() {
+    Surfels disc;
+    disc.resize(1);
+    disc.mean[0] = {12.0f, 0.0f, 0.0f};
+    disc.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    disc.log_scale[0] = glm::vec2(std::log(2.0f));
+    disc.opacity_logit[0] = 6.0f;
+    std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
+    disc.sh[kShCoefficients] = 20.0f;   // hit logit
+    return disc;
+}
+Sequence level_beams() {
+    Sequence sequence;
+    sequence.lidars[0].sensor.columns = 720;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
+    for (int beam = 0; beam < 8; ++beam) sequence.lidars[0].sensor.beams.push_back({kDegree * (2.5 - 0.5 * beam)});
+    return sequence;
+}
+
+TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
+    const Config config;
+    const Sequence sequence = level_beams();
+    ScanRenderer renderer(device(), make_background_scene(disc_ahead()), config, sequence);
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
+    const auto noise_in = [&](const Sun& sun) {
+        renderer.set_weather({.sun = sun});
+        const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
+        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"), std::int32_t(PointSource::noise));
+    };
+    EXPECT_EQ(noise_in({0.0, 0.5, 100.0}), 0) << "behind the wall";
+    EXPECT_EQ(noise_in({0.0, 60.0, 100.0}), 0) << "far above the beams";
+    renderer.set_weather({.sun = {180.0, 0.5, 100.0}});
+    const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    int n = 0;
+    for (std::size_t i = 0; i < source.size(); ++i) {
+        const double off_deg = std::acos(std::min(double(scan.image.direction[i].x) * -std::cos(0.5 * kDegree) +
+                                                      double(scan.image.direction[i].z) * std::sin(0.5 * kDegree), 1.0)) / kDegree;
+        if (source[i] == std::int32_t(PointSource::noise)) {
+            ++n;
+            ASSERT_LT(off_deg, 6.0);
+        } else {
+            ASSERT_GT(off_deg, 0.7) << "in the glare there is always noise";
+            ASSERT_EQ(scan.median_range_m[i], dark.median_range_m[i]);
+        }
+    }
+    EXPECT_GT(n, 5);
+}
+
+}  // namespace
+}  // namespace relidar

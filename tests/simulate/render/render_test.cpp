@@ -1,0 +1,453 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rendering a wall at a known place, choice of sensor.
+#include <algorithm>
+#include <cmath>
+
+#include <gmock/gmock.h>
+#include <relidar/base/error.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class Render : public test::DeviceTest {};
+
+/// A wall 10 m ahead that returns; intensity 0.5.
+Surfels wall_ahead() {
+    Surfels wall;
+    wall.resize(1);
+    wall.mean[0] = {10.0f, 0.0f, 0.0f};
+    wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    wall.log_scale[0] = glm::vec2(std::log(5.0f));
+    wall.opacity_logit[0] = 6.0f;
+    std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
+    wall.sh[kShCoefficients] = 20.0f;   // hit logit
+    return wall;
+}
+
+/// Four rays, one a quarter turn, from the origin.
+Sequence cross_sequence() {
+    Sequence sequence;
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 4;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle.time_s = {0.0};
+    sequence.world_from_vehicle.pose = {Pose{}};
+    return sequence;
+}
+
+/// A post 8 cm wide, 10 m away, in front of a wall at 14 m.
+Surfels post_before_wall() {
+    Surfels scene = wall_ahead();
+    scene.resize(2);
+    for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
+    scene.sh[0] = scene.sh[kShFloats] = 1.0f;   // alike in brightness
+    scene.mean = {{10.0f, 0.0f, 0.0f}, {14.0f, 0.0f, 0.0f}};
+    scene.rotation[1] = scene.rotation[0];
+    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};   // tall, narrow
+    scene.log_scale[1] = glm::vec2(std::log(5.0f));
+    scene.opacity_logit[1] = scene.opacity_logit[0];
+    return scene;
+}
+
+/// Share of a disc that a strip through its middle covers. @param x  half of the strip's width over the disc's radius
+double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
+
+/// A footprint of 0.2 m across, aimed at the post: where half of the light goes through its Gaussian the post ends.
+TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
+    Sequence sequence;
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 1;
+    sequence.lidars[0].sensor.first_azimuth_rad = 0.0;
+    sequence.lidars[0].sensor.divergence_rad = 0.02;
+    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
+    const auto render = [&](int sub_rays, int returns) {
+        Config config;
+        config.sensor.sub_rays = sub_rays;
+        config.sensor.returns = returns;
+        ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, sequence);
+        return renderer.render(configured_sensor(config, sequence), 0.0);
+    };
+    EXPECT_NEAR(render(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
+    EXPECT_TRUE(render(9, 1).second_returns.empty());
+    const RenderedScan scan = render(9, 2);
+    ASSERT_EQ(scan.image.range_m.size(), 1u);
+    EXPECT_NEAR(scan.median_range_m[0], 14.0f, 2e-3f) << "the wider of the two";
+    EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 2e-3f);
+    const double opacity = 1.0 / (1.0 + std::exp(-double(post_before_wall().opacity_logit[0])));
+    const double share = strip_share(0.02 * std::sqrt(2.0 * std::log(2.0 * opacity)) / 0.1);
+    EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07) << "one part of forty is 0.05";
+    EXPECT_LT(scan.image.drop_prob[0], 0.1f);
+}
+
+/// The same post seen by beams of one table that differ: only the one that is wider sees past it.
+TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
+    RayTable rays{1, 3, ScanArray<glm::vec3>(3), ScanArray<glm::vec3>(3, {1.0f, 0.0f, 0.0f}), ScanArray<float>(3), {0, 0, 0}};
+    rays.ray_divergence_rad = {1e-3f, 0.02f, 0.0f};
+    Config config;
+    config.sensor.sub_rays = 9, config.sensor.returns = 2;
+    ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, cross_sequence());
+    const RenderedScan scan = renderer.render(sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
+    EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
+    EXPECT_THAT(scan.second_returns[0].range_m, testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
+}
+
+TEST_F(Render, SubRaysNeedADivergence) {
+    Sequence sequence = cross_sequence();
+    Config config;
+    config.sensor.sub_rays = 5;
+    ScanRenderer renderer(device(), make_background_scene(wall_ahead()), config, sequence);
+    EXPECT_THROW(renderer.render(configured_sensor(config, sequence), 0.0), UsageError);
+    config.sensor.divergence_mrad = 2.0;
+    ScanRenderer with(device(), make_background_scene(wall_ahead()), config, sequence);
+    EXPECT_EQ(with.render(configured_sensor(config, sequence), 0.0).image.range_m.size(), 4u);
+    config.sensor.sub_rays = 1;
+    config.sensor.returns = 2;
+    ScanRenderer two(device(), make_background_scene(wall_ahead()), config, sequence);
+    EXPECT_THROW(two.render(configured_sensor(config, sequence), 0.0), UsageError);
+}
+
+TEST_F(Render, WallIsWhereItStands) {
+    const Surfels wall = wall_ahead();
+    Sequence sequence;
+    sequence.lidars[0].sensor.beams = {{0.0}};
+    sequence.lidars[0].sensor.columns = 8;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.world_from_vehicle.time_s = {0.0, 1.0};
+    sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};   // 2 m/s towards the wall
+    Config config;
+    ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    std::size_t ahead = 0;
+    for (std::size_t i = 0; i < sensor.rays.size(); ++i)
+        if (sensor.rays.direction[i].x > 0.999f) ahead = i;
+    config.render.range = "normalised";
+    const RenderedScan at_half = renderer.render(sensor, 0.5);
+    const double fired_at = 0.5 + sensor.rays.time_offset_s[ahead];
+    EXPECT_NEAR(at_half.image.range_m[ahead], 10.0 - 2.0 * fired_at, 1e-4);
+    EXPECT_LT(at_half.image.drop_prob[ahead], 0.5f);
+    EXPECT_GT(at_half.image.drop_prob[(ahead + 4) % 8], 0.5f) << "nothing stands behind";
+    Pose back;
+    back.translation.x = -3.0;
+    EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
+}
+
+/// A post that only one column of the head meets stands in another column of the image in a sweep in which the head was a column behind.
+TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
+    constexpr int kColumns = 64;
+    constexpr double kColumn_rad = 2.0 * kPi / kColumns;
+    Surfels post = wall_ahead();
+    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};   // 0.1 m of 1 m between columns
+    Sequence sequence = cross_sequence();
+    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
+    sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
+    sequence.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
+    Config config;
+    config.render.follow_sweeps = true;
+    ScanRenderer renderer(device(), make_background_scene(post), config, sequence);
+    const auto column_of_post = [&](const RenderedScan& scan) {
+        return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) - scan.image.drop_prob.begin());
+    };
+    const SensorChoice own = configured_sensor(config, sequence);
+    EXPECT_TRUE(own.follows_sweeps);
+    const int nominal = kColumns / 2;   // azimuth pi falls by a column each
+    EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
+    EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1) << "the head points one column to the left of where it should";
+    EXPECT_EQ(column_of_post(renderer.render(own, 0.5)), nominal) << "no sweep of the log";
+    EXPECT_EQ(column_of_post(renderer.render(own, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal) << "driven by somebody else";
+    config.render.follow_sweeps = false;
+    EXPECT_EQ(column_of_post(renderer.render(configured_sensor(config, sequence), 1.0)), nominal);
+    EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
+}
+
+/// Two veils before a wall: half of the light is gone at the second, most of it comes back from the wall. A dropped ray has no range.
+TEST_F(Render, ModeIsTheHeaviestSurface) {
+    Surfels scene;
+    const Surfels wall = wall_ahead();
+    const float x[] = {6.0f, 8.0f, 10.0f, 10.1f}, opacity[] = {0.3f, 0.35f, 0.5f, 0.9f};
+    scene.resize(4);
+    for (std::size_t i = 0; i < 4; ++i) {
+        scene.mean[i] = {x[i], 0.0f, 0.0f};
+        scene.rotation[i] = wall.rotation[0], scene.log_scale[i] = wall.log_scale[0];
+        scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
+        std::copy(wall.sh.begin(), wall.sh.end(), scene.sh.begin() + std::ptrdiff_t(i * kShFloats));
+    }
+    const Sequence sequence = cross_sequence();
+    const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
+    for (const std::string range : {"median", "mode"}) {
+        Config config;
+        config.render.range = range;
+        ScanRenderer renderer(device(), make_background_scene(scene), config, sequence);
+        const SensorChoice sensor = configured_sensor(config, sequence);
+        const RenderedScan scan = renderer.render(sensor, 0.0);
+        for (std::size_t i = 0; i < 4; ++i) {
+            const bool ahead = sensor.rays.direction[i].x > 0.9f;
+            const float at_wall = (w[2] * 10.0f + w[3] * 10.1f) / (w[2] + w[3]);
+            EXPECT_NEAR(scan.image.range_m[i], !ahead ? 0.0f : range == "mode" ? at_wall : 8.0f, 1e-4f) << range;
+            EXPECT_NEAR(scan.median_range_m[i], ahead ? 8.0f : 0.0f, 1e-4f);
+        }
+    }
+}
+
+std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
+    std::size_t best = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        if (glm::dot(rays.direction[i], direction) > glm::dot(rays.direction[best], direction)) best = i;
+    return best;
+}
+
+/// What a beam adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
+TEST_F(Render, LasersMeasureInTheirOwnWay) {
+    const Surfels wall = wall_ahead();
+    Sequence sequence = cross_sequence();
+    sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
+    sequence.lidars[0].sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
+    sequence.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
+    Config config;
+    config.render.range = "normalised";
+    ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
+    const SensorChoice own = configured_sensor(config, sequence);
+    std::size_t ahead = 0;
+    for (std::size_t i = 0; i < 4; ++i)
+        if (own.rays.direction[i].x > 0.9f) ahead = i;
+    const RenderedScan scan = renderer.render(own, 0.0);
+    SensorChoice ideal = own;
+    ideal.beams.clear();
+    const RenderedScan surface = renderer.render(ideal, 0.0);
+    ASSERT_NEAR(surface.image.range_m[4 + ahead], 10.0, 1e-4);
+    const float brightness = surface.image.intensity[4 + ahead];
+    ASSERT_GT(brightness, 0.4f);
+    EXPECT_EQ(scan.image.range_m[ahead], surface.image.range_m[ahead]);
+    EXPECT_EQ(scan.image.intensity[ahead], surface.image.intensity[ahead]);
+    EXPECT_NEAR(scan.image.range_m[4 + ahead], 10.07, 1e-4);
+    EXPECT_NEAR(scan.median_range_m[4 + ahead], 10.07, 1e-4);
+    EXPECT_NEAR(scan.image.intensity[4 + ahead], 1.4 * brightness - 0.1, 1e-5);
+    EXPECT_EQ(scan.image.intensity[8 + ahead], 1.0f) << "cut at what a sensor reports";
+    const std::size_t behind = (ahead + 2) % 4;
+    EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
+}
+
+/// A ray whose surface lies outside the sensor's limits is dropped, whichever of its two ranges lies there.
+TEST_F(Render, RangesBeyondTheSensorAreDrops) {
+    Sequence sequence = cross_sequence();
+    const Scene scene = make_background_scene(wall_ahead());
+    Config config;
+    ScanRenderer renderer(device(), scene, config, sequence);
+    const auto dropped = [&](double min_m, double max_m) {
+        SensorChoice sensor = configured_sensor(config, sequence);
+        sensor.limits = {min_m, max_m};
+        const RenderedScan scan = renderer.render(sensor, 0.0);
+        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0});
+        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.lidars[0].sensor.beams[0].range_offset_m, 1e-4);
+        return scan.image.drop_prob[ahead] == 1.0f;
+    };
+    EXPECT_FALSE(dropped(9.9, 10.1));
+    EXPECT_TRUE(dropped(0.0, 9.9));
+    EXPECT_TRUE(dropped(10.1, 80.0));
+    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;   // limits are of what is measured
+    EXPECT_TRUE(dropped(0.0, 10.1));
+}
+
+TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
+    Sequence sequence = cross_sequence();
+    sequence.lidars[0].sensor.min_range_m = 0.5;
+    sequence.lidars[0].sensor.max_range_m = 60.0;
+    Config config;
+    EXPECT_EQ(configured_sensor(config, sequence).limits.min_m, 0.5);
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 60.0);
+    config.dataset.max_range_m = 30.0;
+    config.dataset.min_range_m = 2.0;
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(choose_sensor("Native", config, sequence).limits.min_m, 2.0);
+    EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
+    config.sensor.grid = "kitti360";
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 30.0);
+    config.dataset.max_range_m = sequence.lidars[0].sensor.max_range_m = 200.0;
+    EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
+}
+
+/// A plate 4 m ahead that takes 0.3 of the light, and the wall.
+Surfels faint_plate_before_a_wall() {
+    Surfels surfels = wall_ahead();
+    surfels.append(wall_ahead());
+    surfels.mean[0].x = 4.0f;
+    surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
+    return surfels;
+}
+
+/// Points of a ray that sees a faint plate before the wall: the mean lies in the air between them, the dominant surface is the wall.
+TEST_F(Render, PointsLieOnTheDominantSurface) {
+    Surfels surfels = faint_plate_before_a_wall();
+    const Sequence sequence = cross_sequence();
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const RenderedScan scan = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+    EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
+    EXPECT_NEAR(point_ranges(scan, config)[ahead], 10.0, 1e-4);
+    EXPECT_EQ(point_ranges(scan, config)[behind], 0.0f);
+    config.render.points = "range";
+    EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
+
+    surfels.opacity_logit.assign(2, -1.5f);   // T stays above 0.5
+    const RenderedScan faint = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2) << "a point without a surface is no point at the sensor";
+    EXPECT_EQ(faint.median_range_m[behind], 0.0f);
+}
+
+/// Two surfaces: the mean lies between them, a known way from the farther one, whichever range the image shows; one surface has no spread.
+TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
+    const Surfels surfels = faint_plate_before_a_wall();
+    const Sequence sequence = cross_sequence();
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+    const RenderedScan plane = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
+    EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
+    // shares of the light: 0.3 for the plate, nearly all of the rest for the wall, which is as opaque as a surfel gets
+    const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
+    std::vector<std::string> channels = drop_channel_names(config.refine);
+    std::vector<DropImage> seen;
+    for (const char* range : {"normalised", "expected", "median", "mode"}) {
+        config.render.range = range;
+        const RenderedScan scan = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+        EXPECT_NEAR(range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3) << range;
+        EXPECT_EQ(range_spread(scan)[behind], 0.0f) << range;
+        seen.push_back(drop_image(scan, channels, glm::dvec3(0.0)));
+        EXPECT_EQ(seen.back().channels, seen.front().channels) << "a network sees the same with render.range=" << range;
+        if (seen.size() > 1) continue;
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
+            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i])) << "of the image, as it was trained";
+    }
+}
+
+/// The place of a wall that stands still, from a sensor that moves while it turns: every ray's own pose puts its point on the wall.
+TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
+    Sequence sequence = cross_sequence();
+    sequence.lidars[0].sensor.columns = 64;
+    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
+    sequence.world_offset_m = {100.0, 0.0, 0.0};
+    for (const bool rolling : {true, false}) {
+        sequence.rolling_shutter = rolling;
+        const SensorChoice sensor = configured_sensor({}, sequence);
+        const RenderedScan scan =
+            ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence).render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
+        std::size_t met = 0;
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
+            if (!(scan.median_range_m[i] > 0.0f)) continue;
+            const glm::dvec3 p =
+                scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
+            EXPECT_NEAR(p.x, 110.0, 1e-4);
+            ++met;
+        }
+        EXPECT_GT(met, 5u);
+        EXPECT_NEAR(glm::length(scan.track.at(0.5).translation - scan.world_from_sensor.translation), 0.0, 1e-12);
+    }
+}
+
+/// The wall's normal is known, and at what angle it is met, whichever way the sensor looks, turns and is binned: it comes back in the
+/// sensor's frame, towards the sensor.
+TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
+    Sequence sequence = cross_sequence();
+    sequence.lidars[0].sensor.columns = 64;
+    sequence.rolling_shutter = true;
+    sequence.world_from_vehicle = {{0.0, 1.0},
+                                   {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
+    Config config;
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).channels.empty());
+    config.render.channels = "normal";
+    const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
+    ASSERT_EQ(normal.size(), scan.instance.size());
+    std::size_t met = 0;
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+        if (scan.instance[i] < 0) EXPECT_EQ(normal[i], glm::vec3(0.0f));
+        else
+            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5)
+                << "ray " << i;
+        met += scan.instance[i] >= 0;
+    }
+    EXPECT_GT(met, 5u);
+    const RenderedScan binned = project_scan(scan, kitti360_grid());
+    const std::vector<glm::vec3>& of_cells = *find_values<glm::vec3>(binned.channels, "normal");
+    ASSERT_EQ(of_cells.size(), binned.instance.size());
+    for (std::size_t i = 0; i < of_cells.size(); ++i)
+        EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
+    config.render.channels = "incidence";
+    const RenderedScan again = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
+    for (std::size_t i = 0; i < normal.size(); ++i) {
+        const glm::dvec3 in_world = again.world_from_firing(i).rotation * glm::dvec3(again.image.direction[i]);
+        EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
+    }
+    config.image.primitive = Primitive::gaussian;
+    EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
+}
+
+/// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on
+/// the direction it is seen from.
+Scene two_placements(Sequence& sequence) {
+    Surfels surfels;
+    surfels.resize(2);
+    surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
+    // normals along y, x
+    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f}, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};
+    std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
+    std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
+    surfels.sh[kShFloats + 3] = -0.5f;                      // intensity along x: bright from one side, dark from the other
+    surfels.sh[kShFloats + kShCoefficients] = 20.0f;        // returns
+    surfels.sh[kShCoefficients] = 20.0f;
+    Scene scene;
+    scene.surfels = surfels;
+    scene.models = {{"background", 0, 1}, {"plate", 1, 1}};
+    scene.instances = {{0, ""}, {1, "ahead"}, {1, "behind"}};
+    const glm::dquat half_turn = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
+    sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}},
+                      {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{half_turn, {-5, 0, 0}}}}}};
+    return scene;
+}
+
+TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
+    Sequence sequence = cross_sequence();
+    const Scene scene = two_placements(sequence);
+    for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
+        Config config;
+        config.image.sh_direction = direction;
+        const SensorChoice sensor = configured_sensor(config, sequence);
+        const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
+        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+        EXPECT_EQ(scan.instance[ahead], 1);
+        EXPECT_EQ(scan.instance[behind], 2);
+        EXPECT_GT(std::abs(scan.image.intensity[ahead] - 0.5f), 0.1f) << "the harmonics must matter";
+        EXPECT_NEAR(scan.image.intensity[ahead], scan.image.intensity[behind], 1e-5f) << "both face the sensor alike";
+    }
+}
+
+TEST_F(Render, OnlyWhatIsShownIsMet) {
+    Sequence sequence = cross_sequence();
+    const Scene scene = two_placements(sequence);
+    const SensorChoice sensor = configured_sensor({}, sequence);
+    ScanRenderer renderer(device(), scene, {}, sequence);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0}),
+                      right = ray_towards(sensor.rays, {0, -1, 0});
+    const auto labels = [&](const std::vector<std::string>& names) {
+        renderer.show_only(select_instances(scene, names));
+        const RenderedScan scan = renderer.render(sensor, 0.0);
+        return std::vector<int>{scan.instance[ahead], scan.instance[behind], scan.instance[right]};
+    };
+    EXPECT_EQ(labels({"background"}), (std::vector<int>{-1, -1, 0}));
+    EXPECT_EQ(labels({"actors"}), (std::vector<int>{1, 2, -1}));
+    EXPECT_EQ(labels({"behind"}), (std::vector<int>{-1, 2, -1}));
+    EXPECT_EQ(labels({"behind", "background"}), (std::vector<int>{-1, 2, 0}));
+    EXPECT_THROW(select_instances(scene, {"ahed"}), UsageError);
+    EXPECT_THROW(renderer.show_only({true}), UsageError);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,218 @@
+// SPDX-License-Identifier: Apache-2.0
+// Weather on whole scans: surfaces are darker by the formula, what returns from the air says so in every channel, and clear air changes
+// no bit.
+#include <algorithm>
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kRays = 20'000;
+constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
+
+/// A wall, of which all rays but every tenth return; actor 3 in all channels. Two returns where they are wanted, both of the wall's panes.
+RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
+    const auto n = std::size_t(n_rays);
+    RenderedScan scan;
+    scan.image.rows = 1, scan.image.columns = n_rays;
+    scan.image.origin.assign(n, glm::vec3(0.0f)), scan.image.direction.assign(n, glm::vec3(1.0f, 0.0f, 0.0f));
+    scan.image.range_m.assign(n, range_m), scan.image.intensity.assign(n, intensity), scan.image.drop_prob.assign(n, 0.25f);
+    for (std::size_t i = 0; i < n; i += 10) scan.image.drop_prob[i] = 0.75f;
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 3), scan.ring.assign(n, 0), scan.time_offset_s.assign(n, 0.0f);
+    scan.channels = {{{.name = "of_surface", .none = -2.0}, std::vector<float>(n, 7.0f)},
+                     {{.name = "of_ray", .of_ray = true, .none = -2.0}, std::vector<float>(n, 7.0f)}};
+    if (two_returns) {
+        scan.second_returns = {{std::vector<float>(n, range_m + 2.0f), std::vector<float>(n, 0.5f * intensity)}};
+        for (std::size_t i = 0; i < n; i += 10) scan.second_returns[0].range_m[i] = scan.second_returns[0].intensity[i] = 0.0f;
+    }
+    return scan;
+}
+
+const std::vector<std::int32_t>& sources_of(const RenderedScan& scan) { return *find_values<std::int32_t>(scan.channels, "source"); }
+
+void expect_same(const RenderedScan& a, const RenderedScan& b) {
+    EXPECT_EQ(a.image.range_m, b.image.range_m);
+    EXPECT_EQ(a.image.intensity, b.image.intensity);
+    EXPECT_EQ(a.image.drop_prob, b.image.drop_prob);
+    EXPECT_EQ(a.median_range_m, b.median_range_m);
+    EXPECT_EQ(a.mean_range_m, b.mean_range_m);
+    EXPECT_EQ(a.instance, b.instance);
+}
+
+TEST(WeatherOnScans, ClearAirChangesNoBit) {
+    const RenderedScan before = wall_at(10.0f, 0.5f);
+    RenderedScan scan = before;
+    add_weather(scan, Air({}, {}), {}, {}, 1);
+    expect_same(scan, before);
+    ASSERT_EQ(scan.channels.size(), 3u);
+    for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
+}
+
+/// To a hundredth, and with a sensor that reports the same surface at half of its brightness there.
+TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
+    for (const double fall : {1.0, 0.5}) {
+        RenderedScan scan = wall_at(8.0f, 0.8f);
+        add_weather(scan, Air({.fog_visibility_m = 150.0}, {}), {.range_m = {8.0}, .factor = {fall}}, {}, 1);
+        int n = 0;
+        for (std::size_t i = 0; i < kRays; ++i) {
+            if (sources_of(scan)[i] != kSurface) continue;
+            ++n;
+            ASSERT_NEAR(scan.image.intensity[i] / (0.8 * std::exp(-2.0 * std::log(20.0) / 150.0 * 8.0)), 1.0, 0.01);
+            ASSERT_EQ(scan.image.range_m[i], 8.0f);
+            ASSERT_EQ(scan.instance[i], 3);
+            ASSERT_EQ(scan.image.drop_prob[i], 0.25f);
+            ASSERT_EQ(find_values<float>(scan.channels, "of_surface")->at(i), 7.0f);
+        }
+        EXPECT_GT(n, kRays / 2);
+    }
+}
+
+TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
+    RenderedScan scan = wall_at(25.0f, 0.3f);
+    std::vector<std::uint8_t> blind(kRays, 0);
+    for (std::size_t i = 0; i < kRays; i += 4) blind[i] = 1;
+    add_weather(scan, Air({.fog_visibility_m = 50.0}, {}), {}, {.blind = blind}, 1);
+    int fog = 0;
+    for (std::size_t i = 0; i < kRays; ++i) {
+        const std::int32_t source = sources_of(scan)[i];
+        EXPECT_EQ(find_values<float>(scan.channels, "of_ray")->at(i), 7.0f);
+        if (blind[i] != 0) {
+            ASSERT_EQ(source, i % 10 == 0 ? kNothing : kSurface);
+            ASSERT_EQ(scan.image.range_m[i], 25.0f);
+            ASSERT_NEAR(scan.image.intensity[i], source == kSurface ? 0.3 * 0.05 : 0.3, 1e-6) << "darker all the same";
+        } else if (source == kFog) {
+            ++fog;
+            ASSERT_LT(scan.image.range_m[i], 25.0f);
+            ASSERT_EQ(scan.image.range_m[i], scan.median_range_m[i]);
+            ASSERT_EQ(scan.image.range_m[i], scan.mean_range_m[i]);
+            ASSERT_EQ(scan.image.drop_prob[i], 0.0f) << "of rays that had no return, too";
+            ASSERT_EQ(scan.instance[i], -1);
+            ASSERT_EQ(find_values<float>(scan.channels, "of_surface")->at(i), -2.0f);
+        }
+    }
+    EXPECT_GT(fog, kRays / 2);
+}
+
+/// Behind 40 m of it 80 m are 2e-2 of the light; the wall's 3e-3 are less than the weakest.
+TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
+    WeatherSensor sensor;
+    sensor.min_range_m = 39.9;   // returns of the fog are not of interest here
+    RenderedScan scan = wall_at(40.0f, 0.3f);
+    add_weather(scan, Air({.fog_visibility_m = 20.0}, sensor), {}, {}, 1);
+    for (std::size_t i = 0; i < kRays; ++i) {
+        ASSERT_EQ(sources_of(scan)[i], kNothing);
+        ASSERT_GE(scan.image.drop_prob[i], 0.5f);
+    }
+}
+
+TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
+    RenderedScan scan = wall_at(20.0f, 0.3f, true);
+    add_weather(scan, Air({.fog_visibility_m = 60.0}, {}), {}, {}, 1);
+    ASSERT_EQ(scan.channels.back().info.name, "source");
+    const auto& second = std::get<std::vector<std::int32_t>>(scan.channels.back().second);
+    int behind_fog = 0;
+    for (std::size_t i = 0; i < kRays; ++i) {
+        const float range_m = scan.second_returns[0].range_m[i];
+        ASSERT_EQ(second[i] == kNothing, range_m == 0.0f);
+        ASSERT_TRUE(second[i] != kSurface || range_m == 20.0f || range_m == 22.0f);
+        behind_fog += sources_of(scan)[i] == kFog && second[i] == kSurface && range_m == 22.0f;
+        ScanChannel of_points{scan.channels.back().info, std::vector<std::int32_t>{}};
+        append_return(of_points, scan.channels.back(), i, 2);
+        ASSERT_EQ(std::get<std::vector<std::int32_t>>(of_points.values)[0], second[i]);
+    }
+    EXPECT_GT(behind_fog, kRays / 2);
+    RenderedScan one = wall_at(20.0f, 0.3f);
+    const RenderedScan merged = merge_scans({one, scan, one}, {Pose{}, Pose{}, Pose{}});
+    const auto& of_rig = std::get<std::vector<std::int32_t>>(merged.channels.back().second);
+    ASSERT_EQ(of_rig.size(), std::size_t(3 * kRays));
+    ASSERT_EQ(merged.second_returns[0].range_m.size(), std::size_t(3 * kRays));
+    for (std::size_t i = 0; i < kRays; ++i) {
+        ASSERT_EQ(of_rig[kRays + i], second[i]);
+        ASSERT_EQ(merged.second_returns[0].range_m[kRays + i], scan.second_returns[0].range_m[i]);
+        ASSERT_EQ(of_rig[2 * kRays + i], kNothing);
+        ASSERT_EQ(merged.second_returns[0].range_m[2 * kRays + i], 0.0f);
+    }
+}
+
+/// Threads take blocks of 4096 rays: of fewer there is one thread.
+TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
+    const Air air({.fog_visibility_m = 100.0, .rain_mm_h = 20.0}, {});
+    RenderedScan a = wall_at(40.0f, 0.1f), b = a, other = a, by_one = wall_at(40.0f, 0.1f, false, 4096);
+    add_weather(a, air, {}, {}, 7);
+    add_weather(b, air, {}, {}, 7);
+    add_weather(other, air, {}, {}, 8);
+    add_weather(by_one, air, {}, {}, 7);
+    expect_same(a, b);
+    EXPECT_EQ(sources_of(a), sources_of(b));
+    EXPECT_NE(a.image.range_m, other.image.range_m);
+    for (std::size_t i = 0; i < by_one.weight.size(); ++i) {
+        ASSERT_EQ(a.image.range_m[i], by_one.image.range_m[i]);
+        ASSERT_EQ(a.image.intensity[i], by_one.image.intensity[i]);
+        ASSERT_EQ(sources_of(a)[i], sources_of(by_one)[i]);
+    }
+}
+
+class RenderedWeather : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        SyntheticOptions options;
+        options.n_frames = 3;
+        log = make_synthetic_street(options);
+        scene = initialise_scene(log, {0, 1, 2}, {});
+    }
+    Sequence log;
+    Scene scene;
+    Config config;
+};
+
+/// Without intensities nobody knows how bright surfaces are, and the air would win everywhere.
+TEST_F(RenderedWeather, NeedsALogWithIntensities) {
+    ScanRenderer renderer(device(), scene, config, log);
+    IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
+    renderer.scatter_intensities({scatter});
+    EXPECT_THROW(renderer.set_weather({.fog_visibility_m = 30.0}), UsageError);
+    EXPECT_NO_THROW(renderer.set_weather({}));
+    scatter.values.back() = 0.1f;
+    renderer.scatter_intensities({scatter});
+    EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
+}
+
+TEST_F(RenderedWeather, IsThatOfTheNextScan) {
+    ScanRenderer renderer(device(), scene, config, log);
+    const auto render = [&](const std::string& sensor, std::optional<std::uint64_t> sample = {}) {
+        return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s, {}, sample);
+    };
+    const RenderedScan clear = render("native"), clear_sample = render("native", 3);
+    EXPECT_EQ(find_values<std::int32_t>(clear.channels, "source"), nullptr);
+    renderer.set_weather({.fog_visibility_m = 30.0});
+    EXPECT_THROW(renderer.set_weather({.snow_mm_h = -1.0}), UsageError);
+    const RenderedScan fog = render("native"), again = render("native"), sample = render("native", 3), grid = render("kitti360");
+    expect_same(fog, again);
+    EXPECT_NE(fog.image.range_m, sample.image.range_m);
+    for (const RenderedScan* scan : {&fog, &sample, &grid}) EXPECT_GT(std::ranges::count(sources_of(*scan), kFog), 100);
+    for (std::size_t i = 0; i < fog.image.range_m.size(); ++i) {
+        ASSERT_EQ(sources_of(fog)[i] == kNothing, !returned(fog.image.drop_prob[i], fog.image.range_m[i]));
+        ASSERT_TRUE(sources_of(fog)[i] != kSurface || fog.image.intensity[i] <= clear.image.intensity[i]);
+    }
+    renderer.set_weather({});
+    expect_same(render("native"), clear);
+    expect_same(render("native", 3), clear_sample);
+    renderer.want_channels("source");
+    const RenderedScan said = render("native");
+    expect_same(said, clear);
+    for (std::size_t i = 0; i < said.image.range_m.size(); ++i)
+        ASSERT_EQ(sources_of(said)[i], returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rain on the road of a scene: level ground of one brightness and a wall, whose mirror image is known.
+#include <algorithm>
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/math.hpp>
+#include <relidar/simulate/render.hpp>
+
+#include "../../support/device.hpp"
+
+namespace relidar {
+namespace {
+
+class WetGroundOnScans : public test::DeviceTest {};
+
+/// A level disc that returns, of intensity 0.5 + 0.28 times the coefficient.
+Surfels disc_of(float scale_m, float coefficient) {
+    Surfels disc;
+    disc.resize(1);
+    disc.mean[0] = glm::vec3(0.0f);
+    disc.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
+    disc.log_scale[0] = glm::vec2(std::log(scale_m));
+    disc.opacity_logit[0] = 6.0f;
+    std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
+    disc.sh[0] = coefficient;
+    disc.sh[kShCoefficients] = 20.0f;   // hit logit
+    return disc;
+}
+
+/// Dark level ground half a metre below the sensor, of opaque discs a metre apart, and a wall of intensity 0.5 on it, 12 m ahead.
+Surfels ground_before_wall() {
+    Surfels scene = disc_of(3.0f, 0.0f), disc = disc_of(0.5f, -1.4f);
+    scene.mean[0] = {12.0f, 0.0f, -0.5f};
+    scene.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
+    for (int x = -20; x < 12; ++x) {
+        for (int y = -12; y <= 12; ++y) {
+            disc.mean[0] = {float(x), float(y), -0.5f};
+            scene.append(disc);
+        }
+    }
+    return scene;
+}
+
+/// Eight beams that look down by 3.6 to 5.7 degrees.
+Sequence sequence_looking_down() {
+    Sequence sequence;
+    sequence.lidars[0].sensor.columns = 360;
+    sequence.lidars[0].sensor.first_azimuth_rad = kPi;
+    sequence.rolling_shutter = false;
+    sequence.world_from_vehicle = {{0.0}, {Pose{}}};
+    for (int beam = 0; beam < 8; ++beam) sequence.lidars[0].sensor.beams.push_back({-kPi / 180.0 * (3.6 + 0.3 * beam)});
+    return sequence;
+}
+
+/// Where the ground mirrors a ray onto the wall, its point is that of the wall's mirror image, on the straight line below the ground. What
+/// is left of the wall's light is more than what is left of the ground's, which water darkens.
+TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
+    const Config config;
+    const Sequence sequence = sequence_looking_down();
+    ScanRenderer renderer(device(), make_background_scene(ground_before_wall()), config, sequence);
+    const SensorChoice sensor = configured_sensor(config, sequence);
+    const RenderedScan dry = renderer.render(sensor, 0.0);
+    renderer.set_weather({.wet_mm = 2.0});
+    const RenderedScan wet = renderer.render(sensor, 0.0);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(wet.channels, "source");
+    int mirrored = 0, darker = 0;
+    for (std::size_t i = 0; i < source.size(); ++i) {
+        const glm::vec3 d = wet.image.direction[i];
+        const double ground_m = 0.5 / -double(d.z), wall_m = 12.0 / double(d.x);
+        if (dry.median_range_m[i] == 0.0f || ground_m > 11.0) continue;
+        ASSERT_NEAR(dry.median_range_m[i], ground_m, 0.02);
+        if (source[i] == std::int32_t(PointSource::mirror)) {
+            ++mirrored;
+            ASSERT_GT(d.x, 0.0f);
+            ASSERT_NEAR(wet.median_range_m[i], wall_m, 0.2) << "the tracing begins 0.1 m above the ground";
+            ASSERT_EQ(wet.instance[i], -1);
+            const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);   // from the middle of the wall
+            const double wall = 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
+            ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(mirrored_by_water(-double(d.z)), 2), 0.02);
+        } else if (source[i] == std::int32_t(PointSource::surface)) {
+            ++darker;
+            ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
+            ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i], wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
+                        ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)   // the foot of the wall tilts what is taken for the ground before it
+                << i;
+        }
+    }
+    EXPECT_GT(mirrored, 20);
+    EXPECT_GT(darker, 1000);
+    renderer.set_weather({});
+    EXPECT_EQ(renderer.render(sensor, 0.0).image.intensity, dry.image.intensity);
+}
+
+}  // namespace
+}  // namespace relidar

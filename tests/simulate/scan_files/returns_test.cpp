@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every format holds as many returns of a scan as every other one, with a network that says of every ray that it returns.
+#include <cmath>
+#include <cstring>
+#include <map>
+#include <optional>
+
+#include <gmock/gmock.h>
+#include <png.h>
+
+#include <relidar/base/arrays.hpp>
+#include <relidar/base/images.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
+
+#include "../../base/codecs/temporary_folder.hpp"
+#include "../../support/device.hpp"
+#include "../../support/drop_networks.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kBeams = 16, kSteps = 256;
+constexpr double kHeight_m = 3.0;   // of the sensor above a plate of 4 m
+
+/// Returns how many rays of a sensor, fired from above its middle, meet a round plate on the ground.
+std::size_t rays_onto_plate(const RayTable& rays, double radius_m) {
+    std::size_t n = 0;
+    for (const glm::vec3& d : rays.direction)
+        n += d.z < 0.0f && kHeight_m / -double(d.z) * std::hypot(double(d.x), double(d.y)) < radius_m;
+    return n;
+}
+
+Surfels plate_below() {
+    Surfels surfels;
+    surfels.resize(1);
+    surfels.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
+    surfels.log_scale[0] = glm::vec2(std::log(4.0f));
+    surfels.opacity_logit[0] = 6.0f;
+    surfels.sh.assign(kShFloats, 0.0f);
+    surfels.sh[kShCoefficients] = 20.0f;   // hit logit
+    return surfels;
+}
+
+template <class T>
+T value_at(const std::string& bytes, std::size_t at) {
+    T value{};
+    std::memcpy(&value, bytes.data() + at, sizeof value);
+    return value;
+}
+
+/// The number behind a word of a header.
+std::size_t count_behind(const std::string& text, const std::string& word) {
+    return std::stoul(text.substr(text.find(word) + word.size()));
+}
+
+std::size_t below_half(const std::vector<float>& values) {
+    return std::size_t(std::ranges::count_if(values, [](float x) { return x < 0.5f; }));
+}
+
+/// Bytes of the first message on a topic of an MCAP file without compression.
+std::string message_on(const std::string& bytes, const std::string& topic) {
+    std::optional<std::uint16_t> channel;
+    const auto walk = [&](std::size_t at, std::size_t end, const auto& self) -> std::string {
+        while (at + 9 <= end) {
+            const int kind = bytes[at];
+            const std::size_t body = at + 9, next = body + value_at<std::uint64_t>(bytes, at + 1);
+            if (kind == 4 && bytes.substr(body + 8, value_at<std::uint32_t>(bytes, body + 4)) == topic)
+                channel = value_at<std::uint16_t>(bytes, body);
+            if (kind == 5 && channel == value_at<std::uint16_t>(bytes, body)) return bytes.substr(body + 22, next - body - 22);
+            if (kind == 6) {   // a chunk: times, sizes, the compression's name and the records
+                const std::size_t inside = body + 28 + 4 + value_at<std::uint32_t>(bytes, body + 28) + 8;
+                if (std::string found = self(inside, next, self); !found.empty()) return found;
+            }
+            at = next;
+        }
+        return "";
+    };
+    return walk(8, bytes.size() - 8, walk);
+}
+
+/// Points of a sensor_msgs/PointCloud2, by its width and height.
+std::size_t points_of_ros(const std::string& message) {
+    const std::size_t name = 4 + 8, end = name + 4 + value_at<std::uint32_t>(message, name), sizes = (end - 4 + 3) / 4 * 4 + 4;
+    return std::size_t(value_at<std::uint32_t>(message, sizes)) * value_at<std::uint32_t>(message, sizes + 4);
+}
+
+/// Points of a foxglove.PointCloud: the bytes of field 6 over those of one point, field 4.
+std::size_t points_of_foxglove(const std::string& message) {
+    std::size_t at = 0, stride = 0, n_bytes = 0;
+    const auto varint = [&] {
+        std::size_t value = 0;
+        for (int shift = 0;; shift += 7) {
+            const auto byte = static_cast<unsigned char>(message[at++]);
+            value |= std::size_t(byte & 0x7f) << shift;
+            if (byte < 0x80) return value;
+        }
+    };
+    while (at < message.size()) {
+        const std::size_t tag = varint(), wire = tag & 7;
+        if (wire == 5) {
+            if (tag >> 3 == 4) stride = value_at<std::uint32_t>(message, at);
+            at += 4;
+        } else if (wire == 2) {
+            const std::size_t length = varint();
+            if (tag >> 3 == 6) n_bytes = length;
+            at += length;
+        } else {
+            varint();
+        }
+    }
+    return stride == 0 ? 0 : n_bytes / stride;
+}
+
+/// Pixels of the picture's first image, the ranges, that do not have the colour of its first pixel, which looks at the sky.
+std::size_t shown_pixels(const std::filesystem::path& path) {
+    png_image description{};
+    description.version = PNG_IMAGE_VERSION;
+    EXPECT_TRUE(png_image_begin_read_from_file(&description, path.c_str())) << description.message;
+    description.format = PNG_FORMAT_RGB;
+    std::vector<std::uint8_t> rgb(PNG_IMAGE_SIZE(description));
+    EXPECT_TRUE(png_image_finish_read(&description, nullptr, rgb.data(), 0, nullptr)) << description.message;
+    EXPECT_EQ(description.width, unsigned(kSteps));
+    const std::size_t stretch = std::size_t(std::max(1L, std::lround(kSteps / (8.0 * kBeams))));
+    std::size_t n = 0;
+    for (std::size_t row = 0; row < std::size_t(kBeams); ++row)
+        for (std::size_t i = 0; i < std::size_t(kSteps); ++i) {
+            const std::uint8_t* pixel = &rgb[3 * (row * stretch * std::size_t(kSteps) + i)];
+            n += !std::equal(pixel, pixel + 3, rgb.begin());
+        }
+    return n;
+}
+
+class Returns : public test::DeviceTest {};
+
+TEST_F(Returns, AreAsManyInEveryFormat) {
+    Sequence log;
+    SpinningSensor& sensor = log.lidars[0].sensor;
+    sensor = {"sixteen", {}, kSteps};
+    for (int row = 0; row < kBeams; ++row) sensor.beams.push_back({.elevation_rad = 0.3 - 0.06 * row});
+    log.world_from_vehicle = {{1.0}, {Pose{{1, 0, 0, 0}, {0.0, 0.0, kHeight_m}}}};
+    log.rolling_shutter = false;
+    const Config config;
+    const SensorChoice choice = configured_sensor(config, log);
+    ScanRenderer renderer(device(), make_background_scene(plate_below()), config, log);
+    renderer.refine_drops(test::network_that_never_drops());
+    const RenderedScan scan = renderer.render(choice, 1.0);
+    const std::size_t n = returned_points(scan, config, {}).points.size();
+    EXPECT_GT(n, rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
+    EXPECT_LT(n, rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
+
+    struct Folder : TemporaryFolder {   // its SetUp() and TearDown() alone
+        using TemporaryFolder::folder;
+        Folder() { SetUp(); }
+        ~Folder() override { TearDown(); }
+        void TestBody() override {}
+    } files;
+    ScanFormat format;
+    format.formats = {"npz", "exr", "png", "ply", "pcd", "bin", "mcap", "rosbag"};
+    ScanFolder scans(files.folder, format);
+    scans.write(0, scan);
+    scans.finish();
+    const auto file = [&](const char* extension) { return files.folder / (std::string("frame_000000.") + extension); };
+    EXPECT_EQ(below_half(find_array(read_npz(file("npz")), "drop_prob")->as_float()), n);
+    EXPECT_EQ(below_half(read_exr(file("exr")).channels.at("drop_prob")), n);
+    EXPECT_EQ(shown_pixels(file("png")), n);
+    EXPECT_EQ(count_behind(contents(file("ply")), "element vertex "), n);
+    EXPECT_EQ(count_behind(contents(file("pcd")), "POINTS "), n);
+    EXPECT_EQ(std::filesystem::file_size(file("bin")) / (4 * sizeof(float)), n);
+    EXPECT_EQ(points_of_foxglove(message_on(contents(files.folder / "scans.mcap"), "/lidar/points")), n);
+    EXPECT_EQ(points_of_ros(message_on(contents(files.folder / "rosbag.mcap"), "/lidar/points")), n);
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,498 @@
+// SPDX-License-Identifier: Apache-2.0
+// Weather along single rays against closed forms and the integrals of its models, written here once more from the literature.
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/simulate/weather.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kCell_m = 0.05, kNearest_m = 1.0;
+constexpr int kLevels = 400, kRays = 100'000;
+
+WeatherSensor sensor_to(double max_range_m) {
+    WeatherSensor sensor;
+    sensor.max_range_m = max_range_m;
+    sensor.darkest = 0.005;
+    return sensor;
+}
+double weakest(const WeatherSensor& sensor) { return 0.005 / (sensor.max_range_m * sensor.max_range_m); }
+
+Echo wall(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
+
+bool shows_surface(const RayEchoes& seen) {
+    return seen.strongest.source == PointSource::surface || seen.second.source == PointSource::surface;
+}
+
+/// x of x e^x = y, by Newton's method.
+double lambert_w(double y) {
+    double x = std::log1p(y);
+    for (int i = 0; i < 50; ++i) x -= (x * std::exp(x) - y) / ((1.0 + x) * std::exp(x));
+    return x;
+}
+
+TEST(Weather, IsReadAsItIsWritten) {
+    EXPECT_TRUE(parse_weather("").clear());
+    EXPECT_TRUE(parse_weather("clear").clear());
+    EXPECT_TRUE(parse_weather("rain=0").clear());
+    EXPECT_EQ(parse_weather("fog=50").fog_visibility_m, 50.0);
+    EXPECT_EQ(parse_weather("rain=2.5").rain_mm_h, 2.5);
+    const Weather both = parse_weather("fog=120, snow=1.5");
+    EXPECT_EQ(both.fog_visibility_m, 120.0);
+    EXPECT_EQ(both.snow_mm_h, 1.5);
+    EXPECT_EQ(parse_weather("bloom").bloom, 1.2e-4);
+    EXPECT_EQ(parse_weather("sun=-30:20").sun, (Sun{-30.0, 20.0, 100.0}));
+    EXPECT_EQ(parse_weather("sun=200.5:0:40").sun, (Sun{200.5, 0.0, 40.0}));
+    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5", "bloom=0.001,sun=-30:20",
+                             "sun=200.5:0:40"})
+        EXPECT_EQ(to_text(parse_weather(text)), text);
+}
+
+TEST(Weather, WhatIsNoneIsRefusedInALine) {
+    const std::string kinds = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
+                              "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
+    const std::string suns = "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
+    const std::map<std::string, std::string> refused = {
+        {"fog=0", "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
+        {"fog=-5", "weather: found fog=-5, expected a visibility of 1 to 1e6 metres"},
+        {"fog=", "weather: found fog=, expected a visibility of 1 to 1e6 metres"},
+        {"rain=-1", "weather: found rain=-1, expected 0 to 500 mm/h"},
+        {"rain=nan", "weather: found rain=nan, expected 0 to 500 mm/h"},
+        {"snow=1e9", "weather: found snow=1e9, expected 0 to 100 mm/h of melted snow"},
+        {"rain=5mm", "weather: found rain=5mm, expected 0 to 500 mm/h"},
+        {"wet=11", "weather: found wet=11, expected 0 to 10 mm of water on the ground"},
+        {"rain=1,snow=2", "weather: found rain=1 and snow=2, expected one of them"},
+        {"fog=50,fog=60", "weather: found fog twice, expected it once"},
+        {"fog", "weather: found \"fog\", expected " + kinds},
+        {"sun", "weather: found \"sun\", expected " + kinds},
+        {"spray=1", "weather: found \"spray=1\", expected " + kinds},
+        {"bloom=-1", "weather: found bloom=-1, expected a reflectivity of 0 to 1"},
+        {"sun=10", "weather: found sun=10, expected " + suns},
+        {"sun=10:-5", "weather: found sun=10:-5, expected " + suns},
+        {"sun=10:20:0", "weather: found sun=10:20:0, expected " + suns},
+        {"sun=10:20:30:40", "weather: found sun=10:20:30:40, expected " + suns},
+        {"sun=east:20", "weather: found sun=east:20, expected " + suns},
+        {"sun=10:20,sun=10:20", "weather: found sun twice, expected it once"},
+        {"hail=3", "weather: found \"hail=3\", expected " + kinds}};
+    for (const auto& [text, line] : refused) {
+        try {
+            parse_weather(text);
+            ADD_FAILURE() << text;
+        } catch (const UsageError& error) {
+            EXPECT_EQ(error.what(), line);
+        }
+    }
+    EXPECT_THROW(Air({.rain_mm_h = -1.0}, {}), UsageError);
+    EXPECT_THROW(Air({.fog_visibility_m = std::nan("")}, {}), UsageError);
+    EXPECT_THROW(Air({.sun = {0.0, std::nan(""), 100.0}}, {}), UsageError);
+}
+
+TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
+    EXPECT_NEAR(std::exp(-extinction({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
+    EXPECT_EQ(extinction({}), 0.0);
+}
+
+/// Twice the shadows of all particles: the integral over their diameters, by small steps.
+TEST(Weather, ParticlesTakeTwiceTheirShadow) {
+    const auto shadows = [](double n0, double slope, double widening) {
+        double sum = 0.0;
+        for (double mm = 0.0005; mm < 40.0; mm += 0.001)
+            sum += n0 * std::exp(-slope * mm) * 2.0 * kPi / 4.0 * std::pow(1e-3 * widening * mm, 2) * 0.001;
+        return sum;
+    };
+    for (const double rate : {0.5, 5.0, 25.0}) {
+        const double rain = shadows(8000.0, 4.1 * std::pow(rate, -0.21), 1.0),
+                     snow = shadows(3.8e3 * std::pow(rate, -0.87), 2.55 * std::pow(rate, -0.48), std::pow(10.0, 1.0 / 3.0));
+        EXPECT_NEAR(extinction({.rain_mm_h = rate}), rain, 1e-4 * rain);
+        EXPECT_NEAR(extinction({.snow_mm_h = rate}), snow, 1e-4 * snow);
+        EXPECT_NEAR(extinction({.fog_visibility_m = 100.0, .rain_mm_h = rate}), std::log(20.0) / 100.0 + rain, 1e-4 * rain);
+    }
+}
+
+/// Rain takes what links of light were measured to lose in it: 1.076 R^0.67 dB/km (Carbonneau; ITU-R P.1814).
+TEST(Weather, RainIsAsThickAsMeasured) {
+    for (const double rate : {5.0, 25.0, 80.0}) {
+        const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
+        EXPECT_NEAR(extinction({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
+    }
+}
+
+/// Integral of 2 c f(c) over cosines: what a dull surface's light does on average.
+double mean_over_dull(const std::function<double(double)>& f) {
+    double sum = 0.0;
+    for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * f((i + 0.5) / 20'000) / 20'000;
+    return sum;
+}
+
+TEST(WetGround, WaterMirrorsAsFresnelSays) {
+    constexpr double n = 1.33;
+    EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
+    const double brewster = std::cos(std::atan(n));   // only light across the plane of incidence
+    EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001) << "the diffuse reflectance of water in tables";
+}
+
+/// Light that passes into the film, from the ground back to the surface again and again, summed bounce by bounce; what is kept inside by
+/// the integral over directions in water, with total reflection, which the closed form does not ask.
+TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
+    constexpr double n = 1.33;
+    const auto kept_inside = [](double in_water) {
+        const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
+        return squared <= 0.0 ? 1.0 : mirrored_by_water(std::sqrt(squared));
+    };
+    const double kept = mean_over_dull(kept_inside);
+    for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
+        for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
+            const double passes = 1.0 - mirrored_by_water(cosine);
+            double light = passes, returned = 0.0;   // per albedo
+            for (int bounce = 0; bounce < 2000; ++bounce) returned += light, light *= albedo * kept;
+            EXPECT_NEAR(wet_over_dry(cosine, albedo), returned * passes / (n * n), 1e-3) << cosine << ' ' << albedo;
+        }
+    }
+    EXPECT_EQ(film_share(0.0), 0.0);
+    EXPECT_EQ(film_share(0.25), 0.25);
+    EXPECT_EQ(film_share(3.0), 1.0);
+}
+
+/// The weakest return is one of reflectivity 0.005 at 80 m.
+TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
+    const Air air({.wet_mm = 1.0}, sensor_to(80.0));
+    Echo ground = wall(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror, 0.5};
+    ground.through_water = 0.01;   // 0.001 at 40 m: less than the weakest, 0.00125 there
+    const RayEchoes seen = air.look({ground, {}, mirrored}, 40.0, 1);
+    EXPECT_EQ(seen.strongest.source, PointSource::mirror);
+    EXPECT_EQ(seen.strongest.range_m, 60.0);
+    EXPECT_EQ(seen.strongest.reflectivity, 0.25);
+    EXPECT_EQ(seen.second.source, PointSource::nothing);
+    ground.through_water = 0.9;
+    const RayEchoes both = air.look({ground, {}, mirrored}, 40.0, 1);
+    EXPECT_EQ(both.strongest.source, PointSource::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
+    EXPECT_EQ(both.second.source, PointSource::surface);
+    EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
+}
+
+TEST(Weather, AWallIsDarkerByTheFormula) {
+    for (const Weather& weather : {Weather{.fog_visibility_m = 300.0}, Weather{.rain_mm_h = 10.0}, Weather{.snow_mm_h = 1.0}}) {
+        const Air air(weather, sensor_to(80.0));
+        int n = 0;
+        for (std::uint64_t seed = 0; seed < 200; ++seed) {
+            const Echo seen = air.look({wall(12.0, 0.8), {}}, 12.0, seed).strongest;
+            if (seen.source != PointSource::surface) continue;
+            ++n;
+            EXPECT_EQ(seen.range_m, 12.0);
+            EXPECT_NEAR(seen.reflectivity, 0.8 * std::exp(-2.0 * extinction(weather) * 12.0), 1e-12);
+        }
+        EXPECT_GT(n, 50) << to_text(weather);
+    }
+}
+
+/// A target of 10 % is seen to where 0.1 exp(-2 alpha R) / R^2 is the weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The last
+/// return is one of two.
+TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
+    for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
+        const WeatherSensor sensor = sensor_to(100.0);
+        const Weather fog{.fog_visibility_m = visibility_m};
+        const Air air(fog, sensor);
+        const double alpha = std::log(20.0) / visibility_m, end_m = lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
+        for (std::uint64_t seed = 0; seed < 100; ++seed) {
+            EXPECT_TRUE(shows_surface(air.look({wall(0.999 * end_m, 0.1), {}}, 0.999 * end_m, seed))) << visibility_m;
+            EXPECT_FALSE(shows_surface(air.look({wall(1.001 * end_m, 0.1), {}}, 1.001 * end_m, seed))) << visibility_m;
+        }
+    }
+}
+
+/// What rays into the free air return: where the strongest return is from and how strong it is.
+class FreeAir {
+public:
+    FreeAir(const Weather& weather, const WeatherSensor& sensor) : sensor_(sensor), alpha_(extinction(weather)) {
+        for (double r = kNearest_m + 0.5 * kCell_m; r < sensor.max_range_m; r += kCell_m) ranges_m_.push_back(r);
+        for (int i = 0; i <= kLevels; ++i) levels_.push_back(weakest(sensor) * std::pow(10.0, 7.0 * i / kLevels));
+        from_.resize(ranges_m_.size());
+        none_stronger_.resize(levels_.size());
+    }
+    /// brighter(r, q): how many particles a metre return more than q from r.
+    void of_particles(const std::function<double(double, double)>& brighter) {
+        std::vector<std::vector<double>> n(levels_.size());
+        for (std::size_t i = 0; i < levels_.size(); ++i) {
+            double all = 0.0;
+            for (const double r : ranges_m_) n[i].push_back(brighter(r, levels_[i]) * kCell_m), all += n[i].back();
+            none_stronger_[i] = std::exp(-all);
+        }
+        for (std::size_t i = 0; i + 1 < levels_.size(); ++i)
+            for (std::size_t k = 0; k < ranges_m_.size(); ++k)
+                from_[k] += (n[i][k] - n[i + 1][k]) * 0.5 * (none_stronger_[i] + none_stronger_[i + 1]);
+    }
+    /// One return of each stretch, anywhere in it, log-normal of mean 1 times mean(r). Stretches end at cells.
+    void of_stretches(std::size_t cells, const std::function<double(double)>& mean) {
+        const std::size_t n = ranges_m_.size() / cells;
+        std::vector<double> mean_of_cell, stretch(n), next(n), cell(n * cells), next_cell(n * cells);   // P(power < level)
+        for (std::size_t k = 0; k < n * cells; ++k) mean_of_cell.push_back(mean(ranges_m_[k]));
+        for (std::size_t i = 0; i < levels_.size(); ++i) {
+            std::ranges::fill(next, 0.0);
+            for (std::size_t k = 0; k < n * cells; ++k) {
+                next_cell[k] = 0.5 * std::erfc(-(std::log(levels_[i] / mean_of_cell[k]) + 0.5) / std::sqrt(2.0)) / double(cells);
+                next[k / cells] += next_cell[k];
+            }
+            none_stronger_[i] = 1.0;
+            for (const double p : next) none_stronger_[i] *= p;
+            for (std::size_t k = 0; i > 0 && k < n * cells; ++k)
+                from_[k] += (next_cell[k] - cell[k]) * 0.5 *
+                            (none_stronger_[i] / next[k / cells] + none_stronger_[i - 1] / stretch[k / cells]);
+            stretch = next, cell = next_cell;
+        }
+    }
+    double alpha() const { return alpha_; }
+    double beam_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
+    void expect_as(const Air& air, PointSource source) const;
+
+private:
+    const WeatherSensor sensor_;
+    const double alpha_;
+    std::vector<double> ranges_m_, levels_;
+    std::vector<double> from_;            // [cells] probability that the strongest return is from there
+    std::vector<double> none_stronger_;   // [levels]
+};
+
+/// chi^2 of counts against their probabilities, as a standard normal deviate (Wilson and Hilferty 1931).
+double deviation(const std::vector<double>& counts, const std::vector<double>& probabilities) {
+    double chi2 = 0.0, in_bin = 0.0, of_bin = 0.0, sum = 0.0;
+    int bins = 0;
+    for (std::size_t k = 0; k < counts.size(); ++k) {
+        in_bin += counts[k], of_bin += kRays * probabilities[k], sum += probabilities[k];
+        if (of_bin < 100.0 && k + 1 < counts.size()) continue;
+        chi2 += (in_bin - of_bin) * (in_bin - of_bin) / std::max(of_bin, 1.0);
+        ++bins, in_bin = of_bin = 0.0;
+    }
+    EXPECT_NEAR(sum, 1.0, 1e-6);
+    EXPECT_GT(bins, 30);
+    const double f = bins - 1, spread = 2.0 / (9.0 * f);
+    return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
+}
+
+constexpr double kMostDeviation = 3.5;   // by chance one time in 4000
+
+void FreeAir::expect_as(const Air& air, PointSource source) const {
+    std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_, stronger{none_stronger_[0]};
+    double any = 0.0;
+    for (const double p : from_) any += p;
+    from.push_back(1.0 - any);   // none
+    for (std::size_t i = 1; i < levels_.size(); ++i) stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
+    for (std::uint64_t seed = 0; seed < kRays; ++seed) {
+        const Echo echo = air.look({}, sensor_.max_range_m, seed).strongest;
+        if (echo.source == PointSource::nothing) {
+            ranges.back() += 1.0, powers.front() += 1.0;
+            continue;
+        }
+        ASSERT_EQ(echo.source, source);
+        ranges.at(std::size_t((echo.range_m - kNearest_m) / kCell_m)) += 1.0;
+        const double power = echo.reflectivity / (echo.range_m * echo.range_m), level = std::log10(power / levels_[0]) / 7.0 * kLevels;
+        powers.at(std::size_t(std::max(std::ceil(level), 1.0))) += 1.0;
+    }
+    EXPECT_LT(deviation(ranges, from), kMostDeviation);
+    EXPECT_LT(deviation(powers, stronger), kMostDeviation);
+}
+
+TEST(Weather, RainReturnsAsItsIntegral) {
+    for (const double rate : {5.0, 25.0}) {
+        const WeatherSensor sensor = sensor_to(60.0);
+        FreeAir model({.rain_mm_h = rate}, sensor);
+        const double slope = 4.1 * std::pow(rate, -0.21);
+        model.of_particles([&](double r, double power) {
+            const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;   // of the beam's area
+            if (share > 1.0) return 0.0;
+            const double mm = 1000.0 * model.beam_m(r) * std::sqrt(share);
+            return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
+        });
+        model.expect_as(Air({.rain_mm_h = rate}, sensor), PointSource::rain);
+    }
+}
+
+TEST(Weather, SnowReturnsAsItsIntegral) {
+    const double rate = 1.0;
+    WeatherSensor sensor = sensor_to(60.0);
+    sensor.divergence_rad = 0.0015;
+    FreeAir model({.snow_mm_h = rate}, sensor);
+    model.of_particles([&](double r, double power) {
+        const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.25;
+        if (share > 1.0) return 0.0;
+        const double melted_mm = 1000.0 * model.beam_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
+        return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 3800.0 / 2.55 * std::exp(-2.55 * melted_mm);
+    });
+    model.expect_as(Air({.snow_mm_h = rate}, sensor), PointSource::snow);
+}
+
+/// The integral of fog over the pulse by Simpson's rule. Pulses are 6 m of way long, so that a stretch of 3 m ends at a cell.
+TEST(Weather, FogReturnsAsItsIntegral) {
+    for (const double visibility_m : {50.0, 200.0}) {
+        WeatherSensor sensor = sensor_to(61.0);
+        sensor.pulse_s = 6.0 / 299792458.0;
+        FreeAir model({.fog_visibility_m = visibility_m}, sensor);
+        const auto mean = [&](double range_m) {
+            constexpr int kSteps = 400;
+            const double begin = std::max(range_m - 3.0, kNearest_m), step = (range_m + 3.0 - begin) / kSteps;
+            double sum = 0.0;
+            for (int i = 0; i <= kSteps; ++i) {
+                const double r = begin + i * step, pulse = std::cos(kPi * (r - range_m) / 6.0);
+                const double weight = i == 0 || i == kSteps ? 1.0 : i % 2 == 1 ? 4.0 : 2.0;
+                sum += weight * pulse * pulse * std::exp(-2.0 * model.alpha() * r) / (r * r);
+            }
+            return kPi * 0.046 / visibility_m * sum * step / 3.0;
+        };
+        model.of_stretches(60, mean);
+        model.expect_as(Air({.fog_visibility_m = visibility_m}, sensor), PointSource::fog);
+    }
+}
+
+/// A sensor that reports what is as bright as 0.0025 in clear air, at any range: KITTI's HDL-64E,
+/// whose intensities come in steps of 0.01 and are 0 down to the shortest ranges.
+WeatherSensor sensor_with_time_control() {
+    WeatherSensor sensor = sensor_to(80.0);
+    sensor.weakest_reflectivity = 0.0025;
+    return sensor;
+}
+
+/// Probability that a ray into the free air returns something, by closed forms in double. Fog: mean
+/// power over a pulse that is short against the range, in stretches of half a pulse, each
+/// log-normal of mean 1. Rain: a Poisson process of the drops that are bright enough.
+double false_returns(const Weather& weather, double reflectivity) {
+    const double alpha = extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21), half_pulse_m = 0.5 * 299792458.0 * 6e-9;
+    double none = 1.0;
+    if (std::isfinite(weather.fog_visibility_m))
+        for (double r = 1.0 + 0.5 * half_pulse_m; r < 80.0; r += half_pulse_m) {
+            const double mean = kPi * 0.046 / weather.fog_visibility_m * half_pulse_m * std::exp(-2.0 * alpha * r);
+            none *= 1.0 - 0.5 * std::erfc((std::log(reflectivity / mean) + 0.5) / std::sqrt(2.0));
+        }
+    if (weather.rain_mm_h > 0.0)
+        for (double r = 1.005; r < 80.0; r += 0.01) {
+            const double share = reflectivity * std::exp(2.0 * alpha * r) / 0.02, beam_m = 0.01 + 0.003 * r;
+            if (share > 1.0) break;
+            const double per_m3 = 8000.0 / slope * std::exp(-slope * 1e3 * beam_m * std::sqrt(share));
+            none *= std::exp(-per_m3 * kPi / 4.0 * beam_m * beam_m * 0.01);
+        }
+    return 1.0 - none;
+}
+
+double count_false_returns(const Weather& weather) {
+    const Air air(weather, sensor_with_time_control());
+    int n = 0;
+    for (std::uint64_t seed = 0; seed < kRays; ++seed) n += air.look({}, 80.0, seed).strongest.source != PointSource::nothing;
+    return double(n) / kRays;
+}
+
+/// A day with 10 km of visibility and a drizzle fill no air. Haze of 1 km gives fewer than 1 % false
+/// points over a scan of which a third meets nothing.
+TEST(ThinWeather, ReturnsHardlyAnything) {
+    EXPECT_EQ(count_false_returns({.fog_visibility_m = 10'000.0}), 0.0);
+    EXPECT_LT(count_false_returns({.fog_visibility_m = 1000.0}), 0.03);
+    EXPECT_LT(count_false_returns({.rain_mm_h = 0.5}), 5e-4);
+    EXPECT_LT(count_false_returns({.rain_mm_h = 25.0}), 0.01);
+}
+
+TEST(ThinWeather, ReturnsAsTheClosedForm) {
+    for (const Weather& weather : {Weather{.fog_visibility_m = 1000.0}, Weather{.fog_visibility_m = 400.0},
+                                   Weather{.fog_visibility_m = 150.0}, Weather{.rain_mm_h = 200.0}}) {
+        const double expected = false_returns(weather, 0.0025), found = count_false_returns(weather);
+        EXPECT_GT(expected * kRays, 100.0) << to_text(weather);
+        EXPECT_NEAR(found / expected, 1.0, 0.1 + 4.0 / std::sqrt(expected * kRays)) << to_text(weather);
+    }
+}
+
+/// Thicker weather leaves fewer surfaces, and never more returns in all than clear air by more than
+/// the returns of the air that it reports.
+TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
+    const WeatherSensor sensor = sensor_with_time_control();
+    const auto count = [&](const Weather& weather) {
+        const Air air(weather, sensor);
+        std::pair<int, int> surfaces_and_others;
+        for (std::uint64_t seed = 0; seed < 20'000; ++seed) {
+            const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0, reflectivity = 0.01 * double(seed % 40);
+            const PointSource source = air.look({wall(range_m, reflectivity), {}}, range_m, seed).strongest.source;
+            surfaces_and_others.first += source == PointSource::surface;
+            surfaces_and_others.second += source != PointSource::surface && source != PointSource::nothing;
+        }
+        return surfaces_and_others;
+    };
+    const int clear = count({}).first;
+    EXPECT_EQ(clear, 20'000);
+    int fog_before = clear, rain_before = clear;
+    for (const double thickness : {1e-4, 1e-3, 0.01, 0.02, 0.05}) {
+        const auto [surfaces, others] = count({.fog_visibility_m = 1.0 / thickness});
+        EXPECT_LE(surfaces, fog_before) << thickness;
+        EXPECT_LE(surfaces + others, clear);
+        fog_before = surfaces;
+        const auto [in_rain, drops] = count({.rain_mm_h = 2000.0 * thickness});
+        EXPECT_LE(in_rain, rain_before) << thickness;
+        rain_before = in_rain;
+    }
+    EXPECT_LT(fog_before, clear / 2);
+    EXPECT_LT(rain_before, clear - 200);
+}
+
+/// A surface that the log reported with intensity 0 is as bright as 0.0025 to 0.01, evenly. Weather
+/// that leaves the share A of its light hides those below 0.0025 / A.
+TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
+    for (const double rain_mm_h : {5.0, 25.0, 100.0})
+        for (const double range_m : {20.0, 50.0}) {
+            const Weather weather{.rain_mm_h = rain_mm_h};
+            const double left = std::exp(-2.0 * extinction(weather) * range_m);
+            const double expected = std::min(0.0025 * (1.0 / left - 1.0) / (0.01 - 0.0025), 1.0);
+            const Air air(weather, sensor_with_time_control());
+            int n_hidden = 0;
+            for (std::uint64_t seed = 0; seed < kRays; ++seed)
+                n_hidden += !shows_surface(air.look({wall(range_m, 0.0), {}}, range_m, seed));
+            EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays)) << rain_mm_h << ' ' << range_m;
+        }
+}
+
+TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
+    const Air air({.wet_mm = 1.0}, sensor_to(80.0));
+    const Echo ground = wall(40.0, 0.1), mirrored{84.5, 0.5, PointSource::mirror};
+    EXPECT_EQ(air.look({ground, {}, mirrored}, 40.0, 1).strongest.source, PointSource::surface);
+    EXPECT_EQ(air.look({ground, {}, mirrored}, 40.0, 1).second.source, PointSource::nothing);
+}
+
+TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
+    const WeatherSensor sensor = sensor_to(80.0);
+    const Air air({.fog_visibility_m = 60.0}, sensor);
+    int behind = 0, alone = 0;
+    for (std::uint64_t seed = 0; seed < 500; ++seed) {
+        const RayEchoes far = air.look({wall(20.0, 0.3), {}}, 20.0, seed), near = air.look({wall(1.2, 0.9), wall(1.6, 0.9)}, 1.6, seed);
+        if (far.strongest.source == PointSource::fog) {
+            EXPECT_EQ(far.second.source, PointSource::surface);
+            ++behind;
+        } else {
+            EXPECT_EQ(far.second.source, PointSource::fog) << "nothing is behind the wall";
+        }
+        EXPECT_GE(std::abs(far.strongest.range_m - far.second.range_m), sensor.separation_m);
+        EXPECT_LE(std::max(far.strongest.range_m, far.second.range_m), 20.0);
+        alone += near.second.source == PointSource::nothing;
+    }
+    EXPECT_GT(behind, 400);
+    EXPECT_EQ(alone, 500) << "what is nearer than returns can be told apart is one";
+}
+
+TEST(Weather, TheSameSeedIsTheSameWeather) {
+    const Air air({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, sensor_to(80.0));
+    int others = 0;
+    for (std::uint64_t seed = 0; seed < 100; ++seed) {
+        const Echo a = air.look({}, 80.0, seed).strongest, b = air.look({}, 80.0, seed).strongest;
+        const Echo c = air.look({}, 80.0, seed + 1).strongest;
+        EXPECT_EQ(a.range_m, b.range_m);
+        EXPECT_EQ(a.reflectivity, b.reflectivity);
+        others += a.range_m != c.range_m;
+    }
+    EXPECT_GT(others, 95);
+}
+
+}  // namespace
+}  // namespace relidar

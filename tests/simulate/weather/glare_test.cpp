@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+// The sun and stray light along single rays against closed forms and the statistics of their models.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/math.hpp>
+#include <relidar/simulate/weather.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr int kPulses = 100'000;
+constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
+
+/// The weakest return is one of reflectivity 0.005 at 60 m. Its pulse is 6 m of way long.
+WeatherSensor sensor_to_60_m() {
+    WeatherSensor sensor;
+    sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
+    return sensor;
+}
+
+RayEchoes towards_sun(const RayEchoes& surfaces, double from_sun_deg) {
+    RayEchoes ray = surfaces;
+    ray.from_sun_rad = from_sun_deg * kDegree;
+    return ray;
+}
+Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
+
+/// chi^2 of counts against what is expected, as a standard normal deviate (Wilson and Hilferty 1931); -4 to 4 but one time in 16,000.
+double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
+    double chi2 = 0.0;
+    for (std::size_t k = 0; k < counts.size(); ++k) chi2 += (counts[k] - expected[k]) * (counts[k] - expected[k]) / expected[k];
+    const double f = double(counts.size()) - 1.0, spread = 2.0 / (9.0 * f);
+    return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
+}
+
+/// Photons counted by hand: 0.65 W/m^2/nm through 20 nm, 1e-3 m^2 and 7.07e-6 sr; 10 nJ or so of light make the electrons of a pulse.
+TEST(Sunlight, IsShotNoiseOfItsPhotons) {
+    WeatherSensor sensor;
+    sensor.divergence_rad = 0.003, sensor.pulse_s = 6e-9;
+    const double photon_J = 6.626e-34 * 299792458.0 / 905e-9, view_sr = kPi * 0.0015 * 0.0015;
+    const auto expected = [&](double W_m2_sr_nm) {
+        const double electrons = W_m2_sr_nm * 20.0 * 1e-3 * view_sr * 6e-9 * 0.7 / photon_J;
+        const double of_signal = 75.0 * 1e-3 / kPi * 6e-9 * 0.7 / photon_J;
+        return std::sqrt(3.0 * electrons) / of_signal;
+    };
+    const Sun sun{0.0, 0.0, 100.0}, half{0.0, 0.0, 50.0};
+    EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0, 1e-3);
+    EXPECT_NEAR(sun_noise(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0), 1.0, 1e-3);
+    EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.4, false) / expected(0.65 * (1.25 + 0.4 / kPi)), 1.0, 1e-3);
+    const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
+    EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)), 1.0, 1e-3);
+    EXPECT_NEAR(sun_noise(sun, sensor, 4.65e-3, 0.0, true) / expected(0.65 * (glare + 0.5 / disc_sr)), 1.0, 1e-3) << "half of it";
+    EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0, 1e-3) << "something is before it";
+}
+
+/// Rice's rate of crossings, integrated over the time in which returns arrive.
+TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
+    const WeatherSensor sensor = sensor_to_60_m();
+    const Air air({.sun = {0.0, 0.0, 100.0}}, sensor);
+    const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
+    for (const double off_deg : {0.35, 0.4, 0.5}) {
+        const double level = sensor.weakest() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
+        const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
+        std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
+        expected.back() = kPulses * std::exp(-n);
+        for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
+            const Echo echo = air.look(towards_sun({}, off_deg), 60.0, seed).strongest;
+            if (echo.source == PointSource::nothing) ++counts.back();
+            else {
+                ASSERT_EQ(echo.source, PointSource::noise);
+                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.weakest());
+                ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));   // anywhere alike
+            }
+        }
+        ASSERT_GT(expected.front(), 20.0) << off_deg;
+        EXPECT_LT(std::abs(chi2_deviate(counts, expected)), 4.0) << off_deg;
+    }
+}
+
+/// A target of power S is lost where noise is stronger: 1 - exp(-N exp(-S^2 / 2 sigma^2)) of the scans, N as many as noise has crests. Half
+/// of them at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
+TEST(Sunlight, HidesWeakTargets) {
+    WeatherSensor sensor = sensor_to_60_m();
+    sensor.darkest = 0.0005;
+    const Sun sun{0.0, 0.0, 100.0};
+    const Air air({.sun = sun}, sensor);
+    for (const double reflectivity : {0.002, 0.004}) {
+        const double sigma = sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
+        const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
+        const double half_m = std::sqrt(reflectivity / (sigma * std::sqrt(2.0 * std::log(crests / std::log(2.0)))));
+        ASSERT_LT(half_m, 60.0);
+        for (const double range_m : {0.8 * half_m, half_m, 1.1 * half_m}) {
+            const double power = reflectivity / (range_m * range_m);
+            const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
+            double n = 0.0;
+            for (std::uint64_t seed = 0; seed < kPulses; ++seed)
+                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed).strongest.source ==
+                     PointSource::noise;
+            EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
+            EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
+        }
+    }
+}
+
+TEST(Sunlight, ElsewhereChangesNothing) {
+    const Air air({.sun = {0.0, 0.0, 150.0}}, sensor_to_60_m());
+    const Echo before = surface_at(20.0, 0.3);
+    for (std::uint64_t seed = 0; seed < 1000; ++seed) {
+        for (const double off_deg : {8.0, 90.0, double(INFINITY)}) {
+            const RayEchoes seen = air.look(towards_sun({before, {}}, off_deg), 20.0, seed);
+            ASSERT_EQ(seen.strongest.source, PointSource::surface);
+            ASSERT_EQ(seen.strongest.reflectivity, before.reflectivity);
+            ASSERT_EQ(air.look(towards_sun({}, off_deg), 60.0, seed).strongest.source, PointSource::nothing);
+        }
+        ASSERT_EQ(air.look(towards_sun({}, 0.0), 0.0, seed).strongest.source, PointSource::nothing) << "what is at the sensor hides it";
+    }
+}
+
+/// Of 0.002 at 4 m, as bright as 0.05 at 20 m.
+TEST(StrayLight, WinsOverWhatIsWeaker) {
+    const Air air({.bloom = 1e-4}, sensor_to_60_m());
+    RayEchoes ray{surface_at(20.0, 0.049), {}};
+    ray.stray = {4.0, 0.002, PointSource::blooming};
+    const RayEchoes lost = air.look(ray, 20.0, 1);
+    EXPECT_EQ(lost.strongest.source, PointSource::blooming);
+    EXPECT_EQ(lost.strongest.range_m, 4.0);
+    EXPECT_EQ(lost.strongest.reflectivity, 0.002);
+    EXPECT_EQ(lost.second.source, PointSource::surface);
+    ray.strongest.reflectivity = 0.051;
+    EXPECT_EQ(air.look(ray, 20.0, 1).strongest.source, PointSource::surface);
+    ray.strongest = {};
+    EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::blooming);
+    ray.stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
+    EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::nothing) << "too weak to be a return; a dark surface counts as darkest";
+}
+
+}  // namespace
+}  // namespace relidar
