@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums of many threads that come out the same in any order: fixed point of 64 bits, 2^-20 a step, in two words of a buffer. The range
 // is +-8e12, so sums do not overflow.
-#ifndef RELIDAR_INCLUDED_COMMON_FIXED_POINT_GLSL
-#define RELIDAR_INCLUDED_COMMON_FIXED_POINT_GLSL
+#ifndef RELIDAR_INCLUDED_BASE_FIXED_POINT_GLSL
+#define RELIDAR_INCLUDED_BASE_FIXED_POINT_GLSL
 
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer FixedWords { uint at[]; };
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What every kernel starts with: its push constants, which are the address of its parameter struct and the address that stands for "no
 // such array", and one thread an element.
-#ifndef RELIDAR_INCLUDED_COMMON_KERNEL_GLSL
-#define RELIDAR_INCLUDED_COMMON_KERNEL_GLSL
+#ifndef RELIDAR_INCLUDED_BASE_KERNEL_GLSL
+#define RELIDAR_INCLUDED_BASE_KERNEL_GLSL
 #include "shared/constants.h"
 #include "relidar/base/lang.h"
 #define RELIDAR_CONSTANT_ID(name, id) const uint RELIDAR_ID_##name = id;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Random numbers without a state: a hash of what they are for, so that a repeated or resumed run draws the same ones.
 // PCG4D of Jarzynski and Olano, "Hash Functions for GPU Rendering" (2020).
-#ifndef RELIDAR_INCLUDED_COMMON_RANDOM_GLSL
-#define RELIDAR_INCLUDED_COMMON_RANDOM_GLSL
+#ifndef RELIDAR_INCLUDED_BASE_RANDOM_GLSL
+#define RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 
 uvec4 pcg4d(uvec4 v) {
     v = v * 1664525u + 1013904223u;

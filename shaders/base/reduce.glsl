@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums over a workgroup, then one atomic a workgroup: thousands of threads adding to one float would queue. Include after
 // kernel.glsl, shared/ and atomic_add.glsl.
-#ifndef RELIDAR_INCLUDED_COMMON_REDUCE_GLSL
-#define RELIDAR_INCLUDED_COMMON_REDUCE_GLSL
+#ifndef RELIDAR_INCLUDED_BASE_REDUCE_GLSL
+#define RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 
 shared float reduce_partial[gl_WorkGroupSize.x];   // a power of two
 

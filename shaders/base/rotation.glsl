@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rotations by a rotation vector. Vulkan lets sin() and cos() be off by 2^-11, which is 4 cm at 80 m: these are series.
-#ifndef RELIDAR_INCLUDED_COMMON_ROTATION_GLSL
-#define RELIDAR_INCLUDED_COMMON_ROTATION_GLSL
+#ifndef RELIDAR_INCLUDED_BASE_ROTATION_GLSL
+#define RELIDAR_INCLUDED_BASE_ROTATION_GLSL
 
 /// sin(x) / x of x^2, to 3e-7 for |x| <= pi.
 float sine_over(float x2) {

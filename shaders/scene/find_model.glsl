@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which model a surfel belongs to.
-#ifndef RELIDAR_INCLUDED_COMMON_FIND_MODEL_GLSL
-#define RELIDAR_INCLUDED_COMMON_FIND_MODEL_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
+#define RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #include "shared/scene.h"
 
 /// The last model that starts at or before a surfel; models without surfels are never found.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exhaustive traversal, the judge of all other providers (docs/architecture.md section 7): each surfel of each instance goes
+// Exhaustive traversal, the judge of all other providers (docs/architecture.md section 6): each surfel of each instance goes
 // through the canonical function (M1, M2), the survivors are sorted by key.
 #include <algorithm>
 #include <stdexcept>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract of docs/architecture.md section 7 in C++: "at most `chunk` surfels strictly after a key, ascending by
+// The traversal contract of docs/architecture.md section 6 in C++: "at most `chunk` surfels strictly after a key, ascending by
 // (t, instance, surfel), each at most once". BruteForce tries every surfel; EmbreeFilter lets Embree propose candidates through the
 // proxies of M3. Both let the one canonical function of surfel.hpp decide, in float (ids comparable with the GPU) or double.
 #pragma once

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Gradients against central differences, row by row: a row is one parameter of one surfel (mean [3], rotation [4], ...). The error of
 // a row is |difference - analytic| over the row's norm; a table reports the worst row of each group and how many rows were not zero.
-// Links (i) and (ii) of the gradient chain in docs/architecture.md section 10 use the same table.
+// Links (i) and (ii) of the gradient chain in docs/architecture.md section 9 use the same table.
 #pragma once
 
 #include <algorithm>

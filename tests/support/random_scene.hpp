@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Seeded random scenes for tests of values and gradients. Every discontinuity of the image (alpha cut and clamp, near plane, order
 // swap at equal t, T_min stop, intensity clamp, grazing surfels) is kept away from every ray by a margin, so that central differences
-// and single precision see the same smooth function as the double reference (docs/architecture.md section 10).
+// and single precision see the same smooth function as the double reference (docs/architecture.md section 9).
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tolerances of the suite in one place, each with its reason (docs/architecture.md section 10).
+// The tolerances of the suite in one place, each with its reason (docs/architecture.md section 9).
 #pragma once
 
 namespace relidar::test {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The only file that knows both languages. The other shared headers are plain struct definitions, read unchanged by C++ and
 // GLSL: scalar block layout, vectors by GLSL name, pointers as buffer references here and 8-byte addresses there.
-#ifndef RELIDAR_INCLUDED_SHARED_LANG_H
-#define RELIDAR_INCLUDED_SHARED_LANG_H
+#ifndef RELIDAR_INCLUDED_BASE_LANG_H
+#define RELIDAR_INCLUDED_BASE_LANG_H
 #ifdef __cplusplus
 #include <cstdint>
 #include <glm/glm.hpp>

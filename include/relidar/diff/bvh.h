@@ -2,8 +2,8 @@
 // The software acceleration structure: wide nodes with quantised child boxes (after Ylitie et al., "Efficient Incoherent Ray
 // Traversal on GPUs Through Compressed Wide BVHs", 2017). One tree a model over its surfels, in the model's frame; one top tree
 // over the instances, in the world. Built and refitted on the device.
-#ifndef RELIDAR_INCLUDED_SHARED_BVH_H
-#define RELIDAR_INCLUDED_SHARED_BVH_H
+#ifndef RELIDAR_INCLUDED_DIFF_BVH_H
+#define RELIDAR_INCLUDED_DIFF_BVH_H
 #include "relidar/base/lang.h"
 
 RELIDAR_SHARED_BEGIN

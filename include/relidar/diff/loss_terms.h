@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every loss term, a line each: the only list of them, read by C++ and GLSL. From it come the weights (LossWeights), the settings `loss.*`,
 // the names in logs and reports (kLossTermNames), where kernels and tests find a term in a row of terms, and which losses a training has.
-#ifndef RELIDAR_INCLUDED_LOSS_TERMS_H
-#define RELIDAR_INCLUDED_LOSS_TERMS_H
+#ifndef RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
+#define RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 
 /// TERM(place in a row of terms, name, setting of its weight, the loss that computes it, default, what the setting accepts, what it means)
 /// A loss computes one term or several. It is made, once, where a weight of its terms is above 0 (make_losses).

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rays on a device: what is traced, what they measured, what they render and what losses give back, one entry a ray. Kernels blend these
 // structs, stages hand them on as arrays.
-#ifndef RELIDAR_INCLUDED_SHARED_RAYS_H
-#define RELIDAR_INCLUDED_SHARED_RAYS_H
+#ifndef RELIDAR_INCLUDED_DIFF_RAYS_H
+#define RELIDAR_INCLUDED_DIFF_RAYS_H
 #include "relidar/base/lang.h"
 
 RELIDAR_SHARED_BEGIN

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What readers of datasets have in common: points to scans, poses and boxes to tracks, and the check of what was read. A reader parses the
-// dataset's files and fills a Sequence with these; docs/architecture.md section 16 has the recipe.
+// dataset's files and fills a Sequence with these; docs/architecture.md section 3 has the recipe.
 #pragma once
 
 #include <cstdint>

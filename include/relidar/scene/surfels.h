@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Surfels and placed models on a device, as tracing kernels read them (docs/method.md section 4).
-#ifndef RELIDAR_INCLUDED_SHARED_SURFELS_H
-#define RELIDAR_INCLUDED_SHARED_SURFELS_H
+#ifndef RELIDAR_INCLUDED_SCENE_SURFELS_H
+#define RELIDAR_INCLUDED_SCENE_SURFELS_H
 #include "relidar/base/lang.h"
 
 RELIDAR_SHARED_BEGIN

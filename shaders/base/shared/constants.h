@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The specialisation constants of all kernels: name and id, here alone. A shader declares one by RELIDAR_CONSTANT(type, name, value)
 // (common/kernel.glsl), the host sets it as ConstantId::name (src/gpu/kernel.hpp), `relidar-dev pipelines` prints it by its name.
-#ifndef RELIDAR_INCLUDED_SHARED_CONSTANTS_H
-#define RELIDAR_INCLUDED_SHARED_CONSTANTS_H
+#ifndef RELIDAR_INCLUDED_BASE_SHARED_CONSTANTS_H
+#define RELIDAR_INCLUDED_BASE_SHARED_CONSTANTS_H
 
 #define RELIDAR_CONSTANTS(X)                                                                                                 \
     X(WORKGROUP_SIZE, 0u)      /* threads of a workgroup */                                                                  \

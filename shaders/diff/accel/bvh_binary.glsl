@@ -3,8 +3,8 @@
 // et al. 2017, section 3.1): a subtree in one slot is a leaf where it has at most LEAF_SIZE surfels, else a wide node of its own.
 // A node's decision word: its surfels, counted to 15, in bits 0-3; the left child's share of 2 ... 8 slots in 3 bits each from bit 4
 // on, 0 where one slot fewer is no dearer.
-#ifndef RELIDAR_INCLUDED_ACCEL_BVH_BINARY_GLSL
-#define RELIDAR_INCLUDED_ACCEL_BVH_BINARY_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
+#define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
 uint surfels_of(uint decisions) { return decisions & 15u; }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Boxes as six floats, and values that workgroups of a launch share.
-#ifndef RELIDAR_INCLUDED_ACCEL_BVH_FOREST_GLSL
-#define RELIDAR_INCLUDED_ACCEL_BVH_FOREST_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
+#define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 
 struct Box {
     vec3 low;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Costs of a binary subtree as part of a wide node (Ylitie et al. 2017, Eq. 2-5): by the area of what is entered and tested.
-#ifndef RELIDAR_INCLUDED_ACCEL_BVH_MERGE_GLSL
-#define RELIDAR_INCLUDED_ACCEL_BVH_MERGE_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
+#define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 
 struct Subtree {
     uint root;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Morton codes: cells along a space-filling curve. All axes are counted in the same unit, so that the first splits cut the longest edge.
-#ifndef RELIDAR_INCLUDED_ACCEL_BVH_MORTON_GLSL
-#define RELIDAR_INCLUDED_ACCEL_BVH_MORTON_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
+#define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
 /// Two empty bits before each bit of a number of 10 bits.
 uint spread(uint x) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Boxes of a wide node, rounded outward: what a traversal decodes, origin + q 2^(e - 127) in float arithmetic, holds the real box.
-#ifndef RELIDAR_INCLUDED_ACCEL_BVH_NODE_GLSL
-#define RELIDAR_INCLUDED_ACCEL_BVH_NODE_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
+#define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
 float decoded(float origin, uint q, float scale) {
     precise float offset = float(q) * scale;   // exact: 8 bits times a power of two

@@ -4,8 +4,8 @@
 // of a subgroup rarely meet the same surfel: if each lane adds its own row, each of 16 instructions touches as many cache sectors as there
 // are lanes; if they exchange rows, the same adds touch two sectors a row.
 // Include after kernel.glsl and atomic_add.glsl.
-#ifndef RELIDAR_INCLUDED_BACKWARD_ADD_ROW_GLSL
-#define RELIDAR_INCLUDED_BACKWARD_ADD_ROW_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
+#define RELIDAR_INCLUDED_DIFF_BACKWARD_ADD_ROW_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
 RELIDAR_CONSTANT(uint, COALESCED_ATOMICS, 0u);
 

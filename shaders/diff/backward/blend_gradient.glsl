@@ -2,8 +2,8 @@
 // The blending of the forward pass once more, chunk by chunk, for the share that each hit has in the loss (M7). One chunk is kept as it
 // was blended, so that what lies behind a hit is summed back to front instead of by subtracting two long sums: no digits are lost where
 // 1 / (1 - alpha) is large.
-#ifndef RELIDAR_INCLUDED_BACKWARD_BLEND_GLSL
-#define RELIDAR_INCLUDED_BACKWARD_BLEND_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
+#define RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 float chunk_transmittance[SLOTS];
 float chunk_w[SLOTS];
 float chunk_shade[SLOTS];

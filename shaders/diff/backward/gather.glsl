@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What backward/gather and backward/gather_heads share: hits sorted by row in blocks, and sums of 16 lanes and, where SH are evaluated a
 // hit, of 48 coefficients.
-#ifndef RELIDAR_INCLUDED_BACKWARD_GATHER_GLSL
-#define RELIDAR_INCLUDED_BACKWARD_GATHER_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
+#define RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 

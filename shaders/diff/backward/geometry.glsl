@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Derivatives of what the geometric losses want of a ray (docs/method.md M10-M12), hit by hit. With T the transmittance before a hit,
 // T' that behind it and T_N that of the whole ray, the weight before a hit is 1 - T, its own T - T' and all of the ray 1 - T_N.
-#ifndef RELIDAR_INCLUDED_BACKWARD_GEOMETRY_GLSL
-#define RELIDAR_INCLUDED_BACKWARD_GEOMETRY_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_GEOMETRY_GLSL
+#define RELIDAR_INCLUDED_DIFF_BACKWARD_GEOMETRY_GLSL
 #include "../traversal/facing_normal.glsl"
 #include "../traversal/likelihood.glsl"
 

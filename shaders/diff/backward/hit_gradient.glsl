@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Gradient of one blended hit (M8): of its record, its channels and the ray in the model's frame. Shared by the kernels that add it with
 // atomics and in order.
-#ifndef RELIDAR_INCLUDED_BACKWARD_HIT_GRADIENT_GLSL
-#define RELIDAR_INCLUDED_BACKWARD_HIT_GRADIENT_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
+#define RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 
 #include "geometry.glsl"
 

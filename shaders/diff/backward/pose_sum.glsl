@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums of forces and torques over a workgroup, always in the same order. Include after kernel.glsl.
-#ifndef RELIDAR_INCLUDED_BACKWARD_POSE_SUM_GLSL
-#define RELIDAR_INCLUDED_BACKWARD_POSE_SUM_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_POSE_SUM_GLSL
+#define RELIDAR_INCLUDED_DIFF_BACKWARD_POSE_SUM_GLSL
 
 struct PoseSum {
     vec3 force;

@@ -2,8 +2,8 @@
 // Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5). Where the geometric losses want them, also the blended normal and the
 // distortion (M10, M11), and the likelihood (M12); where a range image wants it the heaviest surface (M13).
 // Include after RELIDAR_PARAMS(ForwardParams).
-#ifndef RELIDAR_INCLUDED_FORWARD_BLEND_GLSL
-#define RELIDAR_INCLUDED_FORWARD_BLEND_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
+#define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
 /// A ray as far as it has been blended.
 struct Blended {

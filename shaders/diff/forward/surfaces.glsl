@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The surfaces that a ray meets (docs/method.md M13): a hit farther behind the one before it than a gap begins another one. Hits come
 // nearest first, so one pass finds the heaviest.
-#ifndef RELIDAR_INCLUDED_FORWARD_SURFACES_GLSL
-#define RELIDAR_INCLUDED_FORWARD_SURFACES_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
+#define RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 RELIDAR_CONSTANT(uint, MODE, 0u);
 
 struct Surfaces {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The rendered range image and its neighbours, for kernels over GeometryLossParams. Include after RELIDAR_PARAMS.
-#ifndef RELIDAR_INCLUDED_LOSS_RANGE_IMAGE_GLSL
-#define RELIDAR_INCLUDED_LOSS_RANGE_IMAGE_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_LOSS_RANGE_IMAGE_GLSL
+#define RELIDAR_INCLUDED_DIFF_LOSS_RANGE_IMAGE_GLSL
 
 const uint kNoPixel = 0xffffffffu;
 const float kLeastWeight = 0.5;   // W of a surface: less is the range of hardly anything

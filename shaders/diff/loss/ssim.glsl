@@ -2,8 +2,8 @@
 // The window of structural similarity: 11 x 11 pixels, Gaussian of 1.5 pixels. Only known, returned pixels have a weight, and the
 // window is normalised over those it finds, so that dropped and unknown pixels, and rows beyond the image, neither blur into a
 // surface nor count as one. Columns wrap around where the image is a whole sweep.
-#ifndef RELIDAR_INCLUDED_LOSS_SSIM_GLSL
-#define RELIDAR_INCLUDED_LOSS_SSIM_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_LOSS_SSIM_GLSL
+#define RELIDAR_INCLUDED_DIFF_LOSS_SSIM_GLSL
 
 const int kSsimRadius = 5;
 const uint kNoPixel = 0xffffffffu;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the kernels of a convolution share. Include after TAPS and RELIDAR_PARAMS(ConvParams).
-#ifndef RELIDAR_INCLUDED_REFINE_CONV_GLSL
-#define RELIDAR_INCLUDED_REFINE_CONV_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_NETWORK_CONV_GLSL
+#define RELIDAR_INCLUDED_DIFF_NETWORK_CONV_GLSL
 
 /// Where a weight lies.
 uint weight_index(uint o, uint i, uint tap) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What lies behind a normalisation: ReLU and dropout, which is the same for every pass over the same batch. Include after shared/refine.h.
-#ifndef RELIDAR_INCLUDED_REFINE_NORM_GLSL
-#define RELIDAR_INCLUDED_REFINE_NORM_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_NETWORK_NORM_GLSL
+#define RELIDAR_INCLUDED_DIFF_NETWORK_NORM_GLSL
 #include "../../base/random.glsl"
 
 /// Factor by which a normalised value goes on: 0 where it is negative or dropped, else 1 / (1 - dropout).

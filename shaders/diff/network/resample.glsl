@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Places of pixels in images of two sizes. Include after RELIDAR_PARAMS(ResampleParams).
-#ifndef RELIDAR_INCLUDED_REFINE_RESAMPLE_GLSL
-#define RELIDAR_INCLUDED_REFINE_RESAMPLE_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
+#define RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
 
 uint large_at(uint channels, uint first, uint image, uint channel, uint y, uint x) {
     return ((image * channels + first + channel) * params.rows + y) * params.columns + x;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Proxy geometry (M3), k = sqrt(2 ln(sigma / alpha_min)). Of a surfel: a rectangle of half sizes k s_u, k s_v, as two triangles. Of a 3D
 // Gaussian: the icosahedron around the ellipsoid of half axes k s_u, k s_v, k s_w. Or the axis-aligned box of either.
-#ifndef RELIDAR_INCLUDED_SHARED_ACCEL_H
-#define RELIDAR_INCLUDED_SHARED_ACCEL_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #include "../../scene/shared/scene.h"
 
 RELIDAR_SHARED_BEGIN

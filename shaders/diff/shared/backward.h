@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The second cast, sums of its hit records by surfel, and what follows from them: gradients of poses.
-#ifndef RELIDAR_INCLUDED_SHARED_BACKWARD_H
-#define RELIDAR_INCLUDED_SHARED_BACKWARD_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN

@@ -3,8 +3,8 @@
 // read and write. One forest for all
 // models: binary trees over surfels sorted along a space-filling curve, then wide nodes. Sizes live on the device; no kernel waits
 // for another workgroup of its own launch.
-#ifndef RELIDAR_INCLUDED_SHARED_BVH_BUILD_H
-#define RELIDAR_INCLUDED_SHARED_BVH_BUILD_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_BVH_BUILD_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_BVH_BUILD_H
 #include "relidar/diff/bvh.h"
 #include "../../scene/shared/scene.h"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Densification (docs/method.md section 6): statistics, what becomes of each surfel, and the move into the new order.
-#ifndef RELIDAR_INCLUDED_SHARED_DENSIFY_H
-#define RELIDAR_INCLUDED_SHARED_DENSIFY_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #include "relidar/base/lang.h"
 #include "../../scene/shared/scene.h"
 

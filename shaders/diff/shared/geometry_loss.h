@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The geometric losses (docs/method.md M10-M12). Weights, rays and targets as in loss.h.
-#ifndef RELIDAR_INCLUDED_SHARED_GEOMETRY_LOSS_H
-#define RELIDAR_INCLUDED_SHARED_GEOMETRY_LOSS_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_GEOMETRY_LOSS_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_GEOMETRY_LOSS_H
 #include "loss.h"
 
 RELIDAR_SHARED_BEGIN

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Images of the ray-drop network: [n_images, channels, rows, columns], columns fastest.
-#ifndef RELIDAR_INCLUDED_SHARED_IMAGES_H
-#define RELIDAR_INCLUDED_SHARED_IMAGES_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_IMAGES_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_IMAGES_H
 #include "relidar/base/lang.h"
 
 RELIDAR_SHARED_BEGIN

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Convolution, normalisation and change of size: layers of the ray-drop network. Images are [n_images, channels, rows, columns], columns
 // fastest; columns are a ring (azimuth), rows end at the field of view.
-#ifndef RELIDAR_INCLUDED_SHARED_LAYERS_H
-#define RELIDAR_INCLUDED_SHARED_LAYERS_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #include "images.h"
 
 #define RELIDAR_CONV_OUT 8     // channels that a subgroup of refine/conv or refine/conv_weights makes

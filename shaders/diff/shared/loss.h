@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Losses (Eq. 10-11) and their derivatives. A weight in a parameter struct is already divided by what its term is averaged over.
 // Ray k of a launch is entry first_ray + k * ray_stride of its targets; rendered values and gradients are entry k.
-#ifndef RELIDAR_INCLUDED_SHARED_LOSS_H
-#define RELIDAR_INCLUDED_SHARED_LOSS_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_LOSS_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_LOSS_H
 #include "relidar/diff/loss_terms.h"
 #include "../../scene/shared/scene.h"
 #include "trace.h"

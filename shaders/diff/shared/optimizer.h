@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Adam over one parameter group.
-#ifndef RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
-#define RELIDAR_INCLUDED_SHARED_OPTIMIZER_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_OPTIMIZER_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_OPTIMIZER_H
 #include "relidar/scene/surfels.h"
 
 RELIDAR_SHARED_BEGIN

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The ray-drop network beside its layers on images: products of matrices, inputs and loss.
-#ifndef RELIDAR_INCLUDED_SHARED_REFINE_H
-#define RELIDAR_INCLUDED_SHARED_REFINE_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #include "layers.h"
 
 #define RELIDAR_MATMUL_ROWS 8  // that a subgroup of refine/matmul makes

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameters of the kernels that trace rays.
-#ifndef RELIDAR_INCLUDED_SHARED_TRACE_H
-#define RELIDAR_INCLUDED_SHARED_TRACE_H
+#ifndef RELIDAR_INCLUDED_DIFF_SHARED_TRACE_H
+#define RELIDAR_INCLUDED_DIFF_SHARED_TRACE_H
 #include "relidar/diff/bvh.h"
 #include "relidar/diff/rays.h"
 #include "relidar/scene/surfels.h"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backend: every surfel of every instance is a candidate. The oracle for the other backends on the device itself.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_BRUTE_FORCE_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_BRUTE_FORCE_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 
 void find_hits(TraceScene scene, Ray ray, Key after) {
     for (uint instance = 0u; instance < scene.n_instances; ++instance) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where next_hits() puts what a ray meets: a buffer of the thread's own, which holds the nearest CHUNK hits in order.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_HIT_BUFFER_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_HIT_BUFFER_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 RELIDAR_CONSTANT(uint, CHUNK, 16u);
 
 // The buffer, while it is filled: a ring of at most CHUNK places from the farthest hit to the nearest, so that a hit is put between two

@@ -6,8 +6,8 @@
 // farthest of them, and the ray ends before it or there. The hits found after that, all nearer, are the next such set: they draw the end
 // nearer where the search met something far away first. A hit that a driver reports twice counts twice, so that a list may be closed too
 // early: forward/blend then finds that its ray has not ended, and leaves it to forward/trace.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_HIT_LIST_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_HIT_LIST_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 
 HitLists listed;             // those of the launch
 uint own_list;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Everything a tracing kernel needs, in the order it must be read.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_INCLUDES_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_INCLUDES_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_INCLUDES_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_INCLUDES_GLSL
 #extension GL_EXT_ray_query : enable
 #include "../../base/kernel.glsl"
 #include "../shared/trace.h"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The order of the hits of a ray, and where the hits of a list lie, or those that are kept of a ray.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_KEYS_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_KEYS_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 
 struct Key {
     float t;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // How well a hit explains the range that its ray measured (docs/method.md M12), for the kernels that are built for it. Include after
 // includes.glsl.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_LIKELIHOOD_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_LIKELIHOOD_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
 // Of the ray of this thread, where LIKELIHOOD.

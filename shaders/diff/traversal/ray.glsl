@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which ray a thread traces, and the ray in the frame of a model.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_RAY_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_RAY_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
 
 struct Ray {
     vec3 origin;      // world, m

@@ -9,8 +9,8 @@
 // The driver has each model at one pose. A model that moves during the sweep needs a query of its own, with the ray moved as the model is
 // moved back to that pose. The first query finds the models that stand still, by the cull mask. No hit of a moving model is lost: its
 // radius holds all that can be hit, and the rounding of the moved ray is far below the margin of the proxies.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_RAY_QUERY_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
 /// Whether the entered ray comes within the radius of its model.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Channel values of a hit (intensity, hit logit, drop logit): from the record where SH are evaluated once a surfel, else from the
 // coefficients in the direction of the ray in the model's frame (docs/method.md section 3).
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_SHADING_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
 RELIDAR_CONSTANT(uint, SINGLE_DROP_LOGIT, 0u);
 

@@ -2,8 +2,8 @@
 // What all lanes of a subgroup read from one address, loaded by them together: each loads another word of it and hands it to the others. A
 // CPU gathers lane by lane even where all addresses are the same: a node of 20 words then costs 20 gathers, and 3 in this way with 8 lanes.
 // All lanes must be there, and must not part.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_SHARED_LOAD_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_SHARED_LOAD_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 
 const uint kNodeWords = 20u, kRecordWords = 16u;   // of BvhNode and SurfelRecord, whose words are in the order of their declaration
 const uint kMostParts = 5u;                        // of a node among 4 lanes, the smallest subgroup

@@ -23,8 +23,8 @@
 //   backend's (README.md).
 //
 // What it costs on a GPU: a node is 80 bytes and about 150 operations for eight boxes; a surfel 64 bytes and 40 operations.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_SOFTWARE_BVH_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_SOFTWARE_BVH_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #extension GL_KHR_shader_subgroup_basic : enable
 #extension GL_KHR_shader_subgroup_vote : enable
 #extension GL_KHR_shader_subgroup_ballot : enable

@@ -3,8 +3,8 @@
 // key `after`, ascending by key (t, instance, surfel), each at most once; in a kernel that appends (RELIDAR_APPENDS_HITS) the ray's list
 // with all that can matter, unordered. A backend only proposes candidate ids through offer(); intersection, order, de-duplication and
 // insertion are here and in hit_buffer.glsl or hit_list.glsl, so backends cannot disagree. See README.md beside this file.
-#ifndef RELIDAR_INCLUDED_TRAVERSAL_TRAVERSAL_GLSL
-#define RELIDAR_INCLUDED_TRAVERSAL_TRAVERSAL_GLSL
+#ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
+#define RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #include "keys.glsl"
 #include "ray.glsl"
 

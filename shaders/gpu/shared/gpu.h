@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Building blocks that know nothing of rays or surfels: prefix sums, a stable radix sort, a copy. Sums and sort give the same result in
 // every run; their workgroups have 256 threads and take a tile of 4096 elements each.
-#ifndef RELIDAR_INCLUDED_SHARED_GPU_H
-#define RELIDAR_INCLUDED_SHARED_GPU_H
+#ifndef RELIDAR_INCLUDED_GPU_SHARED_GPU_H
+#define RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #include "relidar/base/lang.h"
 
 RELIDAR_SHARED_BEGIN

@@ -6,8 +6,8 @@
 // and so in every proxy of it, which is why no traversal loses it. What rounding leaves of q along b, where density does not change, is
 // taken out for at most kForgiven_m along the ray, half of the proxies' margin: without it the rounding of 50 m, some 3e-6 m, would be
 // noise in the opacity of Gaussians thinner than 1e-4 m.
-#ifndef RELIDAR_INCLUDED_GAUSSIAN_GAUSSIAN3D_GLSL
-#define RELIDAR_INCLUDED_GAUSSIAN_GAUSSIAN3D_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
+#define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 
 const float kForgiven_m = 5e-5;
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Which primitive a kernel is built for, and what its row in relidar/scene/primitives.h says of it.
-#ifndef RELIDAR_INCLUDED_GAUSSIAN_KINDS_GLSL
-#define RELIDAR_INCLUDED_GAUSSIAN_KINDS_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_KINDS_GLSL
+#define RELIDAR_INCLUDED_SCENE_GAUSSIAN_KINDS_GLSL
 #include "relidar/scene/primitives.h"
 RELIDAR_CONSTANT(uint, PRIMITIVE, 0u);
 

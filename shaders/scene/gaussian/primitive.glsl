@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The one ray-primitive function of the program and its derivative, for whichever primitive the scene is made of. Every pass, forward and
 // backward, every backend sorts and blends the t computed here, from the original ray.
-#ifndef RELIDAR_INCLUDED_GAUSSIAN_PRIMITIVE_GLSL
-#define RELIDAR_INCLUDED_GAUSSIAN_PRIMITIVE_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_PRIMITIVE_GLSL
+#define RELIDAR_INCLUDED_SCENE_GAUSSIAN_PRIMITIVE_GLSL
 #include "kinds.glsl"
 #include "surfel.glsl"
 #include "gaussian3d.glsl"

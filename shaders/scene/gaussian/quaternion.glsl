@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rotation matrix of an unnormalised quaternion (w, x, y, z) and its derivative. The gradient has no radial part.
-#ifndef RELIDAR_INCLUDED_GAUSSIAN_QUATERNION_GLSL
-#define RELIDAR_INCLUDED_GAUSSIAN_QUATERNION_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
+#define RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 
 /// R(q / |q|); columns are the surfel's a_u, a_v and normal.
 mat3 rotation_matrix(vec4 q) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Real spherical harmonics up to degree 3 in the ordering and signs of 3D Gaussian splatting, and their gradient with
 // respect to the direction. value = 0.5 + basis(direction) . coefficients.
-#ifndef RELIDAR_INCLUDED_GAUSSIAN_SH_GLSL
-#define RELIDAR_INCLUDED_GAUSSIAN_SH_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
+#define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
 
 const float kSh0 = 0.28209479177387814;
 const float kSh1 = 0.4886025119029199;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t and alpha the same numbers in every kernel.
 // Kernels call intersect() of primitive.glsl.
-#ifndef RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
-#define RELIDAR_INCLUDED_GAUSSIAN_SURFEL_GLSL
+#ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
+#define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 
 /// Where a ray meets a primitive, in the frame of the record.
 struct SurfelHit {

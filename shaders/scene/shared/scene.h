@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Surfels as kernels see them: parameters (what is optimised) and records (what a hit reads), docs/method.md sections 2 and 4.
 // Quaternions are w, x, y, z everywhere.
-#ifndef RELIDAR_INCLUDED_SHARED_SCENE_H
-#define RELIDAR_INCLUDED_SHARED_SCENE_H
+#ifndef RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
+#define RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #include "relidar/scene/surfels.h"
 
 #define RELIDAR_LIST_STRETCH 16u   // rows of a thread of scene/list_touched

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where a sensor is when a ray is fired: between two poses, and beyond the first and last one, it moves along a straight line and turns
 // about one axis, at even speed. Include after ../shared/render.h.
-#ifndef RELIDAR_INCLUDED_RENDER_SENSOR_WAY_GLSL
-#define RELIDAR_INCLUDED_RENDER_SENSOR_WAY_GLSL
+#ifndef RELIDAR_INCLUDED_SIMULATE_RENDER_SENSOR_WAY_GLSL
+#define RELIDAR_INCLUDED_SIMULATE_RENDER_SENSOR_WAY_GLSL
 #include "../../base/rotation.glsl"
 #include "../../scene/gaussian/quaternion.glsl"
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rays of a sensor, and what it makes of what they render.
-#ifndef RELIDAR_INCLUDED_SHARED_RENDER_H
-#define RELIDAR_INCLUDED_SHARED_RENDER_H
+#ifndef RELIDAR_INCLUDED_SIMULATE_SHARED_RENDER_H
+#define RELIDAR_INCLUDED_SIMULATE_SHARED_RENDER_H
 #include "relidar/diff/rays.h"
 
 RELIDAR_SHARED_BEGIN

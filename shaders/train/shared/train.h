@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Batches of rays.
-#ifndef RELIDAR_INCLUDED_SHARED_TRAIN_H
-#define RELIDAR_INCLUDED_SHARED_TRAIN_H
+#ifndef RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
+#define RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
 #include "../../diff/shared/trace.h"
 
 RELIDAR_SHARED_BEGIN

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The conformance cases every hit provider must pass (docs/architecture.md section 10): one list of scenes and rays, in the library's
+// The conformance cases every hit provider must pass (docs/architecture.md section 9): one list of scenes and rays, in the library's
 // float arrays, so that host and device providers are given the very same bits. No expected hits are stored: brute force with the
 // float canonical function is the judge.
 #pragma once

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classification of differences between hit providers (docs/architecture.md sections 7 and 10; boundaries of M1 and M2).
+// Classification of differences between hit providers (docs/architecture.md sections 6 and 9; boundaries of M1 and M2).
 #include "hit_comparison.hpp"
 
 #include <algorithm>
