@@ -747,7 +747,7 @@ whole_or_none() {
 
 # Ctrl-C while the scene is initialised: nothing is left but settings and an empty log, from which --resume starts.
 early_interruption() {
-    "$relidar" train street --out early --preset quick --set train.pose_register=false --set train.iterations=2 --set refine.enabled=false >out 2>err &
+    "$relidar" train street --out early --preset quick --set train.refine_poses=none --set train.iterations=2 --set refine.enabled=false >out 2>err &
     local pid=$!
     until [[ -e early/log.jsonl ]] || ! kill -0 $pid 2>/dev/null; do sleep 0.01; done
     kill -TERM $pid

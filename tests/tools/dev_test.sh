@@ -40,7 +40,7 @@ fi
 
 mkdir street
 printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
-check "no run to measure" "$program" train street --out run --preset quick --set train.pose_register=false --set init.actor_min_points=10 \
+check "no run to measure" "$program" train street --out run --preset quick --set train.refine_poses=none --set init.actor_min_points=10 \
     --set train.iterations=6 --set dataset.test_every=5 --no-eval --quiet
 good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
 for kernel in scene/activate accel/build accel/refit diff/forward/trace diff/backward/trace diff/optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
