@@ -25,8 +25,8 @@ struct OwnElements {
     std::vector<std::string> members;
 };
 const OwnElements kOwnElements[] = {
-    {"accel/bvh_wide_scan", {"tiles"}}, {"forward/sort_hits", {"lists.hits"}}, {"loss/geometry_loss", {"upstream"}},
-    {"loss/surfel_loss", {"d_surfels.mean"}}, {"refine/conv", {"to.values"}}};
+    {"diff/accel/bvh_wide_scan", {"tiles"}}, {"diff/forward/sort_hits", {"lists.hits"}}, {"diff/loss/geometry_loss", {"upstream"}},
+    {"diff/loss/surfel_loss", {"d_surfels.mean"}}, {"diff/network/conv", {"to.values"}}};
 
 TEST(Exchange, NoKernelDoesSo) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -34,7 +34,7 @@ TEST(Exchange, NoKernelDoesSo) {
         for (const OwnElements& allowed : kOwnElements)
             if (kernel.name.substr(0, kernel.name.find('@')) == allowed.kernel) own = allowed.members;
         EXPECT_THAT(incoherent_exchanges(kernel.words), UnorderedElementsAreArray(own))
-            << kernel.name << ": an exchange needs coherent accesses (accel/bvh_forest.glsl); own elements a line in kOwnElements";
+            << kernel.name << ": an exchange needs coherent accesses (diff/accel/bvh_forest.glsl); own elements a line in kOwnElements";
     }
 }
 

@@ -54,11 +54,11 @@ done
 # 64 B from 40 B and 3 x 16 harmonics; 1024 rays of 36 B rendered, 12 B measured and 20 B of gradients.
 with_gradient=$(sed -n 's/.*"surfels_with_gradient": \([0-9]*\).*/\1/p' numbers/bench.json)
 check "bench.json: no surfel has a gradient, or more than there are" test "$with_gradient" -gt 0 -a "$with_gradient" -le 2000
-for floor in "optimizer/adam\": $((2000 * (6 * 232 + 4) + with_gradient * 232))" "scene/activate\": 592000" "loss/image_loss\": 69632"; do
+for floor in "diff/optimizer/adam\": $((2000 * (6 * 232 + 4) + with_gradient * 232))" "scene/activate\": 592000" "diff/loss/image_loss\": 69632"; do
     check "bench.json: other bytes than $floor" grep -Eq "\"$floor(\.0)?,?$" numbers/bench.json
 done
 good bench --surfels 2000 --rays 16x64 --repeat 1 --deterministic --keep-hits 0 --json gather.json
-for kernel in backward/sort backward/gather; do says "^$kernel +[0-9.]+"; done
+for kernel in backward/sort diff/backward/gather; do says "^$kernel +[0-9.]+"; done
 check "bench --deterministic does not gather" grep -q '"reduction": "gather"' gather.json
 check "bench --keep-hits 0 keeps hits" grep -q '"keep_hits": 0' gather.json
 good bench --run run --no-backward --repeat 1 --json render.json --quiet

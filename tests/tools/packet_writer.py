@@ -9,7 +9,7 @@ import struct
 import numpy as np
 
 WALLS = np.array([22.0, 14.0, 6.0])   # metres from the sensor, x, y and z
-TABLES = pathlib.Path(__file__).parents[2] / "src" / "sensor" / "tables"
+TABLES = pathlib.Path(__file__).parents[2] / "src" / "log" / "sensor" / "tables"
 TURN_S = 0.1
 
 

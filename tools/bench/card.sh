@@ -136,7 +136,7 @@ bench() {
         if [[ $rays == waymo && $scene == B ]]; then largest_B=$file; fi
         peak=$(awk -v bytes="$(number "$file" peak_bytes)" 'BEGIN {printf "%.0f", bytes / 1048576}')
         printf '%-5s %9s %-6s | %6s %7s %9s | %6s %8s | %6s %8s | %6s %8s | %5s %7s | %6.1f\n' "$scene" "$surfels" "$rays" "$build" "$(median "$file" rebuild)" \
-            "$(median "$file" 'accel/.*refit.*|accel/proxies')" "$forward" "$(median "$file" "forward/.*")" "$backward" "$(median "$file" diff/backward/trace)" \
+            "$(median "$file" 'accel/.*refit.*|diff/accel/bvh_refit|diff/accel/proxies')" "$forward" "$(median "$file" "diff/forward/.*")" "$backward" "$(median "$file" diff/backward/trace)" \
             "$iteration" "$(median "$file" iteration)" "$memory" "$peak" "$(number "$file" hits_per_ray)"
     done <<<"$kPeer"
 
@@ -158,7 +158,7 @@ bench() {
                 file=$out/${scene}_chunk${chunk}_$walk.json
                 step "bench_${scene}_chunk${chunk}_$walk" 40 "$relidar_dev" bench --scene "$scene" --surfels "$surfels_max" --rays waymo --chunk "$chunk" --walk "$walk" --traversal software --sh surfel \
                     --repeat 7 --json "$file" --quiet "${options[@]}" || continue
-                printf '%-30s %12s %12s\n' "$scene $surfels_max, $chunk, $walk" "$(median "$file" "forward/.*")" "$(median "$file" diff/backward/trace)"
+                printf '%-30s %12s %12s\n' "$scene $surfels_max, $chunk, $walk" "$(median "$file" "diff/forward/.*")" "$(median "$file" diff/backward/trace)"
             done
         done
     done

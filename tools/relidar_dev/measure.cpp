@@ -43,7 +43,7 @@ constexpr const char* kOrder[] = {"scene/activate",     "diff/accel/proxies",  "
 /// sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
-    if (kernel.starts_with("accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
+    if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
     if (kernel.starts_with("gpu/")) return phase == "rebuild" ? "accel/build" : "backward/sort";
     return kernel;
 }
@@ -226,7 +226,7 @@ BenchResult Bench::result() {
     const double krays = static_cast<double>(rays_.size()) / 1000.0;
     double forward_ms = 0.0;
     for (const BenchRow& row : result.kernels) {
-        if (row.name.starts_with("forward/")) forward_ms += row.ms.median;
+        if (row.name.starts_with("diff/forward/")) forward_ms += row.ms.median;
         if (row.name == "diff/backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.forward_mrays_per_s = krays / forward_ms;

@@ -23,7 +23,9 @@ protected:
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
-        scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, {});
+        InitialiseOptions options;
+        options.max_scale_m = 0.5;   // so that some rays meet nothing
+        scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
     /// A scan of the street without its cars, on the way of the log.
     RenderedScan scan_of(const RayTable& rays, const DropNetwork& network) {
