@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-/// The deterministic benchmark street of surfels (families A: refine = false, B: refine = true), bit-equal up to the
-/// last place with ../shared/bench/scene_gen.py `street(n, seed, refine)`; kd order is not applied.
+/// Returns the deterministic street of surfels that the benchmarks use: scene A without `refine`, scene B
+/// with it. Equals the Python generator of these scenes up to the last place; surfels are not in kd order.
 Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
 
 /// Its rays: kind "waymo" (64 x 2650) or "kitti" (66 x 1030), all from (0, -2, 1.8); or any size with a given field of view.

@@ -2,6 +2,7 @@
 // Range images, and which of their pixels are returns.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -23,5 +24,10 @@ struct RangeImage {
 inline constexpr float kDropThreshold = 0.5f;
 /// Whether a ray counts as returned: it met something, and returns more likely than not.
 inline bool returned(float drop_prob, float range_m) { return drop_prob < kDropThreshold && range_m > 0.0f; }
+
+/// Returns false if every pixel has intensity 0, because the log has no intensities.
+inline bool has_intensities(const RangeImage& image) {
+    return std::ranges::any_of(image.intensity, [](float intensity) { return intensity > 0.0f; });
+}
 
 }  // namespace relidar

@@ -58,14 +58,15 @@ struct WeatherSensor {
     double separation_m = 0.5;       ///< returns nearer to each other are one
     double min_range_m = 0.0;        ///< nothing nearer is a return; of the air nothing nearer than 1 m
     double max_range_m = 80.0;
-    double darkest = 0.5 / 255.0;    ///< half a step of the sensor's intensities: what is darker counts as this
+    double darkest = 0.5 / 255.0;    ///< half a step of the sensor's intensities
     /// Reflectivity below which nothing is returned at any range, because receivers are less
     /// sensitive to near targets (sensitivity-time control). 0: weakest() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Power of the weakest return that is one: of the darkest surface where the range ends.
     double weakest() const { return darkest / (max_range_m * max_range_m); }
-    /// Power that a surface, the air, a drop or noise needs at a range to be reported.
+    /// Power that a surface, the air, a drop or noise needs at a range to be reported. Mirrored and
+    /// stray light need weakest().
     double threshold(double range_m) const;
 };
 

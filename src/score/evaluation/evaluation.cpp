@@ -79,11 +79,6 @@ std::unique_ptr<Lpips> load_lpips() {
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
-/// False for a scan whose returns all have intensity 0: its log has none.
-bool has_intensities(const RangeImage& real) {
-    return std::ranges::any_of(real.intensity, [](float intensity) { return intensity > 0.0f; });
-}
-
 /// Metrics of all frames at once, on all cores. @param lpips or nothing
 std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config, const Sequence& sequence,
                                const Lpips* lpips) {

@@ -29,11 +29,6 @@ std::vector<float> distance(const std::vector<float>& a, const std::vector<float
     return result;
 }
 
-/// Returns false if every return has intensity 0: the log has none.
-bool has_intensities(const RangeImage& real) {
-    return std::ranges::any_of(real.intensity, [](float intensity) { return intensity > 0.0f; });
-}
-
 }  // namespace
 
 std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real_caption,
