@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Everything that a user of logs, runs and scans needs, in one line. What trainers are built from is in <relidar/stages/...>.
+// Everything that a user of logs, runs and scans needs, in one line. What trainers are
+// built from is in <relidar/stages/...>.
 //
-// Objects made from a Device must go before it does. A Device and what was made from it belong to one thread at a time; two devices may be
-// used by two threads. Functions without a device may be called by any thread. Failures are thrown as
-// relidar::Error (relidar/base/error.hpp).
+// Objects made from a Device must go before it does. A Device and what was made from it
+// belong to one thread at a time; two devices may be used by two threads. Functions
+// without a device may be called by any thread. Failures are thrown as relidar::Error
+// (relidar/base/error.hpp).
 #pragma once
 
 #include <relidar/base/error.hpp>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compensated summation (Kahan): the backward pass subtracts long sums from each other, so they must keep all digits of a float.
+// Compensated summation (Kahan): the backward pass subtracts long sums from each other,
+// so they must keep all digits of a float.
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 

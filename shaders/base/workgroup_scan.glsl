@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums over a workgroup of at most 64 subgroups. Threads are numbered subgroup by subgroup, which is what stability and
-// repeatability rest on; a shader that uses this numbers its elements by scan_thread().
+// Prefix sums over a workgroup of at most 64 subgroups. Threads are numbered subgroup by
+// subgroup, which is what stability and repeatability rest on; a shader that uses this
+// numbers its elements by scan_thread().
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require

@@ -4,7 +4,12 @@
 #define RELIDAR_INCLUDED_GPU_RADIX_GLSL
 RELIDAR_CONSTANT(uint, KEY_WORDS, 1u);
 
-uint n_keys() { return !is_null(params.n_keys) ? min(params.n_keys.at[0], params.capacity) : params.capacity; }
+uint n_keys() {
+    return !is_null(params.n_keys) ? min(params.n_keys.at[0], params.capacity) : params.capacity;
+}
 uint n_tiles() { return (n_keys() + RELIDAR_TILE_SIZE - 1u) / RELIDAR_TILE_SIZE; }
-uint digit_of(uint i) { return params.keys.at[i * KEY_WORDS + params.shift / 32u] >> (params.shift % 32u) & (RELIDAR_SORT_DIGITS - 1u); }
+uint digit_of(uint i) {
+    return params.keys.at[i * KEY_WORDS + params.shift / 32u] >> (params.shift % 32u) &
+           (RELIDAR_SORT_DIGITS - 1u);
+}
 #endif

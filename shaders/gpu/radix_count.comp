@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, first of three kernels a pass: how many keys of a tile have each value of the digit. A workgroup of 256 threads a tile
-// of 4096 keys. Input: n_keys, keys. Output: counts. Floor: the keys read.
+// Radix sort, first of three kernels a pass: how many keys of a tile have each value of
+// the digit. A workgroup of 256 threads a tile of 4096 keys. Input: n_keys, keys. Output:
+// counts. Floor: the keys read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -16,7 +17,8 @@ void main() {
     histogram[thread] = 0u;
     barrier();
     uint first = tile * RELIDAR_TILE_SIZE;
-    for (uint i = first + thread; i < min(first + RELIDAR_TILE_SIZE, n); i += RELIDAR_TILE_THREADS) atomicAdd(histogram[digit_of(i)], 1u);
+    for (uint i = first + thread; i < min(first + RELIDAR_TILE_SIZE, n); i += RELIDAR_TILE_THREADS)
+        atomicAdd(histogram[digit_of(i)], 1u);
     barrier();
     params.counts.at[thread * n_tiles() + tile] = histogram[thread];
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, second of three kernels a pass: for each value of the digit, how many keys of it are in the tiles before. A subgroup a
-// value. Input: n_keys. Counts: in place; totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
+// Radix sort, second of three kernels a pass: for each value of the digit, how many keys
+// of it are in the tiles before. A subgroup a value. Input: n_keys. Counts: in place;
+// totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -11,7 +12,8 @@ RELIDAR_PARAMS(RadixSortParams);
 
 void main() {
     uint tiles = n_tiles(), n_subgroups = gl_NumWorkGroups.x * gl_NumWorkGroups.y * gl_NumSubgroups;
-    for (uint digit = workgroup_index() * gl_NumSubgroups + gl_SubgroupID; digit < RELIDAR_SORT_DIGITS; digit += n_subgroups) {
+    for (uint digit = workgroup_index() * gl_NumSubgroups + gl_SubgroupID; digit < RELIDAR_SORT_DIGITS;
+         digit += n_subgroups) {
         uint before = 0u;
         for (uint first = 0u; first < tiles; first += gl_SubgroupSize) {
             uint tile = first + gl_SubgroupInvocationID, at = digit * tiles + tile;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums, going up: the sum of each tile. A workgroup of 256 threads a tile of 4096 counts.
-// Input: counts. Output: tile_sums. Floor: 4 B a count read.
+// Prefix sums, going up: the sum of each tile. A workgroup of 256 threads a tile of 4096
+// counts. Input: counts. Output: tile_sums. Floor: 4 B a count read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -12,7 +12,8 @@ void main() {
     uint tile = workgroup_index(), first = tile * RELIDAR_TILE_SIZE;
     if (first >= params.n) return;
     uint sum = 0u;
-    for (uint i = first + scan_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n); i += RELIDAR_TILE_THREADS)
+    for (uint i = first + scan_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n);
+         i += RELIDAR_TILE_THREADS)
         sum += params.counts.at[params.offset + i * params.stride];
     uvec2 total;
     workgroup_exclusive_add(uvec2(sum, 0u), total);

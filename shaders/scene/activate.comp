@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records of surfels from their parameters (docs/method.md section 2): normalised rotation, exp scale, sigmoid opacity, both moved and
-// faded at its model's phase of a gait; channel values where SH are evaluated once a surfel, in the direction view origin -> mean. One
-// thread a surfel of any model.
-// Input: surfels, models, view_origins, phases. Output: records. A surfel with a non-finite value, or too faint to be seen, gets opacity 0
-// and is never hit.
+// Records of surfels from their parameters (docs/method.md section 2): normalised
+// rotation, exp scale, sigmoid opacity, both moved and faded at its model's phase of a
+// gait; channel values where SH are evaluated once a surfel, in the direction view origin
+// -> mean. One thread a surfel of any model. Input: surfels, models, view_origins,
+// phases. Output: records. A surfel with a non-finite value, or too faint to be seen,
+// gets opacity 0 and is never hit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -16,7 +17,8 @@
 RELIDAR_PARAMS(ActivateParams);
 
 /// Channel values of a surfel in a direction. Every thread of the workgroup must call it.
-/// @return whether all active coefficients are finite; the values do not tell: max(NaN, 0) is 0
+/// @return whether all active coefficients are finite; the values do not tell: max(NaN,
+/// 0) is 0
 bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     float basis[16];
     sh_basis(direction, params.sh_degree, basis);
@@ -41,20 +43,25 @@ bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 void main() {
     uint i = thread_index();
     bool is_surfel = i < params.n_surfels;
-    if (!STAGED && !is_surfel) return;   // else its threads load for others
+    if (!STAGED && !is_surfel) return;  // else its threads load for others
     uint surfel = is_surfel ? i : 0u;
-    Floats mean = params.surfels.mean, rotation = params.surfels.rotation, log_scale = params.surfels.log_scale;
+    Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
+           log_scale = params.surfels.log_scale;
     uint model = find_model(params.models, params.n_models, surfel);
-    Gait gait = gait_of(params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
+    Gait gait =
+        gait_of(params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
     SurfelRecord s;
-    s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
-    vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2], rotation.at[4 * surfel + 3]);
-    float q_length2 = dot(q, q);   // under- and overflow would leave some other rotation
+    s.mean =
+        vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
+    vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2],
+                  rotation.at[4 * surfel + 3]);
+    float q_length2 = dot(q, q);  // under- and overflow would leave some other rotation
     mat3 r = rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);   // 3D Gaussians
+    // 3D Gaussians
+    if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;
     bool finite_sh = channels(i, is_surfel, normalize(s.mean - params.view_origins.at[model]), values);
@@ -62,13 +69,15 @@ void main() {
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;
     s.drop_logit = evaluate ? values.z : 0.0;
-    vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));   // scales outside 1e-6 m .. 1e6 m are no surfels
+    // scales outside 1e-6 m .. 1e6 m are no surfels
+    vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
-                  all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) && finite3(s.axis_v) &&
-                  finite3(s.normal) && finite_sh;
+                  all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) &&
+                  finite3(s.axis_v) && finite3(s.normal) && finite_sh;
     if (!finite || !(s.opacity > params.alpha_min)) {
         bool placed = finite3(s.mean);
-        s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0, vec3(0.0, 0.0, 1.0), 0.0);
+        s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0,
+                         vec3(0.0, 0.0, 1.0), 0.0);
     }
     if (is_surfel) params.records.at[surfel] = s;
 }

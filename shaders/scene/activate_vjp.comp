@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameter gradients from record gradients: the chain rule of activate.comp, once a frame instead of once a hit (docs/method.md
-// section 4, reduction a). One thread a surfel of any model; with a list (list_touched.comp) only of those that may have a gradient, which
-// is for CPUs: lanes without one cost as much as the others.
-// Input: surfels, d_records, models, more_rows, view_origins, phases, rows, n_listed. Output: d_surfels (sh only where SH are evaluated a
-// surfel), touched, d_view.
+// Parameter gradients from record gradients: the chain rule of activate.comp, once a
+// frame instead of once a hit (docs/method.md section 4, reduction a). One thread a
+// surfel of any model; with a list (list_touched.comp) only of those that may have a
+// gradient, which is for CPUs: lanes without one cost as much as the others. Input:
+// surfels, d_records, models, more_rows, view_origins, phases, rows, n_listed. Output:
+// d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -15,7 +16,8 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Gradient of the SH coefficients of one surfel; zeros where it has none. Every thread of the workgroup must call it.
+/// Gradient of the SH coefficients of one surfel; zeros where it has none. Every thread
+/// of the workgroup must call it.
 /// @return dL/d(direction)
 vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
@@ -29,7 +31,7 @@ vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel
         if (c == 0u) {
             float intensity = 0.5;
             for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
-            if (intensity < 0.0) d = 0.0;   // clamped at 0 in the record
+            if (intensity < 0.0) d = 0.0;  // clamped at 0 in the record
         }
         for (uint k = 0u; k < n; ++k) {
             d_basis[k] += d * coefficient(sh, surfel, c, k);
@@ -47,7 +49,8 @@ void store_view(uint surfel, vec3 g) {
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = g[k];
 }
 
-/// Record gradient of a surfel, summed over the placements of its model. @return whether it is not zero
+/// Record gradient of a surfel, summed over the placements of its model. @return whether
+/// it is not zero
 bool load_row(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
     for (uint p = 0u; p < model.n_more; ++p) {
@@ -68,9 +71,11 @@ void store_zero(uint surfel) {
     for (uint k = 0u; k < 2u; ++k) params.d_surfels.log_scale.at[2 * surfel + k] = 0.0;
     if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
     params.d_surfels.opacity_logit.at[surfel] = 0.0;
-    if (has_gait()) for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = 0.0;
+    if (has_gait())
+        for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = 0.0;
     if (STAGED || params.sh_per_surfel == 0u) return;
-    for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
+    for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
+        params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
 }
 
 /// All groups but the harmonics.
@@ -81,13 +86,16 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec4 q = vec4(params.surfels.rotation.at[4 * surfel], params.surfels.rotation.at[4 * surfel + 1],
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
     mat3 r = rotation_matrix(q);
-    vec3 inverse_scale = exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1],
-                                   has_third_scale() ? params.surfels.log_scale_w.at[surfel] : 0.0));
-    vec4 d_q = rotation_matrix_vjp(q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
+    vec3 inverse_scale =
+        exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1],
+                  has_third_scale() ? params.surfels.log_scale_w.at[surfel] : 0.0));
+    vec4 d_q = rotation_matrix_vjp(
+        q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = d_q[k];
-    params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;   // axis_u = a_u exp(-log_scale)
+    // axis_u = a_u exp(-log_scale)
+    params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;
     params.d_surfels.log_scale.at[2 * surfel + 1] = -dot(d_axis_v, r[1]) * inverse_scale.y;
     if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
     params.d_surfels.opacity_logit.at[surfel] = row[3] * gait.presence * opacity * (1.0 - opacity);
@@ -104,7 +112,8 @@ void chain_rule(uint surfel, bool is_surfel) {
     bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
     if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
 
-    Gait gait = gait_of(params.surfels.gait, is_surfel ? surfel : 0u, has_gait() ? params.phases.at[model] : -1.0);
+    Gait gait =
+        gait_of(params.surfels.gait, is_surfel ? surfel : 0u, has_gait() ? params.phases.at[model] : -1.0);
     vec3 d_to_mean = vec3(0.0);
     if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
         vec3 mean = load3(params.surfels.mean, 3 * (is_surfel ? surfel : 0u)) + gait.sine * gait.swing;
@@ -127,7 +136,7 @@ void chain_rule(uint surfel, bool is_surfel) {
 void main() {
     uint i = thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
     if (STAGED) {
-        chain_rule(i, i < n);   // threads without a surfel move rows of others
+        chain_rule(i, i < n);  // threads without a surfel move rows of others
         return;
     }
     if (i >= n) return;

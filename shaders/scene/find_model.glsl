@@ -4,7 +4,8 @@
 #define RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #include "shared/scene.h"
 
-/// The last model that starts at or before a surfel; models without surfels are never found.
+/// The last model that starts at or before a surfel; models without surfels are never
+/// found.
 uint find_model(Models models, uint n_models, uint surfel) {
     uint low = 0u, high = n_models;
     while (high - low > 1u) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies a window of whole columns, or some of all in groups, so that every kernel sees a batch that is an image. One thread a ray of the
-// batch. Input: rays, targets. Output: batch_rays, batch_targets.
+// Copies a window of whole columns, or some of all in groups, so that every kernel sees a
+// batch that is an image. One thread a ray of the batch. Input: rays, targets. Output:
+// batch_rays, batch_targets.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -11,7 +12,8 @@ RELIDAR_PARAMS(GatherColumnsParams);
 void main() {
     uint k = thread_index();
     if (k >= params.rows * params.n_columns) return;
-    uint column = frame_column(k % params.n_columns, params.first_column, params.column_stride, params.columns);
+    uint column =
+        frame_column(k % params.n_columns, params.first_column, params.column_stride, params.columns);
     uint i = k / params.n_columns * params.columns + column;
     params.batch_rays.at[k] = params.rays.at[i];
     params.batch_targets.at[k] = params.targets.at[i];

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// From gradients of rays to those of the sensor poses between which they were fired, by the weights of the interpolation:
+// From gradients of rays to those of the sensor poses between which they were fired, by
+// the weights of the interpolation:
 //   dL/dv = dL/d(origin),   dL/dw = (origin - c) x dL/d(origin) + direction x dL/d(direction),   c the corrected position of the sensor
-// A workgroup a row and knot: thread k of n sums every n-th ray in order, then the workgroup adds up its threads, always in the same
-// order. Input: moved, places, knots, d_rays. Output: rows.
+// A workgroup a row and knot: thread k of n sums every n-th ray in order, then the
+// workgroup adds up its threads, always in the same order. Input: moved, places, knots,
+// d_rays. Output: rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -40,7 +42,8 @@ void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 t
 void main() {
     uint group = workgroup_index(), local = gl_LocalInvocationID.x;
     uint row = group / params.n_knots, knot = group % params.n_knots;
-    sum_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot, forces[local], torques[local]);
+    sum_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
+             forces[local], torques[local]);
     for (uint n = RELIDAR_KNOT_WORKGROUP / 2u; n > 0u; n /= 2u) {
         barrier();
         if (local < n) {

@@ -5,8 +5,9 @@
 
 PoseKnot knot_at(PoseKnots knots, RayPlace place) {
     PoseKnot a = knots.at[place.left];
-    if (place.s == 0.0) return a;   // there need be no next one
+    if (place.s == 0.0) return a;  // there need be no next one
     PoseKnot b = knots.at[place.left + 1u];
-    return PoseKnot(mix(a.position, b.position, place.s), mix(a.translation, b.translation, place.s), mix(a.rotation, b.rotation, place.s));
+    return PoseKnot(mix(a.position, b.position, place.s), mix(a.translation, b.translation, place.s),
+                    mix(a.rotation, b.rotation, place.s));
 }
 #endif

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moves the rays of a frame with the corrections of the sensor's poses: about the position c of the sensor when the ray was fired,
+// Moves the rays of a frame with the corrections of the sensor's poses: about the
+// position c of the sensor when the ray was fired,
 //   origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
 // One thread a ray. Input: rays, places, knots. Output: moved.
 #version 460
@@ -15,6 +16,7 @@ void main() {
     if (i >= params.n_rays) return;
     PoseKnot knot = knot_at(params.knots, params.places.at[i]);
     DeviceRay ray = params.rays.at[i];
-    params.moved.at[i] = DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation,
-                                   normalize(turned(knot.rotation, ray.direction)), ray.time_s);
+    params.moved.at[i] =
+        DeviceRay(knot.position + turned(knot.rotation, ray.origin - knot.position) + knot.translation,
+                  normalize(turned(knot.rotation, ray.direction)), ray.time_s);
 }

@@ -12,7 +12,7 @@ namespace relidar {
 
 /// Cells in the order in which items first name them, whatever the number of cores.
 struct CellNumbers {
-    std::vector<std::uint32_t> of;   ///< [items]
+    std::vector<std::uint32_t> of;  ///< [items]
     std::size_t n_cells = 0;
 };
 /// @param key [items] of the cell that an item lies in
@@ -36,7 +36,7 @@ public:
     }
 
 private:
-    std::vector<std::size_t> first_;     // [cells + 1] in items_
+    std::vector<std::size_t> first_;  // [cells + 1] in items_
     std::vector<std::uint32_t> items_;
 };
 

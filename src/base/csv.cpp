@@ -21,16 +21,19 @@ std::vector<std::string_view> csv_cells(std::string_view line) {
     return cells;
 }
 
-std::vector<int> find_columns(const std::vector<std::string_view>& header, const std::vector<std::string>& known,
-                              const std::string& where) {
+std::vector<int> find_columns(const std::vector<std::string_view>& header,
+                              const std::vector<std::string>& known, const std::string& where) {
     std::vector<int> at(known.size(), -1);
     for (std::size_t c = 0; c < header.size(); ++c) {
-        const auto f = static_cast<std::size_t>(std::find(known.begin(), known.end(), header[c]) - known.begin());
+        const auto f =
+            static_cast<std::size_t>(std::find(known.begin(), known.end(), header[c]) - known.begin());
         if (f == known.size()) {
-            throw DataError(fmt::format("{}: column '{}' is not known{} (known: {})", where, excerpt(header[c]),
-                                        did_you_mean(header[c], known, "'"), fmt::join(known, ", ")));
+            throw DataError(fmt::format("{}: column '{}' is not known{} (known: {})", where,
+                                        excerpt(header[c]), did_you_mean(header[c], known, "'"),
+                                        fmt::join(known, ", ")));
         }
-        if (at[f] >= 0) throw DataError(fmt::format("{}: column '{}' is there twice, expected once", where, header[c]));
+        if (at[f] >= 0)
+            throw DataError(fmt::format("{}: column '{}' is there twice, expected once", where, header[c]));
         at[f] = static_cast<int>(c);
     }
     return at;

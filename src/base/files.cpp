@@ -45,7 +45,8 @@ std::string read_file(const fs::path& path) {
     std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
-        throw DataError(fmt::format("{}: only {} of {} bytes could be read", path.string(), in.gcount(), text.size()));
+        throw DataError(
+            fmt::format("{}: only {} of {} bytes could be read", path.string(), in.gcount(), text.size()));
     }
     return text;
 }
@@ -63,14 +64,15 @@ bool path_exists(const fs::path& path) { return fs::exists(status_of(path)); }
 void check_folder(const fs::path& path, const std::string& expected) {
     const fs::file_status status = status_of(path);
     if (!fs::is_directory(status))
-        throw DataError(
-            fmt::format("{}: {}, expected {}", path.string(), fs::exists(status) ? "not a folder" : "no such folder", expected));
+        throw DataError(fmt::format("{}: {}, expected {}", path.string(),
+                                    fs::exists(status) ? "not a folder" : "no such folder", expected));
 }
 
 std::vector<fs::path> list_folder(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
-    if (!fs::is_directory(status_of(folder))) throw DataError(fmt::format("{}: no such folder", folder.string()));
+    if (!fs::is_directory(status_of(folder)))
+        throw DataError(fmt::format("{}: no such folder", folder.string()));
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
         paths.push_back(entry->path());
     if (failed) throw unreadable(folder, failed);
@@ -80,7 +82,8 @@ std::vector<fs::path> list_folder(const fs::path& folder) {
 
 std::optional<int> file_number(const std::string& stem) {
     const std::size_t first = std::min(stem.find_first_not_of('0'), stem.size());
-    if (stem.empty() || stem.size() - first > 8 || stem.find_first_not_of("0123456789") != std::string::npos) return std::nullopt;
+    if (stem.empty() || stem.size() - first > 8 || stem.find_first_not_of("0123456789") != std::string::npos)
+        return std::nullopt;
     int number = 0;
     std::from_chars(stem.data(), stem.data() + stem.size(), number);
     return number;
@@ -90,9 +93,11 @@ std::string excerpt(std::string_view text) {
     constexpr std::size_t kMost = 80;
     const bool cut = text.size() > kMost;
     std::size_t n = cut ? kMost - 3 : text.size();
-    while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;   // not within a UTF-8 character
+    // not within a UTF-8 character
+    while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;
     std::string shown(text.substr(0, n));
-    std::replace_if(shown.begin(), shown.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
+    std::replace_if(
+        shown.begin(), shown.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
     return cut ? shown + "..." : shown;
 }
 

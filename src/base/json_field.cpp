@@ -16,7 +16,8 @@ namespace relidar {
 namespace {
 
 std::string shown(const nlohmann::json& value) {
-    if (value.is_structured()) return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
+    if (value.is_structured())
+        return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
     const std::string text = value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
@@ -37,7 +38,9 @@ JsonField JsonField::at(const std::string& key) const {
     return {*it, *file_, name};
 }
 
-JsonField JsonField::at(std::size_t index) const { return {value_->at(index), *file_, fmt::format("{}[{}]", name_, index)}; }
+JsonField JsonField::at(std::size_t index) const {
+    return {value_->at(index), *file_, fmt::format("{}[{}]", name_, index)};
+}
 
 std::size_t JsonField::size() const {
     if (!value_->is_array()) fail(shown(*value_), "expected an array");
@@ -52,23 +55,27 @@ void JsonField::check_members(const std::vector<std::string>& known) const {
     if (!value_->is_object()) fail(shown(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known.begin(), known.end(), key) == known.end())
-            fail(fmt::format("found the unknown member '{}'", excerpt(key)), fmt::format("expected only {}", fmt::join(known, ", ")));
+            fail(fmt::format("found the unknown member '{}'", excerpt(key)),
+                 fmt::format("expected only {}", fmt::join(known, ", ")));
 }
 
 double JsonField::number() const {
-    if (!value_->is_number() || !std::isfinite(value_->get<double>())) fail(shown(*value_), "expected a finite number");
+    if (!value_->is_number() || !std::isfinite(value_->get<double>()))
+        fail(shown(*value_), "expected a finite number");
     return value_->get<double>();
 }
 
 double JsonField::number(double low, double high) const {
     const double value = number();
-    if (value < low || value > high) fail(shown(*value_), fmt::format("expected a number in {:.15g}..{:.15g}", low, high));
+    if (value < low || value > high)
+        fail(shown(*value_), fmt::format("expected a number in {:.15g}..{:.15g}", low, high));
     return value;
 }
 
 std::int64_t JsonField::integer(std::int64_t low, std::int64_t high) const {
     const bool fits = value_->is_number_integer() &&
-                      !(value_->is_number_unsigned() && value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
+                      !(value_->is_number_unsigned() &&
+                        value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
     if (!fits || value_->get<std::int64_t>() < low || value_->get<std::int64_t>() > high) {
         fail(shown(*value_), fmt::format("expected an integer in {}..{}", low, high));
     }
@@ -89,7 +96,8 @@ std::string JsonField::text(std::size_t most) const {
     const std::string found = text();
     const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
     if (found.size() > most || std::any_of(found.begin(), found.end(), is_control))
-        fail(fmt::format("found {} bytes of text", found.size()), fmt::format("expected one line of at most {}", most));
+        fail(fmt::format("found {} bytes of text", found.size()),
+             fmt::format("expected one line of at most {}", most));
     return found;
 }
 
@@ -103,9 +111,11 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
-        std::string why = error.what();   // "[json.exception.parse_error.101] parse error at line 1, column 2: ..."
-        if (const std::size_t bracket = why.find("] "); bracket != std::string::npos) why.erase(0, bracket + 2);
-        why = why.substr(0, why.find("; last read"));   // quotes the file, at any length
+        // "[json.exception.parse_error.101] parse error at line 1, column 2: ..."
+        std::string why = error.what();
+        if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
+            why.erase(0, bracket + 2);
+        why = why.substr(0, why.find("; last read"));  // quotes the file, at any length
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));
     }

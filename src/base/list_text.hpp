@@ -14,7 +14,8 @@ namespace relidar {
 /// "3, 4, 7", or of more than `most` numbers "3, 4, 7, ... 91 (78 in all)".
 inline std::string list_text(const std::vector<int>& numbers, std::size_t most = 6) {
     if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
-    return fmt::format("{}, ... {} ({} in all)", fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(most) - 1, ", "),
+    return fmt::format("{}, ... {} ({} in all)",
+                       fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(most) - 1, ", "),
                        numbers.back(), numbers.size());
 }
 

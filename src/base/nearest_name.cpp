@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Names as users write them. Levenshtein distance, in which two neighbours that have changed places are one error:
+// Names as users write them. Levenshtein distance, in which two neighbours that have
+// changed places are one error:
 //   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j], d(i-2, j-2) + 1 where a_i = b_{j-1} and a_{i-1} = b_j)
 #include <relidar/base/error.hpp>
 
@@ -25,7 +26,8 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
         for (std::size_t j = 1; j <= b.size(); ++j) {
             const std::size_t replaced = row[j - 1] + (same_letter(a[i - 1], b[j - 1]) ? 0 : 1);
             next[j] = std::min({row[j] + 1, next[j - 1] + 1, replaced});
-            const bool swapped = i > 1 && j > 1 && same_letter(a[i - 1], b[j - 2]) && same_letter(a[i - 2], b[j - 1]);
+            const bool swapped =
+                i > 1 && j > 1 && same_letter(a[i - 1], b[j - 2]) && same_letter(a[i - 2], b[j - 1]);
             if (swapped) next[j] = std::min(next[j], before[j - 2] + 1);
         }
         before = std::exchange(row, next);
@@ -34,7 +36,8 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
 }
 
 bool contains(std::string_view whole, std::string_view part) {
-    return part.size() >= 3 && std::search(whole.begin(), whole.end(), part.begin(), part.end(), same_letter) != whole.end();
+    return part.size() >= 3 &&
+           std::search(whole.begin(), whole.end(), part.begin(), part.end(), same_letter) != whole.end();
 }
 
 /// Two letters of five may be wrong, or a part may be missing.
@@ -46,14 +49,15 @@ bool resemble(std::string_view wanted, std::string_view name) {
 }  // namespace
 
 std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known) {
-    const auto best = std::min_element(known.begin(), known.end(), [&](const std::string& a, const std::string& b) {
-        return edit_distance(wanted, a) < edit_distance(wanted, b);
-    });
+    const auto best =
+        std::min_element(known.begin(), known.end(), [&](const std::string& a, const std::string& b) {
+            return edit_distance(wanted, a) < edit_distance(wanted, b);
+        });
     return best == known.end() ? std::string() : *best;
 }
 
-std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known, std::string_view quote,
-                         std::string_view otherwise) {
+std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known,
+                         std::string_view quote, std::string_view otherwise) {
     std::vector<std::string> alike;
     for (const std::string& name : known)
         if (resemble(wanted, name)) alike.push_back(name);

@@ -20,7 +20,7 @@ public:
     /// @param places  at least one
     explicit NearestPlace(std::vector<Point> places)
         : places_{std::move(places)}, tree_(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
-    NearestPlace(const NearestPlace&) = delete;   // the tree refers to the places
+    NearestPlace(const NearestPlace&) = delete;  // the tree refers to the places
     NearestPlace& operator=(const NearestPlace&) = delete;
 
     std::size_t of(const Point& point) const { return find(point).first; }
@@ -45,7 +45,8 @@ private:
     }
 
     Places places_;
-    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<Scalar, Places>, Places, 3, std::size_t> tree_;
+    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<Scalar, Places>, Places, 3, std::size_t>
+        tree_;
 };
 
 }  // namespace relidar

@@ -10,8 +10,8 @@ namespace {
 
 template <class T>
 std::string shortest(T value) {
-    if (std::isnan(value)) return "nan";   // whatever its sign
-    std::array<char, 32> buffer;           // the longest text has 24 characters: -2.2250738585072014e-308
+    if (std::isnan(value)) return "nan";  // whatever its sign
+    std::array<char, 32> buffer;          // the longest text has 24 characters: -2.2250738585072014e-308
     const std::to_chars_result end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
     const std::string text(buffer.data(), end.ptr);
     const bool looks_integer = std::isfinite(value) && text.find_first_of(".e") == std::string::npos;

@@ -12,15 +12,17 @@
 namespace relidar {
 namespace {
 
-/// Threads that wait for work, one less than there are cores. They are started by the first loop and never end: what they would have to
-/// outlive at the end of the program is not known. Starting threads for each loop took longer than many a loop.
+/// Threads that wait for work, one less than there are cores. They are started by the
+/// first loop and never end: what they would have to outlive at the end of the program is
+/// not known. Starting threads for each loop took longer than many a loop.
 class IdleThreads {
 public:
     IdleThreads() {
         for (std::size_t k = 1; k < n_cores(); ++k) std::thread([this] { serve(); }).detach();
     }
 
-    /// Runs work() here, and at the same time on up to n others. @return once all of them have returned
+    /// Runs work() here, and at the same time on up to n others. @return once all of them
+    /// have returned
     void run(std::size_t n, const std::function<void()>& work) {
         Job job{&work, n};
         {
@@ -30,7 +32,7 @@ public:
         wake();
         work();
         std::unique_lock lock(mutex_);
-        jobs_.remove(&job);   // whoever has not begun finds nothing left to do
+        jobs_.remove(&job);  // whoever has not begun finds nothing left to do
         ended_.wait(lock, [&] { return job.n_running == 0; });
     }
 
@@ -41,9 +43,10 @@ private:
     };
     std::mutex mutex_;
     std::condition_variable wake_, ended_;
-    std::list<Job*> jobs_;   // that want more threads
+    std::list<Job*> jobs_;  // that want more threads
 
-    /// Two threads, each of which wakes two others where they are wanted: the caller begins at once, and ends a short loop alone.
+    /// Two threads, each of which wakes two others where they are wanted: the caller
+    /// begins at once, and ends a short loop alone.
     void wake() {
         wake_.notify_one();
         wake_.notify_one();
@@ -91,14 +94,13 @@ void run_parallel(int n, const std::function<void(int)>& task) {
             } catch (...) {
                 const std::scoped_lock lock(mutex);
                 if (i < failed) failure = std::current_exception(), failed = i;
-                next = n;   // all of smaller i have been begun
+                next = n;  // all of smaller i have been begun
             }
         }
     };
     if (const std::size_t helpers = std::min(std::size_t(n), n_cores()) - 1; helpers > 0)
         idle_threads().run(helpers, work);
-    else
-        work();
+    else work();
     if (failure) std::rethrow_exception(failure);
 }
 

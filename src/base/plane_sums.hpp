@@ -10,13 +10,13 @@ namespace relidar {
 
 struct PlaneFit {
     glm::dvec3 mean{0.0};
-    glm::dvec3 variance{0.0};   ///< along the axes, ascending
-    glm::dvec3 axes[3];         ///< unit; the first is the normal
+    glm::dvec3 variance{0.0};  ///< along the axes, ascending
+    glm::dvec3 axes[3];        ///< unit; the first is the normal
 };
 
 struct PlaneSums {
     double n = 0.0;
-    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};   ///< products: of y z, x z, x y
+    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};  ///< products: of y z, x z, x y
 
     /// @param d from an origin near the points, so that squares lose no digits
     void add(const glm::dvec3& d) {
@@ -34,7 +34,9 @@ struct PlaneSums {
         covariance << s.x, p.z, p.y, p.z, s.y, p.x, p.y, p.x, s.z;
         const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
         PlaneFit fit{mean, {solver.eigenvalues()[0], solver.eigenvalues()[1], solver.eigenvalues()[2]}, {}};
-        for (int i = 0; i < 3; ++i) fit.axes[i] = {solver.eigenvectors()(0, i), solver.eigenvectors()(1, i), solver.eigenvectors()(2, i)};
+        for (int i = 0; i < 3; ++i)
+            fit.axes[i] = {solver.eigenvectors()(0, i), solver.eigenvectors()(1, i),
+                           solver.eigenvectors()(2, i)};
         return fit;
     }
 };

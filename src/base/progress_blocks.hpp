@@ -13,8 +13,9 @@
 
 namespace relidar {
 
-/// run_parallel. The calling thread tells how many of the items are done: first, before each that it takes itself, and 1 at the end, since
-/// other threads may take all of the last ones. What `progress` throws ends it.
+/// run_parallel. The calling thread tells how many of the items are done: first, before
+/// each that it takes itself, and 1 at the end, since other threads may take all of the
+/// last ones. What `progress` throws ends it.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     if (progress) progress(what, 0.0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Seedable randomness, equal on every machine: SplitMix64 (Steele, Lea, Flood 2014) as a generator and as a hash, and
-// normal deviates by Box and Muller.
+// Seedable randomness, equal on every machine: SplitMix64 (Steele, Lea, Flood 2014) as a
+// generator and as a hash, and normal deviates by Box and Muller.
 #pragma once
 
 #include <cmath>

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Dots are counted from one separator of keys to the next; quoted texts and comments hold none that count. What this reads differently
-// from TOML (texts over several lines) errs on the side of counting.
+// Dots are counted from one separator of keys to the next; quoted texts and comments hold
+// none that count. What this reads differently from TOML (texts over several lines) errs
+// on the side of counting.
 #include "base/toml_depth.hpp"
 
 #include <algorithm>
@@ -42,9 +43,12 @@ void check_toml_depth(std::string_view text, const std::string& file) {
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
         if (parts > kMostParts)
-            throw DataError(fmt::format("{}:{}: a key of more than {} parts, expected settings of two", file, line, kMostParts));
+            throw DataError(fmt::format("{}:{}: a key of more than {} parts, expected settings of two", file,
+                                        line, kMostParts));
         if (depth > kDeepest)
-            throw DataError(fmt::format("{}:{}: brackets more than {} deep, expected settings, one value each", file, line, kDeepest));
+            throw DataError(
+                fmt::format("{}:{}: brackets more than {} deep, expected settings, one value each", file,
+                            line, kDeepest));
         line += c == '\n';
         ++at;
     }

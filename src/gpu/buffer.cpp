@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Buffers on memory of the pools; what is too large is refused by name before the driver sees it.
+// Buffers on memory of the pools; what is too large is refused by name before the driver
+// sees it.
 #include "gpu/buffer.hpp"
 
 #include <cstring>
@@ -16,38 +17,44 @@ namespace {
 
 double mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
-[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& what, VkResult result) {
-    gpu::fail(result, fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in use, expected room on {}",
-                                  mib(size), what, gpu::result_name(result), mib(device.allocated), device.info.name));
+[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& what,
+                                  VkResult result) {
+    gpu::fail(result, fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in "
+                                  "use, expected room on {}",
+                                  mib(size), what, gpu::result_name(result), mib(device.allocated),
+                                  device.info.name));
 }
 
 void check_size(const Device::Impl& device, std::size_t size, const std::string& what) {
     const auto& [limit, name] = device.largest_buffer;
     if (size <= limit) return;
-    throw DeviceError(fmt::format("allocating {:.1f} MiB for {} on {}: found {} = {:.1f} MiB, expected that one array fits", mib(size),
-                                  what, device.info.name, name, mib(limit)));
+    throw DeviceError(
+        fmt::format("allocating {:.1f} MiB for {} on {}: found {} = {:.1f} MiB, expected that one array fits",
+                    mib(size), what, device.info.name, name, mib(limit)));
 }
 
 void check_budget(const Device::Impl& device, std::size_t size, const std::string& what) {
     if (device.memory_limit_bytes == 0 || device.allocated + size <= device.memory_limit_bytes) return;
-    throw DeviceError(fmt::format("allocating {:.1f} MiB for {}: found {:.1f} MiB in use, expected to stay within the limit of {:.1f} MiB",
-                                  mib(size), what, mib(device.allocated), mib(device.memory_limit_bytes)));
+    throw DeviceError(
+        fmt::format("allocating {:.1f} MiB for {}: found {:.1f} MiB in use, expected to stay within the "
+                    "limit of {:.1f} MiB",
+                    mib(size), what, mib(device.allocated), mib(device.memory_limit_bytes)));
 }
 
 }  // namespace
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& what)
     : device(&owner), use(used), n_bytes(size) {
-    if (owner.compile_only) return;   // a driver without hardware has no memory
+    if (owner.compile_only) return;  // a driver without hardware has no memory
     check_size(owner, size, what);
-    if (use == gpu::MemoryUse::device) check_budget(owner, size, what);   // the rest is the host's
+    if (use == gpu::MemoryUse::device) check_budget(owner, size, what);  // the rest is the host's
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
-    info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT | VK_BUFFER_USAGE_TRANSFER_SRC_BIT |
-                 VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    if (owner.traversal == Traversal::ray_query)   // the extension is enabled then, not merely there
-        info.usage |=
-            VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR | VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
+    info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
+                 VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+    if (owner.traversal == Traversal::ray_query)  // the extension is enabled then, not merely there
+        info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
+                      VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
     const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);
     if (created != VK_SUCCESS) fail_allocation(owner, size, what, created);
     VkMemoryRequirements needs;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opening a device: the instance, the features relidar needs (all missing ones are reported at once), one compute queue and the
-// pipeline layout that every kernel shares.
+// Opening a device: the instance, the features relidar needs (all missing ones are
+// reported at once), one compute queue and the pipeline layout that every kernel shares.
 #include "gpu/context.hpp"
 
 #include <cstdio>
@@ -29,16 +29,26 @@ void fail(VkResult result, const std::string& message) {
 
 std::string result_name(VkResult result) {
     switch (result) {
-        case VK_ERROR_OUT_OF_HOST_MEMORY: return "VK_ERROR_OUT_OF_HOST_MEMORY";
-        case VK_ERROR_OUT_OF_DEVICE_MEMORY: return "VK_ERROR_OUT_OF_DEVICE_MEMORY";
-        case VK_ERROR_INITIALIZATION_FAILED: return "VK_ERROR_INITIALIZATION_FAILED";
-        case VK_ERROR_DEVICE_LOST: return "VK_ERROR_DEVICE_LOST (the device hung, was taken away, or its driver was restarted)";
-        case VK_ERROR_LAYER_NOT_PRESENT: return "VK_ERROR_LAYER_NOT_PRESENT";
-        case VK_ERROR_EXTENSION_NOT_PRESENT: return "VK_ERROR_EXTENSION_NOT_PRESENT";
-        case VK_ERROR_FEATURE_NOT_PRESENT: return "VK_ERROR_FEATURE_NOT_PRESENT";
-        case VK_ERROR_INCOMPATIBLE_DRIVER: return "VK_ERROR_INCOMPATIBLE_DRIVER";
-        case VK_TIMEOUT: return "VK_TIMEOUT";
-        default: return fmt::format("VkResult {}", static_cast<int>(result));
+        case VK_ERROR_OUT_OF_HOST_MEMORY:
+            return "VK_ERROR_OUT_OF_HOST_MEMORY";
+        case VK_ERROR_OUT_OF_DEVICE_MEMORY:
+            return "VK_ERROR_OUT_OF_DEVICE_MEMORY";
+        case VK_ERROR_INITIALIZATION_FAILED:
+            return "VK_ERROR_INITIALIZATION_FAILED";
+        case VK_ERROR_DEVICE_LOST:
+            return "VK_ERROR_DEVICE_LOST (the device hung, was taken away, or its driver was restarted)";
+        case VK_ERROR_LAYER_NOT_PRESENT:
+            return "VK_ERROR_LAYER_NOT_PRESENT";
+        case VK_ERROR_EXTENSION_NOT_PRESENT:
+            return "VK_ERROR_EXTENSION_NOT_PRESENT";
+        case VK_ERROR_FEATURE_NOT_PRESENT:
+            return "VK_ERROR_FEATURE_NOT_PRESENT";
+        case VK_ERROR_INCOMPATIBLE_DRIVER:
+            return "VK_ERROR_INCOMPATIBLE_DRIVER";
+        case VK_TIMEOUT:
+            return "VK_TIMEOUT";
+        default:
+            return fmt::format("VkResult {}", static_cast<int>(result));
     }
 }
 
@@ -53,8 +63,10 @@ VkBool32 on_message(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageT
 
 VkDebugUtilsMessengerCreateInfoEXT messenger_info(Instance* instance) {
     VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
-    info.messageSeverity = VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
-    info.messageType = VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
+    info.messageSeverity =
+        VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
+    info.messageType =
+        VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
     info.pfnUserCallback = on_message;
     info.pUserData = instance;
     return info;
@@ -83,17 +95,20 @@ Instance::Instance(bool validation) {
     const VkResult result = vkCreateInstance(&info, nullptr, &handle);
     if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
         throw DeviceError(
-            "opening Vulkan: found a loader but no Vulkan driver, expected at least one (see VK_DRIVER_FILES), such as Mesa's software "
+            "opening Vulkan: found a loader but no Vulkan driver, expected at least one (see "
+            "VK_DRIVER_FILES), such as Mesa's software "
             "driver");
     if (result == VK_ERROR_LAYER_NOT_PRESENT)
         throw DeviceError(
-            "opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked for (package "
+            "opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked "
+            "for (package "
             "vulkan-validationlayers)");
     check(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
     destroy_messenger = vkDestroyDebugUtilsMessengerEXT;
-    check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger), "vkCreateDebugUtilsMessengerEXT");
+    check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
+          "vkCreateDebugUtilsMessengerEXT");
 }
 
 Instance::~Instance() {
@@ -117,45 +132,60 @@ namespace {
 
 std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physical) {
     std::vector<DeviceInfo> infos;
-    for (std::size_t i = 0; i < physical.size(); ++i) infos.push_back(gpu::describe(physical[i], static_cast<int>(i)));
+    for (std::size_t i = 0; i < physical.size(); ++i)
+        infos.push_back(gpu::describe(physical[i], static_cast<int>(i)));
     return infos;
 }
 
-/// The device asked for, or the best one: a GPU before a CPU, one with ray query before others.
+/// The device asked for, or the best one: a GPU before a CPU, one with ray query before
+/// others.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
-    if (infos.empty()) throw DeviceError("opening a device: found no Vulkan device, expected at least one, such as Mesa's software driver");
+    if (infos.empty())
+        throw DeviceError(
+            "opening a device: found no Vulkan device, expected at least one, such as Mesa's software "
+            "driver");
     const int n = static_cast<int>(infos.size());
     if (options.index >= n)
         throw DeviceError(
-            fmt::format("opening device {}: found {} devices (0 to {}), expected the number of one of them", options.index, n, n - 1));
+            fmt::format("opening device {}: found {} devices (0 to {}), expected the number of one of them",
+                        options.index, n, n - 1));
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : infos) {
-        const bool runs = options.traversal == Traversal::ray_query  ? d.ray_query
-                          : options.traversal == Traversal::software ? d.software
-                                                                     : best_traversal(d) != Traversal::automatic;
-        const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) + (d.ray_query ? 1 : 0);
-        if (score > best_score) { best = d.index; best_score = score; }
+        const bool runs = options.traversal == Traversal::ray_query ? d.ray_query
+                          : options.traversal == Traversal::software
+                              ? d.software
+                              : best_traversal(d) != Traversal::automatic;
+        const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
+                          (d.ray_query ? 1 : 0);
+        if (score > best_score) {
+            best = d.index;
+            best_score = score;
+        }
     }
     return best;
 }
 
 void require(const DeviceInfo& info, Traversal wanted) {
     if (!info.why_not_usable.empty())
-        throw DeviceError(
-            fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index, info.name, info.why_not_usable));
+        throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index,
+                                      info.name, info.why_not_usable));
     if (wanted == Traversal::ray_query && !info.ray_query)
         throw DeviceError(
-            fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the choice is left to relidar",
+            fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the "
+                        "choice is left to relidar",
                         info.index, info.name, info.why_not_ray_query));
     if (wanted == Traversal::software && !info.software)
         throw DeviceError(
-            fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that the choice is left to relidar",
+            fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that "
+                        "the choice is left to relidar",
                         info.index, info.name, info.why_not_software));
-    const bool runs_the_rest = gpu::is_swiftshader(info);   // the trees refuse it; tests run its other kernels
+    // the trees refuse it; tests run its other kernels
+    const bool runs_the_rest = gpu::is_swiftshader(info);
     if (wanted == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
         throw DeviceError(
-            fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, expected all of one of them",
+            fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, "
+                        "expected all of one of them",
                         info.index, info.name, info.why_not_ray_query, info.why_not_software));
 }
 
@@ -168,12 +198,16 @@ std::vector<DeviceInfo> list_devices() {
 
 Traversal find_traversal(const std::string& name) {
     const std::optional<std::string> known = known_name(name, {"auto", "ray_query", "software"});
-    if (!known) throw UsageError(fmt::format("traversal: found \"{}\", expected auto, ray_query or software", name));
-    return known == "auto" ? Traversal::automatic : known == "software" ? Traversal::software : Traversal::ray_query;
+    if (!known)
+        throw UsageError(fmt::format("traversal: found \"{}\", expected auto, ray_query or software", name));
+    return known == "auto"       ? Traversal::automatic
+           : known == "software" ? Traversal::software
+                                 : Traversal::ray_query;
 }
 
 Traversal best_traversal(const DeviceInfo& info) {
-    if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;   // measured: docs/platform.md
+    // measured: docs/platform.md
+    if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;
 }
 
@@ -184,8 +218,10 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     const int index = choose(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
     require(impl_->info, options.traversal);
-    impl_->traversal = options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
-    if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;   // which the trees then refuse
+    impl_->traversal =
+        options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
+    // which the trees then refuse
+    if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
@@ -206,22 +242,26 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     vkGetDeviceQueue(device, queue_family, 0, &queue);
     read_limits();
     make_pipeline_layout();
-    if (compile_only) return;   // what a driver without hardware lacks
+    if (compile_only) return;  // what a driver without hardware lacks
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
     constexpr std::size_t kNothingBytes = 64 << 10;
-    nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::MemoryUse::parameters, "arrays that are left out");
+    nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::MemoryUse::parameters,
+                                             "arrays that are left out");
     std::memset(nothing->mapped, 0, kNothingBytes);
 }
 
 namespace {
 
-/// Features of extensions, all of them asked for; which of them a device gets is decided where it is made.
+/// Features of extensions, all of them asked for; which of them a device gets is decided
+/// where it is made.
 struct ExtensionFeatures {
-    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
+    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
     VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR};
-    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
+    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT};
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
     VkPhysicalDevicePipelineExecutablePropertiesFeaturesKHR executables{
@@ -284,12 +324,15 @@ void Device::Impl::make_device() {
         enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, wanted.accel);
         enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, wanted.query);
     }
-    pipeline_statistics = compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
+    pipeline_statistics =
+        compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
     if (pipeline_statistics) enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, wanted.executables);
     if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, wanted.atomics);
-    if (optional.subgroup_uniform_control_flow) enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, wanted.uniform);
+    if (optional.subgroup_uniform_control_flow)
+        enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, wanted.uniform);
 #ifdef VK_KHR_shader_maximal_reconvergence
-    if (optional.maximal_reconvergence) enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, wanted.maximal);
+    if (optional.maximal_reconvergence)
+        enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, wanted.maximal);
 #endif
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
@@ -302,16 +345,20 @@ void Device::Impl::make_device() {
 void Device::Impl::read_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
-    VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES, &accel_properties};
-    VkPhysicalDeviceMaintenance3Properties allocations{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &sizes};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &allocations};
+    VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES,
+                                                 &accel_properties};
+    VkPhysicalDeviceMaintenance3Properties allocations{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_3_PROPERTIES, &sizes};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
+                                                &allocations};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     compiles_ahead = info.type != "CPU" && !compile_only;
     workgroup_size = std::max(32u, subgroup.subgroupSize);
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
-    if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes) largest_buffer = {info.memory_bytes, "its memory"};
+    if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
+        largest_buffer = {info.memory_bytes, "its memory"};
     if (allocations.maxMemoryAllocationSize < largest_buffer.n_bytes)
         largest_buffer = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     if (traversal == Traversal::ray_query)
@@ -334,10 +381,11 @@ Device::Impl::~Impl() {
     transfers.reset();
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
-        if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;   // of a kernel that was never run
+        // of a kernel that was never run
+        if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-        } catch (const Error&) {   // told where it was to be run
+        } catch (const Error&) {  // told where it was to be run
         }
     }
     pipeline_cache.reset();

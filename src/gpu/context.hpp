@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan objects behind relidar::Device: instance, device, one compute queue, and how failures of calls become DeviceError.
+// Vulkan objects behind relidar::Device: instance, device, one compute queue, and how
+// failures of calls become DeviceError.
 #pragma once
 
 #include <array>
@@ -12,8 +13,8 @@
 #include <string>
 #include <vector>
 
-#include "gpu/forced.hpp"
 #include <relidar/gpu/stream.hpp>
+#include "gpu/forced.hpp"
 
 #include "base/parallel.hpp"
 #include "gpu/vulkan.hpp"
@@ -34,7 +35,8 @@ std::string result_name(VkResult result);
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;  ///< of this instance: one opened later without the extension has none
+    /// of this instance: one opened later without the extension has none
+    PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
     explicit Instance(bool validation);
@@ -58,27 +60,31 @@ struct Missing {
 
 /// What makes kernels right or safer on devices where it is not so anyway.
 struct OptionalFeatures {
-    bool subgroup_size = false;    ///< sizes vary, and a kernel can ask for DeviceInfo::subgroup_size lanes
-    bool full_subgroups = false;   ///< and that no lane is missing
+    bool subgroup_size = false;   ///< sizes vary, and a kernel can ask for DeviceInfo::subgroup_size lanes
+    bool full_subgroups = false;  ///< and that no lane is missing
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 
 /// Whether subgroups that kernels run in have DeviceInfo::subgroup_size lanes, all there.
-bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
+bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                     const OptionalFeatures& optional);
 /// What software traversal lacks, in words; empty where nothing.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional);
 
 /// What layers of networks lack, in the same way.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional);
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional);
 
-/// Pipelines by kernel name, specialisation constants and what is expected of subgroups. lavapipe takes 10 ms for one even where its code
-/// is in a cache, and trainings and renderers make dozens, so kernels of a device that are alike share one, kept until it closes.
-/// A GPU's driver compiles for seconds where nothing is in a cache: there a pipeline is begun, by a thread of its own, as soon as its
-/// kernel is made.
+/// Pipelines by kernel name, specialisation constants and what is expected of subgroups.
+/// lavapipe takes 10 ms for one even where its code is in a cache, and trainings and
+/// renderers make dozens, so kernels of a device that are alike share one, kept until it
+/// closes. A GPU's driver compiles for seconds where nothing is in a cache: there a
+/// pipeline is begun, by a thread of its own, as soon as its kernel is made.
 struct Pipelines {
     struct Made {
         VkResult result;
@@ -86,7 +92,7 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};   ///< threads that may work at a time
+    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};  ///< threads that may work at a time
 };
 
 /// What relidar can do on a physical device, with every missing piece named.
@@ -103,29 +109,37 @@ struct Device::Impl {
     VkQueue queue = VK_NULL_HANDLE;
     std::uint32_t queue_family = 0;
     DeviceInfo info;
-    std::vector<const char*> extensions;   ///< enabled
-    gpu::OptionalFeatures optional;        ///< enabled
+    std::vector<const char*> extensions;  ///< enabled
+    gpu::OptionalFeatures optional;       ///< enabled
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    struct { std::uint64_t n_bytes; const char* name; } largest_buffer{};   ///< that one array may have, and which limit that is
+    /// that one array may have, and which limit that is
+    struct {
+        std::uint64_t n_bytes;
+        const char* name;
+    } largest_buffer{};
     std::unique_ptr<gpu::MemoryPools> memory;
     std::unique_ptr<gpu::Transfers> transfers;
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
     std::mutex queue_mutex;
-    VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;   ///< shared by all kernels: two addresses as push constants
-    std::unique_ptr<Buffer::Impl> nothing;   ///< zeros that kernels get in place of an array that a launch leaves out
-    std::uint64_t memory_limit_bytes = 0;   ///< 0 = none
+    /// shared by all kernels: two addresses as push constants
+    VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
+    /// zeros that kernels get in place of an array that a launch leaves out
+    std::unique_ptr<Buffer::Impl> nothing;
+    std::uint64_t memory_limit_bytes = 0;  ///< 0 = none
     bool compile_only = false;
-    ForcedWays forced;                      ///< by tests
-    bool compiles_ahead = false;            ///< pipelines are begun with their kernels; a CPU compiles when it runs them
-    bool pipeline_statistics = false;       ///< VK_KHR_pipeline_executable_properties is enabled
-    std::vector<PipelineStatistics> compiled;   ///< where compile_only
+    ForcedWays forced;  ///< by tests
+    /// pipelines are begun with their kernels; a CPU compiles when it runs them
+    bool compiles_ahead = false;
+    bool pipeline_statistics = false;          ///< VK_KHR_pipeline_executable_properties is enabled
+    std::vector<PipelineStatistics> compiled;  ///< where compile_only
     std::atomic<std::uint64_t> allocated{0};   ///< by arrays
     std::atomic<std::uint64_t> peak{0};
-    std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};   ///< made so far; waits of the host for all that was submitted
+    /// made so far; waits of the host for all that was submitted
+    std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();

@@ -9,15 +9,17 @@
 #include <relidar/gpu/stream.hpp>
 
 #include "gpu/kernel.hpp"
-#include "gpu/stream.hpp"
 #include "gpu/shared/gpu.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
 
-/// Seconds of the fastest of some copies of n vectors, by a kernel or by the driver: a GPU's driver may use a part of it alone, a
-/// processor's moves larger pieces than threads do. Copies follow each other without a pause, for a GPU raises its clocks at work alone. A
-/// processor needs seconds for what takes a GPU 10 ms: it ends after one turn of each.
+/// Seconds of the fastest of some copies of n vectors, by a kernel or by the driver: a
+/// GPU's driver may use a part of it alone, a processor's moves larger pieces than
+/// threads do. Copies follow each other without a pause, for a GPU raises its clocks at
+/// work alone. A processor needs seconds for what takes a GPU 10 ms: it ends after one
+/// turn of each.
 double seconds_of_copy(Device& device, std::size_t n) {
     const Array<glm::vec4, shared::CopySource> from(device, n, "source of the copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n, "target of the copy");
@@ -33,11 +35,14 @@ double seconds_of_copy(Device& device, std::size_t n) {
         const auto start = std::chrono::steady_clock::now();
         if (i > 1 && std::chrono::duration<double>(start - begin).count() > kLong_s) break;
         for (int k = 0; k < kCopies; ++k) {
-            if (i % 2 == 0) run(stream, copy, n, {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(n)});
+            if (i % 2 == 0)
+                run(stream, copy, n,
+                    {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(n)});
             else stream.copy(from.buffer(), to.buffer(), n * sizeof(glm::vec4));
         }
         stream.finish();
-        best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / kCopies);
+        best = std::min(
+            best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / kCopies);
     }
     if (!device.info().timestamps) return best;
     const auto times = stream.times().milliseconds;
@@ -51,7 +56,7 @@ std::optional<double> copy_bytes_per_s(Device& device) {
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
             return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
-        } catch (const DeviceError&) {   // no room for two of that size
+        } catch (const DeviceError&) {  // no room for two of that size
         }
     }
     return std::nullopt;

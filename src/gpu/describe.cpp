@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a physical device offers against what relidar needs, with every missing extension and feature named at once.
+// What a physical device offers against what relidar needs, with every missing extension
+// and feature named at once.
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
@@ -16,19 +17,26 @@ namespace {
 
 std::vector<VkExtensionProperties> extensions_of(VkPhysicalDevice physical) {
     std::uint32_t n = 0;
-    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr), "vkEnumerateDeviceExtensionProperties");
+    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr),
+          "vkEnumerateDeviceExtensionProperties");
     std::vector<VkExtensionProperties> extensions(n);
-    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, extensions.data()), "vkEnumerateDeviceExtensionProperties");
+    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, extensions.data()),
+          "vkEnumerateDeviceExtensionProperties");
     return extensions;
 }
 
 const char* type_name(VkPhysicalDeviceType type) {
     switch (type) {
-        case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU: return "discrete GPU";
-        case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU: return "integrated GPU";
-        case VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU: return "virtual GPU";
-        case VK_PHYSICAL_DEVICE_TYPE_CPU: return "CPU";
-        default: return "other";
+        case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
+            return "discrete GPU";
+        case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU:
+            return "integrated GPU";
+        case VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU:
+            return "virtual GPU";
+        case VK_PHYSICAL_DEVICE_TYPE_CPU:
+            return "CPU";
+        default:
+            return "other";
     }
 }
 
@@ -50,19 +58,22 @@ constexpr VkSubgroupFeatureFlags kSubgroupOperations =
     VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
 
 bool has_extension(const std::vector<VkExtensionProperties>& extensions, const char* name) {
-    return std::any_of(extensions.begin(), extensions.end(),
-                       [&](const VkExtensionProperties& e) { return std::strcmp(e.extensionName, name) == 0; });
+    return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) {
+        return std::strcmp(e.extensionName, name) == 0;
+    });
 }
 
 }  // namespace
 
 OptionalFeatures optional_features(VkPhysicalDevice physical) {
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
     vkGetPhysicalDeviceProperties2(physical, &properties);
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
-    VkPhysicalDeviceSubgroupSizeControlFeatures control{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
+    VkPhysicalDeviceSubgroupSizeControlFeatures control{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
@@ -76,31 +87,39 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
     optional.subgroup_uniform_control_flow =
-        has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) && uniform.shaderSubgroupUniformControlFlow;
+        has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) &&
+        uniform.shaderSubgroupUniformControlFlow;
 #ifdef VK_KHR_shader_maximal_reconvergence
     optional.maximal_reconvergence =
-        has_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) && maximal.shaderMaximalReconvergence;
+        has_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) &&
+        maximal.shaderMaximalReconvergence;
 #endif
     return optional;
 }
 
-bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
-    return sizes.minSubgroupSize == sizes.maxSubgroupSize || (optional.subgroup_size && optional.full_subgroups);
+bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                     const OptionalFeatures& optional) {
+    return sizes.minSubgroupSize == sizes.maxSubgroupSize ||
+           (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// Lavapipe before 24.1 cannot compile our kernels on every processor: its code generator ends the process (docs/platform.md).
+/// Lavapipe before 24.1 cannot compile our kernels on every processor: its code generator
+/// ends the process (docs/platform.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
-    return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE && std::sscanf(driver.driverInfo, "Mesa %d.%d", &major, &minor) == 2 &&
+    return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
+           std::sscanf(driver.driverInfo, "Mesa %d.%d", &major, &minor) == 2 &&
            std::pair(major, minor) < std::pair(24, 1);
 }
 
 constexpr const char* kNoCompiler = "a compiler for kernels that trace, which SwiftShader's is not";
 
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags wanted) {
-        return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) && (subgroup.supportedOperations & wanted) == wanted;
+        return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+               (subgroup.supportedOperations & wanted) == wanted;
     };
     Missing groups;
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
@@ -108,32 +127,43 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
     groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups of 4 to 64 lanes");
-    groups.need(known_subgroups(sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.need(known_subgroups(sizes, optional),
+                "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes, const OptionalFeatures& optional) {
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional) {
     Missing groups;
-    groups.need(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT, "subgroup shuffles in compute");
-    groups.need(known_subgroups(sizes, optional), "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.need(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
+                "subgroup shuffles in compute");
+    groups.need(known_subgroups(sizes, optional),
+                "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-bool has_extension(VkPhysicalDevice physical, const char* name) { return has_extension(extensions_of(physical), name); }
+bool has_extension(VkPhysicalDevice physical, const char* name) {
+    return has_extension(extensions_of(physical), name);
+}
 
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
     const auto has = [&](const char* name) { return has_extension(extensions, name); };
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
+                                                &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(physical, &properties);
 
-    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
-    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR, &accel};
-    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT, &query};
+    VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
+    VkPhysicalDeviceRayQueryFeaturesKHR query{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_RAY_QUERY_FEATURES_KHR,
+                                              &accel};
+    VkPhysicalDeviceShaderAtomicFloatFeaturesEXT atomics{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_ATOMIC_FLOAT_FEATURES_EXT, &query};
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, &atomics};
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
@@ -150,7 +180,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.memory_bytes = largest_local_heap(physical);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
-    info.float_atomics = has(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) && atomics.shaderBufferFloat32AtomicAdd;
+    info.float_atomics =
+        has(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) && atomics.shaderBufferFloat32AtomicAdd;
 
     Missing base;
     base.need(is_13, "Vulkan 1.3");
@@ -167,8 +198,10 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_usable = base.text;
 
     Missing rays;
-    rays.need(has(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME), VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME);
-    rays.need(has(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME), VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
+    rays.need(has(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME),
+              VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME);
+    rays.need(has(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME),
+              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
     rays.need(has(VK_KHR_RAY_QUERY_EXTENSION_NAME), VK_KHR_RAY_QUERY_EXTENSION_NAME);
     rays.need(accel.accelerationStructure, "accelerationStructure");
     rays.need(query.rayQuery, "rayQuery");
@@ -176,7 +209,8 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.ray_query = rays.text.empty() && base.text.empty();
 
     info.known_subgroups = known_subgroups(sizes, optional);
-    info.why_not_software = is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
+    info.why_not_software =
+        is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && base.text.empty();
     return info;
 }

@@ -23,13 +23,15 @@ std::uint64_t memory_limit(const std::string& text) {
     const char* end = text.data() + text.size();
     const auto [parsed, failed] = std::from_chars(text.data(), end, mib);
     if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) {
-        throw UsageError(fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", text));
+        throw UsageError(
+            fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", text));
     }
     return mib << 20;
 }
 
 std::filesystem::path cache_folder() {
-    const std::string own = value_of("RELIDAR_PIPELINE_CACHE"), cache = value_of("XDG_CACHE_HOME"), home = value_of("HOME");
+    const std::string own = value_of("RELIDAR_PIPELINE_CACHE"), cache = value_of("XDG_CACHE_HOME"),
+                      home = value_of("HOME");
     if (own == "0") return {};
     if (!own.empty()) return own;
     if (!cache.empty()) return std::filesystem::path(cache) / "relidar";

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings of a device that only tests change, and the validation messages that tests count.
+// Settings of a device that only tests change, and the validation messages that tests
+// count.
 #pragma once
 
 #include <cstddef>
@@ -9,14 +10,16 @@
 
 namespace relidar {
 
-/// Validation messages of severity warning or error that a device has seen so far (0 without validation).
+/// Validation messages of severity warning or error that a device has seen so far (0
+/// without validation).
 std::size_t validation_messages(const Device& device);
 
 /// What is done in another way than suits the device.
 struct ForcedWays {
-    bool brute_force = false;                              ///< rays test every surfel in the place of a search
-    std::optional<bool> coalesces = std::nullopt;          ///< threads beside each other read floats beside each other, as GPUs want it
-    std::optional<int> side_by_side = std::nullopt;        ///< see ScanRenderer::side_by_side()
+    bool brute_force = false;  ///< rays test every surfel in the place of a search
+    /// threads beside each other read floats beside each other, as GPUs want it
+    std::optional<bool> coalesces = std::nullopt;
+    std::optional<int> side_by_side = std::nullopt;  ///< see ScanRenderer::side_by_side()
 };
 
 /// While it lives, what is made on a device is made so.

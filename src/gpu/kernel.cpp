@@ -24,40 +24,50 @@ namespace {
 std::span<const std::uint32_t> find_words(std::string_view name) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         if (kernel.name == name) return kernel.words;
-    throw Error(ExitCode::bug,
-                fmt::format("making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt", name));
+    throw Error(
+        ExitCode::bug,
+        fmt::format(
+            "making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt",
+            name));
 }
 
-/// Kernels whose lanes work together behind branches and in loops that they leave at different times.
+/// Kernels whose lanes work together behind branches and in loops that they leave at
+/// different times.
 constexpr std::array<std::string_view, 2> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace"};
 
-/// Returns true for the versions of lavapipe that execute no load in a branch that no lane takes: 25.0 and older.
+/// Returns true for the versions of lavapipe that execute no load in a branch that no
+/// lane takes: 25.0 and older.
 bool loads_by_mask(const std::string& driver) {
     int major = 0, minor = 0;
     const std::size_t version = driver.find("Mesa ");
-    if (version == std::string::npos || std::sscanf(driver.c_str() + version, "Mesa %d.%d", &major, &minor) != 2) return false;
+    if (version == std::string::npos ||
+        std::sscanf(driver.c_str() + version, "Mesa %d.%d", &major, &minor) != 2)
+        return false;
     return major < 25 || (major == 25 && minor == 0);
 }
 
 /// The module as this device is to have it.
-std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name, std::string_view stem,
-                                        const std::vector<Constant>& constants) {
+std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name,
+                                        std::string_view stem, const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const Constant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
-    std::vector<std::uint32_t> words = gpu::with_read_only_parameters(gpu::with_branches_taken(find_words(name), values));
+    std::vector<std::uint32_t> words =
+        gpu::with_read_only_parameters(gpu::with_branches_taken(find_words(name), values));
     if (device.info.driver.starts_with("llvmpipe")) {
         if (!loads_by_mask(device.info.driver)) words = gpu::with_indices_by_lane(words);
         words = gpu::with_parameters_first(words);
     }
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
-        if (device.optional.maximal_reconvergence) return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
-        if (device.optional.subgroup_uniform_control_flow) return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+        if (device.optional.maximal_reconvergence)
+            return gpu::with_execution_mode(words, gpu::kMaximallyReconverges);
+        if (device.optional.subgroup_uniform_control_flow)
+            return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
     }
     return words;
 }
 
-gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words, const std::vector<Constant>& constants,
-                                   Subgroups subgroups) {
+gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words,
+                                   const std::vector<Constant>& constants, Subgroups subgroups) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = words.size_bytes();
     module_info.pCode = words.data();
@@ -66,9 +76,10 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < constants.size(); ++i)
         map.push_back({static_cast<std::uint32_t>(constants[i].id),
-                       static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)), sizeof(std::uint32_t)});
-    const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(), constants.size() * sizeof(Constant),
-                                              constants.data()};
+                       static_cast<std::uint32_t>(i * sizeof(Constant) + offsetof(Constant, value)),
+                       sizeof(std::uint32_t)});
+    const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(),
+                                              constants.size() * sizeof(Constant), constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
     info.flags = device.pipeline_statistics ? VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR : 0;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
@@ -76,7 +87,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     info.stage.module = module;
     info.stage.pName = "main";
     info.stage.pSpecializationInfo = &specialisation;
-    VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
+    VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{
+        VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
     lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
     if (subgroups == Subgroups::full && device.optional.subgroup_size) info.stage.pNext = &lanes;
     if (subgroups == Subgroups::full && device.optional.full_subgroups)
@@ -91,7 +103,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
 
 std::string key_of(std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups) {
     std::string key = fmt::format("{} {}", name, subgroups == Subgroups::full);
-    for (const Constant& c : constants) key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
+    for (const Constant& c : constants)
+        key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
     return key;
 }
 
@@ -105,13 +118,17 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-/// The device's pipeline of such a kernel, made where it is the first: when it is asked for (deferred), or by another thread at once.
-std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device, const KernelBase::Impl& kernel, std::launch how) {
+/// The device's pipeline of such a kernel, made where it is the first: when it is asked
+/// for (deferred), or by another thread at once.
+std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
+                                                                const KernelBase::Impl& kernel,
+                                                                std::launch how) {
     const std::scoped_lock lock(device.pipelines.mutex);
-    std::shared_future<gpu::Pipelines::Made>& made = device.pipelines.by_key[key_of(kernel.module, kernel.constants, kernel.subgroups)];
+    std::shared_future<gpu::Pipelines::Made>& made =
+        device.pipelines.by_key[key_of(kernel.module, kernel.constants, kernel.subgroups)];
     if (!made.valid())
-        made = std::async(how, [&device, module = kernel.module, stem = kernel.name, constants = kernel.constants,
-                                subgroups = kernel.subgroups] {
+        made = std::async(how, [&device, module = kernel.module, stem = kernel.name,
+                                constants = kernel.constants, subgroups = kernel.subgroups] {
             const Turn turn(device.pipelines.compilers);
             return make_pipeline(device, module_words(device, module, stem, constants), constants, subgroups);
         });
@@ -119,11 +136,13 @@ std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& de
 }
 
 std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
-    std::sort(constants.begin(), constants.end(), [](const Constant& a, const Constant& b) { return a.id < b.id; });
+    std::sort(constants.begin(), constants.end(),
+              [](const Constant& a, const Constant& b) { return a.id < b.id; });
     const std::set<std::uint32_t> of_module = gpu::constant_ids(words);
     std::string text;
     for (const Constant& c : constants) {
-        if (c.id == ConstantId::WORKGROUP_SIZE || !of_module.contains(static_cast<std::uint32_t>(c.id))) continue;
+        if (c.id == ConstantId::WORKGROUP_SIZE || !of_module.contains(static_cast<std::uint32_t>(c.id)))
+            continue;
         text += fmt::format("{}{}={}", text.empty() ? "" : " ", name_of(c.id), c.value);
     }
     return text;
@@ -133,14 +152,17 @@ std::string constants_text(std::span<const std::uint32_t> words, std::vector<Con
 
 const char* name_of(ConstantId id) {
     switch (id) {
-#define RELIDAR_CONSTANT_ID(name, number) case ConstantId::name: return #name;
+#define RELIDAR_CONSTANT_ID(name, number) \
+    case ConstantId::name:                \
+        return #name;
         RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #undef RELIDAR_CONSTANT_ID
     }
     return "";
 }
 
-KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants, Subgroups subgroups)
+KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<Constant>& constants,
+                       Subgroups subgroups)
     : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = impl_of(owner);
     impl_->device = &device;
@@ -149,11 +171,13 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
     impl_->constants = constants;
     impl_->subgroups = subgroups;
     std::vector<Constant>& all = impl_->constants;
-    const auto size = std::find_if(all.begin(), all.end(), [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
+    const auto size = std::find_if(all.begin(), all.end(),
+                                   [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
     impl_->addresses = gpu::parameter_addresses(find_words(name));
-    impl_->made_ = find_or_begin_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
+    impl_->made_ = find_or_begin_pipeline(device, *impl_,
+                                          device.compiles_ahead ? std::launch::async : std::launch::deferred);
     if (device.compile_only) compile_only();
 }
 
@@ -161,8 +185,9 @@ VkPipeline KernelBase::Impl::pipeline() {
     if (pipeline_) return pipeline_;
     const gpu::Pipelines::Made made = made_.get();
     if (made.result != VK_SUCCESS)
-        gpu::fail(made.result, fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module, device->info.name,
-                                           gpu::result_name(made.result)));
+        gpu::fail(made.result,
+                  fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module,
+                              device->info.name, gpu::result_name(made.result)));
     return pipeline_ = made.pipeline;
 }
 
@@ -173,7 +198,8 @@ void KernelBase::compile_only() {
     s.constants = constants_text(find_words(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto same = [&](const PipelineStatistics& known) {
-        return known.kernel == s.kernel && known.constants == s.constants && known.workgroup_size == s.workgroup_size;
+        return known.kernel == s.kernel && known.constants == s.constants &&
+               known.workgroup_size == s.workgroup_size;
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
     const gpu::Pipelines::Made made = impl_->made_.get();
@@ -190,8 +216,10 @@ bool reconverges(const Device& device) {
 }
 
 std::string missing_for_networks(const Device& device) {
-    VkPhysicalDeviceSubgroupSizeControlProperties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
-    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES, &sizes};
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
+                                                &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
     return gpu::missing_for_networks(subgroup, sizes, impl_of(device).optional);

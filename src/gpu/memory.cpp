@@ -9,16 +9,22 @@ namespace relidar::gpu {
 
 namespace {
 
-constexpr std::uint64_t kAlignment = 256;   // what the strictest of our users wants: storage of acceleration structures, cache lines
+// what the strictest of our users wants: storage of acceleration structures, cache lines
+constexpr std::uint64_t kAlignment = 256;
 
 /// Properties to ask for, the best first.
 std::vector<VkMemoryPropertyFlags> wanted_properties(MemoryUse use) {
-    constexpr VkMemoryPropertyFlags kHost = VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
+    constexpr VkMemoryPropertyFlags kHost =
+        VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
     switch (use) {
-        case MemoryUse::device: return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
-        case MemoryUse::parameters: return {kHost | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHost};
-        case MemoryUse::upload: return {kHost};
-        case MemoryUse::readback: return {kHost | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHost};
+        case MemoryUse::device:
+            return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
+        case MemoryUse::parameters:
+            return {kHost | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHost};
+        case MemoryUse::upload:
+            return {kHost};
+        case MemoryUse::readback:
+            return {kHost | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHost};
     }
     return {};
 }
@@ -63,20 +69,26 @@ MemoryPools::~MemoryPools() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
 }
 
-/// Bytes of a block that several buffers share. Some heaps are small: 256 MiB where the host sees a window of the device's memory.
+/// Bytes of a block that several buffers share. Some heaps are small: 256 MiB where the
+/// host sees a window of the device's memory.
 std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
     const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
-    return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;   // drivers without hardware name no size
+    // drivers without hardware name no size
+    return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Types that serve, the best first. What the host writes into the device's memory must be a small part of it.
+/// Types that serve, the best first. What the host writes into the device's memory must
+/// be a small part of it.
 std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
     std::vector<std::uint32_t> found;
     for (const VkMemoryPropertyFlags wanted : wanted_properties(use))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
-            if (!(needs.memoryTypeBits >> type & 1u) || (properties_.memoryTypes[type].propertyFlags & wanted) != wanted) continue;
-            const bool scarce =
-                use == MemoryUse::parameters && (wanted & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) && needs.size > shared_bytes(type);
+            if (!(needs.memoryTypeBits >> type & 1u) ||
+                (properties_.memoryTypes[type].propertyFlags & wanted) != wanted)
+                continue;
+            const bool scarce = use == MemoryUse::parameters &&
+                                (wanted & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
+                                needs.size > shared_bytes(type);
             if (!scarce) found.push_back(type);
             break;
         }
@@ -94,7 +106,7 @@ bool MemoryPools::take_of_type(const VkMemoryRequirements& needs, std::uint32_t 
 
 VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
-    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;   // no type of memory serves
+    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // no type of memory serves
     for (const std::uint32_t type : types(needs, use)) {
         result = take_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
         if (result != VK_SUCCESS) continue;
@@ -123,7 +135,8 @@ VkResult MemoryPools::add_block(std::uint32_t type, std::uint64_t n_bytes) {
     VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
     info.allocationSize = n_bytes;
     info.memoryTypeIndex = type;
-    auto block = std::make_unique<MemoryBlock>(MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes)});
+    auto block = std::make_unique<MemoryBlock>(
+        MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes)});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
     if (result == VK_SUCCESS) blocks_[type].push_back(std::move(block));
     return result;
@@ -137,7 +150,8 @@ VkResult MemoryPools::map(MemoryBlock& block) {
     return result;
 }
 
-/// One shared block of a type stays when it is empty: arrays that come and go would make and free it each time.
+/// One shared block of a type stays when it is empty: arrays that come and go would make
+/// and free it each time.
 void MemoryPools::give_back(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.give_back(piece.offset, piece.n_bytes);

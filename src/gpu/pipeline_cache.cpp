@@ -37,7 +37,8 @@ FileHeader header_of(std::string_view bytes) {
     return header;
 }
 
-/// What the driver gave once, or nothing where the file is absent, cut, changed, or of another driver.
+/// What the driver gave once, or nothing where the file is absent, cut, changed, or of
+/// another driver.
 std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
     std::ifstream file(path, std::ios::binary);
     FileHeader header;
@@ -46,20 +47,24 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
     if (std::filesystem::file_size(path, failed) - sizeof header != header.n_bytes || failed) return {};
     std::string bytes(header.n_bytes, '\0');
     VkPipelineCacheHeaderVersionOne driver{};
-    if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size()))) return {};
+    if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))
+        return {};
     const FileHeader expected = header_of(bytes);
     std::memcpy(&driver, bytes.data(), sizeof driver);
-    const bool same_driver = driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID &&
-                             driver.deviceID == device.deviceID &&
-                             std::memcmp(driver.pipelineCacheUUID, device.pipelineCacheUUID, VK_UUID_SIZE) == 0;
-    return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes : std::string();
+    const bool same_driver =
+        driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID &&
+        driver.deviceID == device.deviceID &&
+        std::memcmp(driver.pipelineCacheUUID, device.pipelineCacheUUID, VK_UUID_SIZE) == 0;
+    return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes
+                                                                                         : std::string();
 }
 
-/// Whole or not at all: other processes may read or write the same file now. Failures are silent, since nothing is lost but time.
+/// Whole or not at all: other processes may read or write the same file now. Failures are
+/// silent, since nothing is lost but time.
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    static std::atomic<unsigned> count{0};   // several devices of one process may close at once
+    static std::atomic<unsigned> count{0};  // several devices of one process may close at once
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     const FileHeader header = header_of(bytes);
     std::ofstream file(temporary, std::ios::binary);
@@ -72,12 +77,15 @@ void write_file(const std::filesystem::path& path, std::string_view bytes) {
 
 }  // namespace
 
-PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder) : device_(device) {
+PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder)
+    : device_(device) {
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(physical, &properties);
     std::string uuid;
     for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
-    if (!folder.empty()) path_ = folder / fmt::format("pipelines_{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
+    if (!folder.empty())
+        path_ = folder /
+                fmt::format("pipelines_{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
 
     const std::string bytes = path_.empty() ? std::string() : read_file(path_, properties);
     read_bytes_ = bytes.size();
@@ -85,14 +93,16 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
     info.initialDataSize = bytes.size();
     info.pInitialData = bytes.data();
     if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) return;
-    handle_ = VK_NULL_HANDLE;   // pipelines are made without one
+    handle_ = VK_NULL_HANDLE;  // pipelines are made without one
     path_.clear();
 }
 
 void PipelineCache::save() const {
     std::size_t n_bytes = 0;
-    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_) return;
-    if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;   // Mesa 26.2's lavapipe returns 20 bytes, which are no cache
+    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
+        return;
+    // Mesa 26.2's lavapipe returns 20 bytes, which are no cache
+    if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS)
         write_file(path_, std::string_view(bytes).substr(0, n_bytes));

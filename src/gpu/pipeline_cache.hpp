@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiled pipelines, kept on disk from one process to the next: a card's compiler takes seconds for the heaviest kernels. A file a
-// device and driver. A file that is damaged or of another driver counts as absent, and a folder that cannot be written is no error.
+// Compiled pipelines, kept on disk from one process to the next: a card's compiler takes
+// seconds for the heaviest kernels. A file a device and driver. A file that is damaged or
+// of another driver counts as absent, and a folder that cannot be written is no error.
 #pragma once
 
 #include <filesystem>

@@ -9,10 +9,14 @@ namespace {
 
 double as_double(const VkPipelineExecutableStatisticKHR& s) {
     switch (s.format) {
-        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR: return s.value.b32 ? 1.0 : 0.0;
-        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR: return double(s.value.i64);
-        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR: return double(s.value.u64);
-        default: return s.value.f64;
+        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
+            return s.value.b32 ? 1.0 : 0.0;
+        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR:
+            return double(s.value.i64);
+        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR:
+            return double(s.value.u64);
+        default:
+            return s.value.f64;
     }
 }
 
@@ -22,19 +26,27 @@ void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& s
     VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};
     info.pipeline = pipeline;
     std::uint32_t n = 0;
-    check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr), "vkGetPipelineExecutablePropertiesKHR");
-    std::vector<VkPipelineExecutablePropertiesKHR> executables(n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
-    check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()), "vkGetPipelineExecutablePropertiesKHR");
+    check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
+          "vkGetPipelineExecutablePropertiesKHR");
+    std::vector<VkPipelineExecutablePropertiesKHR> executables(
+        n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
+    check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
+          "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
-    // A compute pipeline is one program; where a driver keeps several widths of it (Intel), the last is the widest.
+    // A compute pipeline is one program; where a driver keeps several widths of it
+    // (Intel), the last is the widest.
     statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;
     program.executableIndex = n - 1;
-    check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr), "vkGetPipelineExecutableStatisticsKHR");
-    std::vector<VkPipelineExecutableStatisticKHR> values(n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
-    check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()), "vkGetPipelineExecutableStatisticsKHR");
-    for (const VkPipelineExecutableStatisticKHR& value : values) statistics.values[value.name] = as_double(value);
+    check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
+          "vkGetPipelineExecutableStatisticsKHR");
+    std::vector<VkPipelineExecutableStatisticKHR> values(
+        n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
+    check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
+          "vkGetPipelineExecutableStatisticsKHR");
+    for (const VkPipelineExecutableStatisticKHR& value : values)
+        statistics.values[value.name] = as_double(value);
 }
 
 }  // namespace relidar::gpu

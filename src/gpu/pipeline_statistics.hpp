@@ -8,7 +8,8 @@
 
 namespace relidar::gpu {
 
-/// Fills `statistics.values`, and subgroup_size, from a pipeline made with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
+/// Fills `statistics.values`, and subgroup_size, from a pipeline made with
+/// VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
 void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics);
 
 }  // namespace relidar::gpu

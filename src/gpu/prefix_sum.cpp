@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/scan_sums and gpu/scan_write: sums up the levels, prefix sums down again.
+// Binding of gpu/scan_sums and gpu/scan_write: sums up the levels, prefix sums down
+// again.
 #include "gpu/prefix_sum.hpp"
 
 #include "base/assert.hpp"
@@ -20,7 +21,8 @@ void PrefixSum::reserve(Device& device, std::size_t n) {
     }
 }
 
-void PrefixSum::run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t n,
+void PrefixSum::run(Stream& stream, const StridedCounts& counts,
+                    Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t n,
                     Address<std::uint32_t, shared::ScanTotal> total) const {
     run_level(stream,
               {.counts = counts.address,

@@ -19,14 +19,16 @@ public:
     explicit PrefixSum(Device& device);
     /// Makes room for n counts. Nothing may be in flight.
     void reserve(Device& device, std::size_t n);
-    /// Records prefix[i] = sum of the counts before i, i < n; in place where prefix is the counts. The sum of all must fit into 32 bits.
+    /// Records prefix[i] = sum of the counts before i, i < n; in place where prefix is
+    /// the counts. The sum of all must fit into 32 bits.
     /// @param total  where the sum of all goes, if anywhere; not written where n is 0
-    void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t n,
-             Address<std::uint32_t, shared::ScanTotal> total = {}) const;
+    void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix,
+             std::uint32_t n, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
 
 private:
     Kernel<shared::ScanParams> sums_, write_;
-    std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;   ///< sums of tiles, then of tiles of those, ...
+    /// sums of tiles, then of tiles of those, ...
+    std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
     void run_level(Stream& stream, shared::ScanParams params, std::size_t level) const;
 };

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/radix_count, gpu/radix_scan and gpu/radix_scatter: least significant digit first.
+// Binding of gpu/radix_count, gpu/radix_scan and gpu/radix_scatter: least significant
+// digit first.
 #include "gpu/radix_sort.hpp"
 
 #include <utility>
@@ -14,7 +15,7 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;   // 128 to 2048 subgroups, for 256 digits
+constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;  // 128 to 2048 subgroups, for 256 digits
 
 }  // namespace
 
@@ -23,16 +24,20 @@ static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BIT
 
 RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
     : capacity_(capacity),
-      count_(device, "gpu/radix_count", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
+      count_(device, "gpu/radix_count", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}},
+             Subgroups::full),
       scan_(device, "gpu/radix_scan", {kTileWorkgroup}, Subgroups::full),
-      scatter_(device, "gpu/radix_scatter", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}}, Subgroups::full),
+      scatter_(device, "gpu/radix_scatter", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}},
+               Subgroups::full),
       counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
-        throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 4 to 64", device.info().name, lanes));
+        throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 4 to 64",
+                                      device.info().name, lanes));
     if (!device.info().known_subgroups)
         throw DeviceError(
-            fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl and computeFullSubgroups",
+            fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl "
+                        "and computeFullSubgroups",
                         device.info().name));
 }
 
@@ -40,15 +45,16 @@ SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_
                        Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = tiles_of(capacity_) * RELIDAR_TILE_THREADS;
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
-        const shared::RadixSortParams params{.n_keys = n_keys,
-                                             .keys = from.keys,
-                                             .order = pass == 0 ? Address<std::uint32_t, shared::SortOrder>() : from.order,
-                                             .sorted_keys = other.keys,
-                                             .sorted_order = other.order,
-                                             .counts = counts_.address(),
-                                             .totals = totals_.address(),
-                                             .capacity = capacity_,
-                                             .shift = RELIDAR_SORT_BITS * pass};
+        const shared::RadixSortParams params{
+            .n_keys = n_keys,
+            .keys = from.keys,
+            .order = pass == 0 ? Address<std::uint32_t, shared::SortOrder>() : from.order,
+            .sorted_keys = other.keys,
+            .sorted_order = other.order,
+            .counts = counts_.address(),
+            .totals = totals_.address(),
+            .capacity = capacity_,
+            .shift = RELIDAR_SORT_BITS * pass};
         relidar::run(stream, count_, n_threads, params);
         relidar::run(stream, scan_, kScanThreads, params);
         relidar::run(stream, scatter_, n_threads, params);

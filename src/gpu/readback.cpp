@@ -10,15 +10,18 @@ namespace relidar {
 
 struct Readback::Impl {
     std::string what;
-    std::shared_ptr<Buffer::Impl> host;   ///< the stream holds it too while it is written
-    std::uint64_t ticket = 0;   ///< of the submission that copies; 0 = none
+    std::shared_ptr<Buffer::Impl> host;  ///< the stream holds it too while it is written
+    std::uint64_t ticket = 0;            ///< of the submission that copies; 0 = none
     bool pending = false;
 
     Impl(Device& device, std::size_t n_bytes, const std::string& name)
-        : what(name), host(std::make_shared<Buffer::Impl>(impl_of(device), n_bytes ? n_bytes : 1, gpu::MemoryUse::readback, name)) {}
+        : what(name),
+          host(std::make_shared<Buffer::Impl>(impl_of(device), n_bytes ? n_bytes : 1,
+                                              gpu::MemoryUse::readback, name)) {}
 };
 
-Readback::Readback(Device& device, std::size_t n_bytes, const std::string& what) : impl_(std::make_unique<Impl>(device, n_bytes, what)) {}
+Readback::Readback(Device& device, std::size_t n_bytes, const std::string& what)
+    : impl_(std::make_unique<Impl>(device, n_bytes, what)) {}
 Readback::~Readback() = default;
 Readback::Readback(Readback&&) noexcept = default;
 Readback& Readback::operator=(Readback&&) noexcept = default;
@@ -26,8 +29,11 @@ Readback& Readback::operator=(Readback&&) noexcept = default;
 void Readback::record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes) {
     Impl& r = *impl_;
     if (n_bytes > r.host->n_bytes || offset_bytes + n_bytes > from.size_bytes())
-        throw Error(ExitCode::bug, fmt::format("reading back {}: found bytes {} to {} of {}, expected them to be there and at most {}",
-                                               r.what, offset_bytes, offset_bytes + n_bytes, from.size_bytes(), r.host->n_bytes));
+        throw Error(
+            ExitCode::bug,
+            fmt::format(
+                "reading back {}: found bytes {} to {} of {}, expected them to be there and at most {}",
+                r.what, offset_bytes, offset_bytes + n_bytes, from.size_bytes(), r.host->n_bytes));
     impl_of(stream).read_back(impl_of(from), r.host, {offset_bytes, 0, n_bytes});
     r.ticket = impl_of(stream).last_ticket + 1;
     r.pending = true;
@@ -38,7 +44,10 @@ bool Readback::pending() const { return impl_->pending; }
 const void* Readback::wait(Stream& stream) {
     Impl& r = *impl_;
     if (r.ticket == 0 || r.ticket > impl_of(stream).last_ticket)
-        throw Error(ExitCode::bug, fmt::format("waiting for {}: found no submitted copy, expected record() and submit() before", r.what));
+        throw Error(
+            ExitCode::bug,
+            fmt::format("waiting for {}: found no submitted copy, expected record() and submit() before",
+                        r.what));
     stream.wait(r.ticket);
     r.pending = false;
     return r.host->mapped;

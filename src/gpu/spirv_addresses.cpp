@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the addresses of a kernel's parameters are: its block of parameters, walked by the types that the module declares.
+// Where the addresses of a kernel's parameters are: its block of parameters, walked by
+// the types that the module declares.
 #include <map>
 #include <string>
 
@@ -19,31 +20,42 @@ public:
 
     std::uint32_t block() const { return block_; }
 
-    /// Appends the offsets of the addresses in a value of a type. @param begin  offset of the value
+    /// Appends the offsets of the addresses in a value of a type. @param begin  offset of
+    /// the value
     void collect(std::uint32_t type, std::uint32_t begin, std::vector<std::uint32_t>& offsets) const {
         const auto known = types_.find(type);
-        if (known == types_.end()) return;   // a number or a vector
+        if (known == types_.end()) return;  // a number or a vector
         const Instruction t = known->second;
         switch (t[0] & 0xffffu) {
-            case type_pointer: offsets.push_back(begin); break;
+            case type_pointer:
+                offsets.push_back(begin);
+                break;
             case type_array:
-                for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k) collect(t[2], begin + k * strides_.at(type), offsets);
+                for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
+                    collect(t[2], begin + k * strides_.at(type), offsets);
                 break;
             default:
-                for (std::uint32_t k = 0; k + 2 < t.size(); ++k) collect(t[k + 2], begin + offsets_.at({type, k}), offsets);
+                for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
+                    collect(t[k + 2], begin + offsets_.at({type, k}), offsets);
         }
     }
 
 private:
     enum Number : std::uint32_t {
-        type_array = 28, type_struct = 30, type_pointer = 32, constant = 43, member_decorate = 72,   // instructions
-        array_stride = 6, member_offset = 35                                                         // decorations
+        // instructions
+        type_array = 28,
+        type_struct = 30,
+        type_pointer = 32,
+        constant = 43,
+        member_decorate = 72,
+        array_stride = 6,
+        member_offset = 35  // decorations
     };
 
     std::uint32_t block_ = 0;
-    std::map<std::uint32_t, Instruction> types_;   ///< pointers, arrays and structs
+    std::map<std::uint32_t, Instruction> types_;  ///< pointers, arrays and structs
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
-    std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;   ///< by struct and member
+    std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;  ///< by struct and member
 
     void read(std::uint32_t op, Instruction i) {
         if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block_ = i[1];

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Branches that specialisation constants decide. Values are followed through what the kernels' conditions are made of: constants of 32
-// bits, whether two are equal, and logic. Other conditions are left to the driver, as are branches that cannot go without moving blocks.
+// Branches that specialisation constants decide. Values are followed through what the
+// kernels' conditions are made of: constants of 32 bits, whether two are equal, and
+// logic. Other conditions are left to the driver, as are branches that cannot go without
+// moving blocks.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -12,11 +14,13 @@ namespace relidar::gpu {
 
 namespace {
 
-constexpr std::uint32_t kOpTypeBool = 20, kOpTypeInt = 21, kOpConstantTrue = 41, kOpConstantFalse = 42, kOpConstant = 43;
+constexpr std::uint32_t kOpTypeBool = 20, kOpTypeInt = 21, kOpConstantTrue = 41, kOpConstantFalse = 42,
+                        kOpConstant = 43;
 constexpr std::uint32_t kOpSpecConstant = 50, kOpSpecConstantOp = 52;
-constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170, kOpINotEqual = 171;
-constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248, kOpBranch = 249,
-                        kOpBranchConditional = 250, kOpSwitch = 251;
+constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot = 168, kOpIEqual = 170,
+                        kOpINotEqual = 171;
+constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248,
+                        kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251;
 
 /// What is known of a module's integers and booleans (0 or 1).
 class Values {
@@ -31,24 +35,35 @@ public:
     /// Takes an instruction of the module, in order.
     void take(std::uint32_t opcode, Instruction instruction) {
         switch (opcode) {
-            case kOpTypeBool: types_.insert(instruction[1]); break;
+            case kOpTypeBool:
+                types_.insert(instruction[1]);
+                break;
             case kOpTypeInt:
                 if (instruction[2] == 32) types_.insert(instruction[1]);
                 break;
             case kOpDecorate:
                 if (instruction[2] == kSpecId) spec_ids_[instruction[1]] = instruction[3];
                 break;
-            case kOpConstantTrue: known_[instruction[2]] = 1; break;
-            case kOpConstantFalse: known_[instruction[2]] = 0; break;
+            case kOpConstantTrue:
+                known_[instruction[2]] = 1;
+                break;
+            case kOpConstantFalse:
+                known_[instruction[2]] = 0;
+                break;
             case kOpConstant:
             case kOpSpecConstant:
                 if (types_.contains(instruction[1])) known_[instruction[2]] = value_of(instruction);
                 break;
-            case kOpSpecConstantOp: know(instruction, instruction[3], instruction.subspan(4)); break;
+            case kOpSpecConstantOp:
+                know(instruction, instruction[3], instruction.subspan(4));
+                break;
             case kOpLogicalOr:
             case kOpLogicalAnd:
-            case kOpLogicalNot: know(instruction, opcode, instruction.subspan(3)); break;
-            default: break;
+            case kOpLogicalNot:
+                know(instruction, opcode, instruction.subspan(3));
+                break;
+            default:
+                break;
         }
     }
 
@@ -65,7 +80,8 @@ private:
 
     void know(Instruction instruction, std::uint32_t operation, Instruction operands) {
         if (!types_.contains(instruction[1])) return;
-        if (const std::optional<std::uint32_t> value = result(operation, operands)) known_[instruction[2]] = *value;
+        if (const std::optional<std::uint32_t> value = result(operation, operands))
+            known_[instruction[2]] = *value;
     }
 
     std::optional<std::uint32_t> result(std::uint32_t operation, Instruction operands) const {
@@ -74,12 +90,18 @@ private:
         if (operation == kOpLogicalAnd && (a == 0u || b == 0u)) return 0;
         if (!a || !b) return std::nullopt;
         switch (operation) {
-            case kOpLogicalOr: return *a | *b;
-            case kOpLogicalAnd: return *a & *b;
-            case kOpLogicalNot: return 1u - *a;
-            case kOpIEqual: return *a == *b;
-            case kOpINotEqual: return *a != *b;
-            default: return std::nullopt;
+            case kOpLogicalOr:
+                return *a | *b;
+            case kOpLogicalAnd:
+                return *a & *b;
+            case kOpLogicalNot:
+                return 1u - *a;
+            case kOpIEqual:
+                return *a == *b;
+            case kOpINotEqual:
+                return *a != *b;
+            default:
+                return std::nullopt;
         }
     }
 };
@@ -91,30 +113,42 @@ public:
         std::uint32_t label = 0;
         for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
             switch (opcode) {
-                case kOpLabel: label = instruction[1]; break;
-                case kOpPhi: with_phi_.insert(label); break;
+                case kOpLabel:
+                    label = instruction[1];
+                    break;
+                case kOpPhi:
+                    with_phi_.insert(label);
+                    break;
                 case kOpLoopMerge:
                     for (const std::size_t k : {1u, 2u}) header_of_[instruction[k]] = label;
                     break;
-                case kOpBranch: next_[label] = {instruction[1]}; break;
-                case kOpBranchConditional: next_[label] = {instruction[2], instruction[3]}; break;
-                case kOpSwitch:
-                    for (std::size_t k = 2; k < instruction.size(); k += 2) next_[label].push_back(instruction[k]);
+                case kOpBranch:
+                    next_[label] = {instruction[1]};
                     break;
-                default: break;
+                case kOpBranchConditional:
+                    next_[label] = {instruction[2], instruction[3]};
+                    break;
+                case kOpSwitch:
+                    for (std::size_t k = 2; k < instruction.size(); k += 2)
+                        next_[label].push_back(instruction[k]);
+                    break;
+                default:
+                    break;
             }
         });
     }
 
-    /// Whether the branch from a block to `left` can go and the module is still valid: a phi names all blocks that lead to it, and blocks
-    /// that nothing leads to must not end or go on with a loop around them. @param merge  where both ways of the branch come together
+    /// Whether the branch from a block to `left` can go and the module is still valid: a
+    /// phi names all blocks that lead to it, and blocks that nothing leads to must not
+    /// end or go on with a loop around them. @param merge  where both ways of the branch
+    /// come together
     bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
         if (left == merge) return !with_phi_.contains(merge);
         std::set<std::uint32_t> behind = {left};
         for (std::vector<std::uint32_t> open = {left}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
-            if (next == next_.end()) continue;   // returns
+            if (next == next_.end()) continue;  // returns
             for (const std::uint32_t block : next->second)
                 if (block != merge && behind.insert(block).second) open.push_back(block);
         }
@@ -126,7 +160,7 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
-    std::map<std::uint32_t, std::uint32_t> header_of_;   // of the loop that a block ends or goes on with
+    std::map<std::uint32_t, std::uint32_t> header_of_;  // of the loop that a block ends or goes on with
     std::set<std::uint32_t> with_phi_;
 };
 
@@ -138,7 +172,7 @@ std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> wo
     Values values(constants);
     const Blocks blocks(words);
     std::uint32_t block = 0;
-    Instruction merge;   // of the branch that comes next
+    Instruction merge;  // of the branch that comes next
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         values.take(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds a zero to every index into an array, one that a compiler takes for another number in each lane:
+// Adds a zero to every index into an array, one that a compiler takes for another number
+// in each lane:
 //   %lane_zero = LocalInvocationIndex & push.nothing.x & 255      `nothing` is a multiple of 256 (shaders/base/kernel.glsl)
 //   %place = OpAccessChain %pointer %array %int_0 %index    with    %index + %lane_zero    in place of    %index
 #include <set>
@@ -17,7 +18,8 @@ public:
     explicit LaneIndices(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
         for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
         is_new_lane_ = lane_ == 0;
-        for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_, &constant_1_, &constant_255_})
+        for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_,
+                                  &constant_1_, &constant_255_})
             *id = next_++;
         if (is_new_lane_) lane_ = next_++;
     }
@@ -31,18 +33,37 @@ public:
 
 private:
     enum Number : std::uint32_t {
-        entry_point = 15, type_int = 21, type_pointer = 32, constant = 43, function = 54, variable = 59, load = 61, store = 62,
-        access_chain = 65, decorate = 71, iadd = 128, bitwise_and = 199, label = 248, line = 8, no_line = 317,   // instructions
-        input = 1, in_private = 6, push_constant = 9, physical_storage = 5349,                                    // storage classes
-        built_in = 11, local_invocation_index = 29                                                               // decorations
+        entry_point = 15,
+        type_int = 21,
+        type_pointer = 32,
+        constant = 43,
+        function = 54,
+        variable = 59,
+        load = 61,
+        store = 62,
+        // instructions
+        access_chain = 65,
+        decorate = 71,
+        iadd = 128,
+        bitwise_and = 199,
+        label = 248,
+        line = 8,
+        no_line = 317,
+        input = 1,
+        in_private = 6,
+        push_constant = 9,
+        physical_storage = 5349,  // storage classes
+        built_in = 11,
+        local_invocation_index = 29  // decorations
     };
 
     std::span<const std::uint32_t> words_;
     std::vector<std::uint32_t> result_;
     std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
-    std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0, constant_1_ = 0,
-                  constant_255_ = 0;
-    std::set<std::uint32_t> storage_pointers_, parameters_;   ///< types of addresses; addresses of the block of parameters
+    std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0,
+                  constant_1_ = 0, constant_255_ = 0;
+    /// types of addresses; addresses of the block of parameters
+    std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
     void read(std::uint32_t op, Instruction i) {
@@ -73,7 +94,8 @@ private:
     }
 
     void fill() {
-        const std::uint32_t place = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3, value = next_ + 4;
+        const std::uint32_t place = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
+                            value = next_ + 4;
         next_ += 5;
         emit(access_chain, {push_pointer_, place, push_, constant_1_, constant_0_});
         emit(load, {uint_, nothing, place});
@@ -99,7 +121,8 @@ private:
             filled_ = true;
         }
         const std::size_t at = result_.size();
-        if (op == access_chain && i.size() >= 6 && storage_pointers_.contains(i[1]) && !parameters_.contains(i[3])) {
+        if (op == access_chain && i.size() >= 6 && storage_pointers_.contains(i[1]) &&
+            !parameters_.contains(i[3])) {
             const std::uint32_t zero = next_++, index = next_++;
             emit(load, {uint_, zero, zero_});
             emit(iadd, {uint_, index, i[5], zero});
@@ -117,6 +140,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words) { return LaneIndices(words).written(); }
+std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words) {
+    return LaneIndices(words).written();
+}
 
 }  // namespace relidar::gpu

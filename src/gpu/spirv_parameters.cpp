@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of a kernel, read once where it begins: a module's loads through the address in its push constant become loads of private
-// variables, which the entry point fills first. As glslang writes them, without optimisation:
+// Parameters of a kernel, read once where it begins: a module's loads through the address
+// in its push constant become loads of private variables, which the entry point fills
+// first. As glslang writes them, without optimisation:
 //   %chain = OpAccessChain %address_in_push %push %int_0      %block = OpLoad %pointer_to_block %chain
 //   %place = OpAccessChain %pointer %block %int_0 %int_k ...  %value = OpLoad %type %place Aligned n
 #include <map>
@@ -16,14 +17,28 @@ namespace relidar::gpu {
 namespace {
 
 enum Op : std::uint32_t {
-    kEntryPoint = 15, kTypeInt = 21, kTypeFloat = 22, kTypeVector = 23, kTypeStruct = 30, kTypePointer = 32, kConstant = 43, kFunction = 54,
-    kVariable = 59, kLoad = 61, kStore = 62, kAccessChain = 65, kDecorate = 71, kCompositeConstruct = 80, kLabel = 248, kLine = 8,
+    kEntryPoint = 15,
+    kTypeInt = 21,
+    kTypeFloat = 22,
+    kTypeVector = 23,
+    kTypeStruct = 30,
+    kTypePointer = 32,
+    kConstant = 43,
+    kFunction = 54,
+    kVariable = 59,
+    kLoad = 61,
+    kStore = 62,
+    kAccessChain = 65,
+    kDecorate = 71,
+    kCompositeConstruct = 80,
+    kLabel = 248,
+    kLine = 8,
     kNoLine = 317
 };
 constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
 
 using Words = std::vector<std::uint32_t>;
-using Path = std::vector<std::uint32_t>;   // numbers of members, from that of the block on
+using Path = std::vector<std::uint32_t>;  // numbers of members, from that of the block on
 
 Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
     Words words{std::uint32_t(operands.size() + 1) << 16 | op};
@@ -34,12 +49,12 @@ Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
 /// What a module says of types, constants and its parameters.
 struct Module {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
-    Words push_chain;                                     ///< one that leads to the block's address
+    Words push_chain;  ///< one that leads to the block's address
     std::uint32_t entry = 0;
-    std::map<std::uint32_t, Words> types;                 ///< by their ids
-    std::map<std::uint32_t, std::uint32_t> constants;     ///< whole numbers of 32 bits, by their ids
-    std::set<std::uint32_t> addresses;                    ///< ids of the block's address
-    std::map<std::uint32_t, Path> places;                 ///< ids of places in the block
+    std::map<std::uint32_t, Words> types;              ///< by their ids
+    std::map<std::uint32_t, std::uint32_t> constants;  ///< whole numbers of 32 bits, by their ids
+    std::set<std::uint32_t> addresses;                 ///< ids of the block's address
+    std::map<std::uint32_t, Path> places;              ///< ids of places in the block
 
     explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
         for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
@@ -54,7 +69,9 @@ private:
         if (op >= 19 && op <= 39) types[i[1]] = Words(i.begin(), i.end());
         if (op == kTypePointer && i[2] == kPhysicalStorage && i[3] == block) block_pointer = i[1];
         if (op == kTypeInt && i[2] == 32 && !int_type) int_type = i[1];
-        if (op == kConstant && i.size() == 4 && types.contains(i[1]) && (types.at(i[1])[0] & 0xffffu) == kTypeInt) constants[i[2]] = i[3];
+        if (op == kConstant && i.size() == 4 && types.contains(i[1]) &&
+            (types.at(i[1])[0] & 0xffffu) == kTypeInt)
+            constants[i[2]] = i[3];
         if (op == kAccessChain) read_chain(i);
         if (op == kLoad && i[1] == block_pointer && block_pointer) {
             addresses.insert(i[2]);
@@ -75,7 +92,8 @@ private:
     }
 };
 
-/// A module being written: what it gains before its functions, and what stands in the place of the loads.
+/// A module being written: what it gains before its functions, and what stands in the
+/// place of the loads.
 class ParametersFirst {
 public:
     explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
@@ -106,7 +124,8 @@ public:
         append(code, construct);
     }
 
-    /// The module with what has been asked for. @param code  its functions with the loads replaced, from the first OpFunction on
+    /// The module with what has been asked for. @param code  its functions with the loads
+    /// replaced, from the first OpFunction on
     Words written(std::span<const std::uint32_t> words, const Words& code) {
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
@@ -134,17 +153,24 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     Words globals_, decorations_;
 
-    /// Bytes that an address of a value is a multiple of; nothing for what is no number, vector or address.
+    /// Bytes that an address of a value is a multiple of; nothing for what is no number,
+    /// vector or address.
     std::optional<std::uint32_t> align_of(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
         switch (t[0] & 0xffffu) {
-            case kTypeInt: case kTypeFloat: return t[2] / 8;
-            case kTypeVector: return align_of(t[2]);
-            case kTypePointer: return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
-            default: return std::nullopt;
+            case kTypeInt:
+            case kTypeFloat:
+                return t[2] / 8;
+            case kTypeVector:
+                return align_of(t[2]);
+            case kTypePointer:
+                return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
+            default:
+                return std::nullopt;
         }
     }
-    std::uint32_t pointer(std::map<std::uint32_t, std::uint32_t>& known, std::uint32_t storage, std::uint32_t type) {
+    std::uint32_t pointer(std::map<std::uint32_t, std::uint32_t>& known, std::uint32_t storage,
+                          std::uint32_t type) {
         const auto [at, is_new] = known.try_emplace(type, next_);
         if (is_new) append(globals_, instruction(kTypePointer, {next_++, storage, type}));
         return at->second;
@@ -160,7 +186,8 @@ private:
         if (const auto known = variables_.find(path); known != variables_.end()) return known->second.id;
         const std::uint32_t pointer_type = pointer(private_pointer_, kPrivate, type), id = next_++;
         append(globals_, instruction(kVariable, {pointer_type, id, kPrivate}));
-        if ((module_.types.at(type)[0] & 0xffffu) == kTypePointer) append(decorations_, instruction(kDecorate, {id, kAliasedPointer}));
+        if ((module_.types.at(type)[0] & 0xffffu) == kTypePointer)
+            append(decorations_, instruction(kDecorate, {id, kAliasedPointer}));
         variables_[path] = {id, type};
         return id;
     }
@@ -174,7 +201,7 @@ private:
         next_ += 2;
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage = pointer(storage_pointer_, kPhysicalStorage, v.type);
-            const std::uint32_t at = next_++, value = next_++;   // before index() makes further ids
+            const std::uint32_t at = next_++, value = next_++;  // before index() makes further ids
             Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at, block};
             for (const std::uint32_t member : path) place.push_back(index(member));
             append(code, place);
@@ -195,7 +222,8 @@ private:
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
             const std::uint32_t op = code[at] & 0xffffu;
             in_entry = in_entry || (op == kFunction && code[at + 2] == module_.entry);
-            if (in_entry && !filled && op != kFunction && op != kLabel && op != kVariable && op != kLine && op != kNoLine) {
+            if (in_entry && !filled && op != kFunction && op != kLabel && op != kVariable && op != kLine &&
+                op != kNoLine) {
                 append(result, first);
                 filled = true;
             }

@@ -12,7 +12,8 @@
 
 namespace relidar {
 
-Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&impl_of(d)), timing(with_timing && d.info().timestamps) {
+Stream::Impl::Impl(Device& d, bool with_timing)
+    : owner(&d), device(&impl_of(d)), timing(with_timing && d.info().timestamps) {
     if (device->compile_only) return;
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
@@ -25,7 +26,8 @@ Stream::Impl::Impl(Device& d, bool with_timing) : owner(&d), device(&impl_of(d))
         VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
         allocate.commandPool = slot.pool;
         allocate.commandBufferCount = 1;
-        gpu::check(vkAllocateCommandBuffers(device->device, &allocate, &slot.commands), "vkAllocateCommandBuffers");
+        gpu::check(vkAllocateCommandBuffers(device->device, &allocate, &slot.commands),
+                   "vkAllocateCommandBuffers");
         if (!timing) continue;
         VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
         queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
@@ -74,7 +76,8 @@ void Stream::Impl::keep(const std::string& name, Command command) {
     barrier();
 }
 
-/// A step has one pair of timestamps: another one between its strands would have the second wait for the first.
+/// A step has one pair of timestamps: another one between its strands would have the
+/// second wait for the first.
 void Stream::Impl::record_strands() {
     std::size_t n_steps = 0;
     for (const Strand& one : strands) n_steps = std::max(n_steps, one.size());
@@ -106,7 +109,8 @@ void Stream::Impl::record_barrier() {
         later |= VK_PIPELINE_STAGE_HOST_BIT;
         host_reads = false;
     }
-    vkCmdPipelineBarrier(commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0, nullptr, 0, nullptr);
+    vkCmdPipelineBarrier(commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0, nullptr, 0,
+                         nullptr);
 }
 
 void Stream::Impl::begin_timing(const std::string& name) {
@@ -137,8 +141,8 @@ Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes)
         slot.block_bytes = 0;
     }
     if (slot.block == slot.blocks.size())
-        slot.blocks.push_back(
-            std::make_unique<Buffer::Impl>(*device, std::max(kBlockBytes, aligned), gpu::MemoryUse::parameters, "kernel parameters"));
+        slot.blocks.push_back(std::make_unique<Buffer::Impl>(
+            *device, std::max(kBlockBytes, aligned), gpu::MemoryUse::parameters, "kernel parameters"));
     const Buffer::Impl& block = *slot.blocks[slot.block];
     const std::size_t offset = slot.block_bytes;
     slot.block_bytes += aligned;
@@ -149,12 +153,13 @@ Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes)
 void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
     if (device->compile_only || n_bytes == 0) return;
     const Stored from = store(bytes, n_bytes);
-    record("write", [from = from.buffer, to = impl_of(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](VkCommandBuffer c) {
-        vkCmdCopyBuffer(c, from, to, 1, &region);
-    });
+    record("write",
+           [from = from.buffer, to = impl_of(buffer).handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
+               VkCommandBuffer c) { vkCmdCopyBuffer(c, from, to, 1, &region); });
 }
 
-void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to, const VkBufferCopy& region) {
+void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
+                             const VkBufferCopy& region) {
     if (region.size == 0) return;
     record("read back", [this, from = from.handle, to, region](VkCommandBuffer c) {
         vkCmdCopyBuffer(c, from, to->handle, 1, &region);
@@ -163,7 +168,8 @@ void Stream::Impl::read_back(const Buffer::Impl& from, const std::shared_ptr<con
     });
 }
 
-std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes) {
+std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const void* bytes,
+                                             std::size_t n_bytes) {
     std::vector<std::byte> params(n_bytes);
     std::memcpy(params.data(), bytes, n_bytes);
     for (const std::uint32_t offset : kernel.impl().addresses) {
@@ -174,20 +180,24 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
     return store(params.data(), n_bytes).address;
 }
 
-void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes, std::size_t n_bytes) {
+void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
+                          std::size_t n_bytes) {
     if (device->compile_only)
         throw Error(ExitCode::bug,
-                    fmt::format("launching {}: the device was opened to compile only, expected one that runs", kernel.impl().name));
+                    fmt::format("launching {}: the device was opened to compile only, expected one that runs",
+                                kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().pipeline();
-    const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes), device->nothing->address};
-    constexpr std::uint32_t kMaxGroups = 65535;   // in one dimension, on every Vulkan device
+    const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
+                                              device->nothing->address};
+    constexpr std::uint32_t kMaxGroups = 65535;  // in one dimension, on every Vulkan device
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1, columns = (n_groups - 1) / rows + 1;
-    record(kernel.impl().name, [layout = device->pipeline_layout, pipeline, pushed, rows, columns](VkCommandBuffer c) {
-        vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
-        vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-        vkCmdDispatch(c, columns, rows, 1);
-    });
+    record(kernel.impl().name,
+           [layout = device->pipeline_layout, pipeline, pushed, rows, columns](VkCommandBuffer c) {
+               vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
+               vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
+               vkCmdDispatch(c, columns, rows, 1);
+           });
 }
 
 void Stream::Impl::wait(std::uint64_t ticket) {
@@ -199,17 +209,19 @@ void Stream::Impl::wait(std::uint64_t ticket) {
     info.pValues = &ticket;
     const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
     if (result != VK_SUCCESS)
-        gpu::fail(result, fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})", device->info.name,
-                                      gpu::result_name(result), last_kernel));
+        gpu::fail(result, fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})",
+                                      device->info.name, gpu::result_name(result), last_kernel));
 }
 
 void Stream::Impl::collect_times(Slot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
-    const VkResult result = vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
-                                                  stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
+    const VkResult result =
+        vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
+                              stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
-        times.add(slot.launches[i], double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6);
+        times.add(slot.launches[i],
+                  double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6);
     }
     slot.launches.clear();
 }
@@ -222,7 +234,9 @@ void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
-    impl_->record("fill", [to = impl_of(buffer).handle, pattern](VkCommandBuffer c) { vkCmdFillBuffer(c, to, 0, VK_WHOLE_SIZE, pattern); });
+    impl_->record("fill", [to = impl_of(buffer).handle, pattern](VkCommandBuffer c) {
+        vkCmdFillBuffer(c, to, 0, VK_WHOLE_SIZE, pattern);
+    });
 }
 
 void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
@@ -239,7 +253,9 @@ Concurrent::~Concurrent() { impl_of(stream_).end_concurrent(); }
 Strands::Strands(Stream& stream, std::size_t n) : stream_(stream) {
     Stream::Impl& s = impl_of(stream);
     if (n == 0 || !s.strands.empty() || s.n_concurrent > 0)
-        throw Error(ExitCode::bug, "recording in strands: found none, others, or an open Concurrent scope, expected one strand at least");
+        throw Error(ExitCode::bug,
+                    "recording in strands: found none, others, or an open Concurrent scope, expected one "
+                    "strand at least");
     s.strands.resize(n);
     s.strand = 0;
 }
@@ -253,15 +269,18 @@ Strands::~Strands() {
 void Strands::choose(std::size_t strand) {
     Stream::Impl& s = impl_of(stream_);
     if (strand >= s.strands.size() || s.n_concurrent > 0)
-        throw Error(ExitCode::bug, fmt::format("choosing strand {} of {}: expected one of them, and no open Concurrent scope", strand,
-                                               s.strands.size()));
+        throw Error(
+            ExitCode::bug,
+            fmt::format("choosing strand {} of {}: expected one of them, and no open Concurrent scope",
+                        strand, s.strands.size()));
     s.strand = strand;
 }
 
 std::uint64_t Stream::submit() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
-    if (s.n_concurrent > 0) throw Error(ExitCode::bug, "submitting: found an open Concurrent scope, expected its end before");
+    if (s.n_concurrent > 0)
+        throw Error(ExitCode::bug, "submitting: found an open Concurrent scope, expected its end before");
     s.record_strands();
     VkCommandBuffer commands = s.commands();
     gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");

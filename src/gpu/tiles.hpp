@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What kernels that work in tiles share: the workgroup of a tile, and how many tiles hold n items.
+// What kernels that work in tiles share: the workgroup of a tile, and how many tiles hold
+// n items.
 #pragma once
 
 #include <cstddef>

@@ -10,7 +10,8 @@ namespace relidar::gpu {
 
 namespace {
 
-constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(32) << 20;   // bytes of staging memory
+// bytes of staging memory
+constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(32) << 20;
 
 }  // namespace
 
@@ -40,7 +41,8 @@ Buffer::Impl& Transfers::staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUs
     return *buffer;
 }
 
-void Transfers::upload(const Buffer::Impl& to, const void* data, std::size_t n_bytes, std::size_t offset_bytes) {
+void Transfers::upload(const Buffer::Impl& to, const void* data, std::size_t n_bytes,
+                       std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
     const Buffer::Impl& from = staging(upload_, MemoryUse::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
@@ -50,7 +52,8 @@ void Transfers::upload(const Buffer::Impl& to, const void* data, std::size_t n_b
     }
 }
 
-void Transfers::download(const Buffer::Impl& from, void* data, std::size_t n_bytes, std::size_t offset_bytes) {
+void Transfers::download(const Buffer::Impl& from, void* data, std::size_t n_bytes,
+                         std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
     const Buffer::Impl& to = staging(download_, MemoryUse::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
@@ -76,8 +79,9 @@ void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& re
     VkMemoryBarrier seen{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     seen.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
     seen.dstAccessMask = VK_ACCESS_HOST_READ_BIT | VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
-    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT | VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1,
-                         &seen, 0, nullptr, 0, nullptr);
+    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                         VK_PIPELINE_STAGE_HOST_BIT | VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1, &seen, 0,
+                         nullptr, 0, nullptr);
     check(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;

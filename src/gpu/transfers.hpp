@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocking copies between host and device, outside the hot path: one command buffer and one piece of host memory each way, made at
-// the first copy and kept. May be used by several threads.
+// Blocking copies between host and device, outside the hot path: one command buffer and
+// one piece of host memory each way, made at the first copy and kept. May be used by
+// several threads.
 #pragma once
 
 #include <memory>
@@ -28,7 +29,7 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    std::unique_ptr<Buffer::Impl> upload_, download_;   ///< null until they are needed
+    std::unique_ptr<Buffer::Impl> upload_, download_;  ///< null until they are needed
 
     void make_commands();
     Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);

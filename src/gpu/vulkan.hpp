@@ -5,5 +5,6 @@
 #include <volk.h>
 
 #if defined(__GNUC__)
-#pragma GCC diagnostic ignored "-Wmissing-field-initializers"   // structs are filled member by member after {sType}
+// structs are filled member by member after {sType}
+#pragma GCC diagnostic ignored "-Wmissing-field-initializers"
 #endif

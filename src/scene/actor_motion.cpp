@@ -8,10 +8,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kBeside_rad = 0.17;       // beams point up to 0.16 rad beside the azimuth of the head
-constexpr double kBesideShare = 0.25;      // of half the angle that the box spans: sensor and box move while the head faces it
-constexpr double kBeyond = 0.02;           // of its length: how much earlier and later than a sweep real heads fire
-constexpr double kUnknownSweep_s = 0.1;    // before and after the reference time, of a LiDAR that does not say how it turns
+constexpr double kBeside_rad = 0.17;  // beams point up to 0.16 rad beside the azimuth of the head
+// of half the angle that the box spans: sensor and box move while the head faces it
+constexpr double kBesideShare = 0.25;
+constexpr double kBeyond = 0.02;  // of its length: how much earlier and later than a sweep real heads fire
+// before and after the reference time, of a LiDAR that does not say how it turns
+constexpr double kUnknownSweep_s = 0.1;
 
 /// First and last time of something, in seconds.
 struct TimeSpan {
@@ -28,16 +30,19 @@ TimeSpan sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
         return {first_s, first_s + period_s};
     }
     const RayTable* table = lidar.pattern ? std::get_if<RayTable>(&*lidar.pattern) : nullptr;
-    if (!table || table->time_offset_s.empty()) return {sweep.time_s - kUnknownSweep_s, sweep.time_s + kUnknownSweep_s};
+    if (!table || table->time_offset_s.empty())
+        return {sweep.time_s - kUnknownSweep_s, sweep.time_s + kUnknownSweep_s};
     const auto [first, last] = std::ranges::minmax_element(table->time_offset_s);
     return {sweep.time_s + double(*first), sweep.time_s + double(*last)};
 }
 
-/// Seconds per radian of azimuth; 0 where a LiDAR does not sweep from one azimuth to the next.
+/// Seconds per radian of azimuth; 0 where a LiDAR does not sweep from one azimuth to the
+/// next.
 double seconds_per_radian(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
     const auto* window = std::get_if<ScanningWindow>(&*lidar.pattern);
-    return window && window->columns > 1 ? window->period_s / std::abs(window->right_rad - window->left_rad) : 0.0;
+    return window && window->columns > 1 ? window->period_s / std::abs(window->right_rad - window->left_rad)
+                                         : 0.0;
 }
 
 /// Half the angle of azimuth that a box spans; pi where the sensor is in it or above it.
@@ -55,16 +60,19 @@ double half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
 }
 
 /// When rays may meet a box: while the head faces it, or at any time of the sweep.
-TimeSpan facing_span(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m, const SweepMoment& sweep) {
+TimeSpan facing_span(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
+                     const SweepMoment& sweep) {
     const TimeSpan all = sweep_span(sequence, sweep);
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const double s_per_rad = seconds_per_radian(lidar);
     if (all.last_s <= all.first_s || s_per_rad <= 0.0 || half_size_m == glm::dvec3(0.0)) return all;
     const auto sensor_from_box = [&](double t_s) {
-        return inverse(sequence.world_from_vehicle.at(t_s, lidar.vehicle_from_sensor)) * world_from_box.at(t_s);
+        return inverse(sequence.world_from_vehicle.at(t_s, lidar.vehicle_from_sensor)) *
+               world_from_box.at(t_s);
     };
     double faced_s = sweep.time_s;
-    for (int step = 0; step < 3; ++step) faced_s = facing_time(sequence, sensor_from_box(faced_s).translation, sweep);
+    for (int step = 0; step < 3; ++step)
+        faced_s = facing_time(sequence, sensor_from_box(faced_s).translation, sweep);
     const double angle = half_angle(sensor_from_box(faced_s), half_size_m);
     const double half_s = ((1.0 + kBesideShare) * angle + kBeside_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
@@ -73,16 +81,17 @@ TimeSpan facing_span(const Sequence& sequence, const PoseTrack& world_from_box, 
 
 }  // namespace
 
-InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
-                           const SweepMoment& sweep) {
+InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
+                           const glm::dvec3& half_size_m, const SweepMoment& sweep) {
     const TimeSpan span = facing_span(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
     if (half_s <= 0.0) return {world_from_box.at(middle_s), true, middle_s};
     const Pose first = world_from_box.at(span.first_s), last = world_from_box.at(span.last_s);
     const Twist twist = twist_between(first, last);
     const double per_s = 0.5 / half_s;
-    const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]), per_s * glm::dvec3(twist[3], twist[4], twist[5]),
-                                middle_s - sweep.time_s, (1.0 + kBeyond) * half_s};
+    const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]),
+                            per_s * glm::dvec3(twist[3], twist[4], twist[5]), middle_s - sweep.time_s,
+                            (1.0 + kBeyond) * half_s};
     return {interpolate(first, last, 0.5), true, middle_s, 0.0, motion};
 }
 

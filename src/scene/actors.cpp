@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the box's pose at the time it is looked at
-// (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
+// Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the
+// box's pose at the time it is looked at (paper section 3.2, Eq. 4-5: mean_world = R_t
+// mean_object + T_t).
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -15,22 +16,23 @@
 #include <relidar/base/error.hpp>
 
 #include "base/list_text.hpp"
+#include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 #include "scene/gait.hpp"
 #include "scene/point_surfels.hpp"
-#include "base/progress_blocks.hpp"
 
 namespace relidar {
 
 namespace {
 
-constexpr double kPointMargin_m = 0.1;    ///< labels fit loosely
-constexpr double kGround_m = 0.15;        ///< the lowest part of a box is ground
+constexpr double kPointMargin_m = 0.1;  ///< labels fit loosely
+constexpr double kGround_m = 0.15;      ///< the lowest part of a box is ground
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the points of one frame that lie in boxes, each in its box's frame.
-void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes, bool second_returns,
-               const std::vector<WalkedWay>& walks, std::vector<std::vector<Sample>>& samples) {
+void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
+               bool second_returns, const std::vector<WalkedWay>& walks,
+               std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].present(frame.time_s)) present.push_back(b);
@@ -41,24 +43,29 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
             const Pose box_from_world = inverse(boxes[b].world_from_box.at(w.time_s));
             const glm::dvec3 local = box_from_world * w.point_m;
             if (local.z < -0.5 * boxes[b].size_m.z + kGround_m) continue;
-            samples[b].push_back({glm::vec3(local), w.intensity, glm::vec3(box_from_world.rotation * w.direction),
+            samples[b].push_back({glm::vec3(local), w.intensity,
+                                  glm::vec3(box_from_world.rotation * w.direction),
                                   static_cast<float>(walks[b].at(w.time_s)), frame.index});
         }
     });
 }
 
 /// Points of the training frames in boxes, each in its box's frame. @return [boxes]
-std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train, const std::vector<BoxTrack>& boxes,
+std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train,
+                                             const std::vector<BoxTrack>& boxes,
                                              const InitialiseOptions& options, const Progress& progress) {
     std::vector<WalkedWay> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<Sample>> samples(boxes.size());
-    std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(), std::vector<std::vector<Sample>>(boxes.size()));
+    std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(),
+                                                           std::vector<std::vector<Sample>>(boxes.size()));
     for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) {
-        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, walks, of_frame[i]);
+        add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, walks,
+                  of_frame[i]);
     });
     for (const std::vector<std::vector<Sample>>& frame : of_frame)
-        for (std::size_t b = 0; b < boxes.size(); ++b) samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
+        for (std::size_t b = 0; b < boxes.size(); ++b)
+            samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
     return samples;
 }
 
@@ -68,7 +75,8 @@ bool lists(const std::string& list, const std::string& word) {
 }
 
 bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
-    if (options.unlabelled_movers == UnlabelledMovers::actors && box.category == kDiscoveredCategory) return true;
+    if (options.unlabelled_movers == UnlabelledMovers::actors && box.category == kDiscoveredCategory)
+        return true;
     if (!options.actor_tracks.empty()) return lists(options.actor_tracks, box.id);
     return options.actor_classes == kEveryClass || lists(options.actor_classes, box.category) ||
            lists(options.actor_classes, name_of(object_kind(box.category)));
@@ -83,17 +91,20 @@ ObjectKind kind_in(const BoxTrack& box) {
 }
 
 bool bends(const BoxTrack& box, const InitialiseOptions& options) {
-    return options.deform == kEveryClass || lists(options.deform, box.category) || lists(options.deform, name_of(kind_in(box)));
+    return options.deform == kEveryClass || lists(options.deform, box.category) ||
+           lists(options.deform, name_of(kind_in(box)));
 }
 
 /// @throws DataError for a box that cannot hold anything
 void check_box(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
-        throw DataError(fmt::format("box {}: found a size of {} x {} x {} m, expected all above 0", box.id, s.x, s.y, s.z));
+        throw DataError(fmt::format("box {}: found a size of {} x {} x {} m, expected all above 0", box.id,
+                                    s.x, s.y, s.z));
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
         const Pose& pose = box.world_from_box.pose[i];
-        if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) + glm::dot(pose.rotation, pose.rotation)))
+        if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) +
+                           glm::dot(pose.rotation, pose.rotation)))
             throw DataError(fmt::format("box {}: observation {} is not finite, expected a pose", box.id, i));
     }
 }
@@ -107,19 +118,23 @@ void check_tracks(const Sequence& sequence, const std::string& tracks) {
                                          did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
-/// Random points of the box up to a number, as bright as its own are on average and seen from outside.
+/// Random points of the box up to a number, as bright as its own are on average and seen
+/// from outside.
 void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::uint64_t seed) {
     double intensity = 0.0;
     for (const Sample& s : samples) intensity += s.intensity / double(samples.size());
     Random random(hash64(seed, hash64(std::hash<std::string>{}(box.id))));
     while (samples.size() < n) {
-        const glm::dvec3 p = box.size_m * (glm::dvec3(random.uniform(), random.uniform(), random.uniform()) - 0.5);
-        samples.push_back({glm::vec3(p), static_cast<float>(intensity), glm::vec3(-p / std::max(glm::length(p), 1e-9))});
+        const glm::dvec3 p =
+            box.size_m * (glm::dvec3(random.uniform(), random.uniform(), random.uniform()) - 0.5);
+        samples.push_back(
+            {glm::vec3(p), static_cast<float>(intensity), glm::vec3(-p / std::max(glm::length(p), 1e-9))});
     }
 }
 
 /// What an actor is made of, of the points in its box; too few points where it is none.
-std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box, const InitialiseOptions& options) {
+std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box,
+                                  const InitialiseOptions& options) {
     samples = thin_out(samples, std::size_t(options.actor_points));
     if (samples.size() >= std::size_t(options.actor_min_points))
         pad(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
@@ -128,13 +143,14 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
 
 struct ActorStart {
     const InitialiseOptions& options;
-    double incidence;                  ///< of IntensityResponse
+    double incidence;  ///< of IntensityResponse
     std::vector<std::string>* notes;
     const Progress& progress;
 };
 
 /// Appends an actor; none where it has too few points.
-void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples, const ActorStart& start) {
+void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples,
+               const ActorStart& start) {
     const auto& [options, incidence, notes, progress] = start;
     const std::optional<StrideRange> range = bends(box, options) ? stride_range(kind_in(box)) : std::nullopt;
     const FoundStride found = range ? find_stride(samples, *range) : FoundStride{};
@@ -142,19 +158,23 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     if (notes && range)
         notes->push_back(fmt::format("{} ({}) {}", box.id, box.category,
-                                     found.stride_m > 0.0 ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
-                                                          : "is rigid: " + found.why_none));
+                                     found.stride_m > 0.0
+                                         ? fmt::format("walks with strides of {:.2f} m", found.stride_m)
+                                         : "is rigid: " + found.why_none));
     const auto most = std::size_t(options.actor_points);
-    const Surfels surfels = found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)
-                                                 : surfels_from_points(rigid, options, incidence);
+    const Surfels surfels =
+        found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)
+                             : surfels_from_points(rigid, options, incidence);
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-    scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
-                            glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m)});
+    scene.models.push_back(
+        {box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
+         glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m)});
     scene.surfels.append(surfels);
 }
 
-/// How far an actor had come when a caller's track of it begins: as far as on its own track where it was nearest, and how far it is ahead
-/// of that place now. Steps follow the way wherever it is put.
+/// How far an actor had come when a caller's track of it begins: as far as on its own
+/// track where it was nearest, and how far it is ahead of that place now. Steps follow
+/// the way wherever it is put.
 double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
@@ -164,9 +184,11 @@ double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     return WalkedWay(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// The background, and every actor on the track that `track_of` has for its name; absent where that is null.
+/// The background, and every actor on the track that `track_of` has for its name; absent
+/// where that is null.
 template <class TrackOf>
-std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep, const TrackOf& track_of) {
+std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
+                                   const TrackOf& track_of) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         if (instance.track.empty()) {
@@ -175,12 +197,14 @@ std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence,
         }
         const PoseTrack* track = track_of(instance.track);
         const Model& model = scene.models[instance.model];
-        placed.push_back(track ? pose_in_sweep(sequence, *track, model.half_size_m, sweep) : InstancePose{{}, false});
+        placed.push_back(track ? pose_in_sweep(sequence, *track, model.half_size_m, sweep)
+                               : InstancePose{{}, false});
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
         const BoxTrack* own = find_box(sequence, instance.track);
         const bool is_own = own && &own->world_from_box == track;
-        const double before_m = own && !is_own && !own->world_from_box.pose.empty() ? begins_at_m(*own, *track) : 0.0;
+        const double before_m =
+            own && !is_own && !own->world_from_box.pose.empty() ? begins_at_m(*own, *track) : 0.0;
         placed.back().phase = (before_m + WalkedWay(*track).at(placed.back().time_s)) / stride_m;
     }
     return placed;
@@ -199,23 +223,28 @@ std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseO
     return boxes;
 }
 
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                       const Progress& progress, std::vector<std::string>* notes) {
+Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions,
+                       const InitialiseOptions& options, const Progress& progress,
+                       std::vector<std::string>* notes) {
     Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
     std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
-    std::vector<std::vector<Sample>> in_boxes = box_samples(sequence, train_positions, wanted, options, progress);
+    std::vector<std::vector<Sample>> in_boxes =
+        box_samples(sequence, train_positions, wanted, options, progress);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
         if (progress) progress("actors", double(i) / double(wanted.size()));
-        add_actor(scene, wanted[i], in_boxes[i], {options, sequence.intensity_response.incidence, notes, progress});
+        add_actor(scene, wanted[i], in_boxes[i],
+                  {options, sequence.intensity_response.incidence, notes, progress});
     }
     return scene;
 }
 
-std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence, const InitialiseOptions& options) {
+std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
+                                   const InitialiseOptions& options) {
     std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) {
-        return std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == box.id; });
+        return std::any_of(scene.instances.begin(), scene.instances.end(),
+                           [&](const Instance& i) { return i.track == box.id; });
     });
     return boxes;
 }
@@ -229,12 +258,15 @@ std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseO
 std::string names_of(const std::vector<BoxTrack>& boxes) {
     constexpr std::size_t kMost = 8;
     std::vector<std::string> names;
-    for (std::size_t i = 0; i < std::min(kMost, boxes.size()); ++i) names.push_back(fmt::format("{} ({})", boxes[i].id, boxes[i].category));
-    return fmt::format("{}{}", fmt::join(names, ", "), boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
+    for (std::size_t i = 0; i < std::min(kMost, boxes.size()); ++i)
+        names.push_back(fmt::format("{} ({})", boxes[i].id, boxes[i].category));
+    return fmt::format("{}{}", fmt::join(names, ", "),
+                       boxes.size() > kMost ? fmt::format(" and {} more", boxes.size() - kMost) : "");
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep) {
-    std::unordered_map<std::string_view, const PoseTrack*> tracks;   // there may be a thousand
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
+                                          const SweepMoment& sweep) {
+    std::unordered_map<std::string_view, const PoseTrack*> tracks;  // there may be a thousand
     for (const BoxTrack& box : sequence.boxes)
         if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
     return place_by(scene, sequence, sweep, [&](const std::string& name) {
@@ -243,8 +275,8 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
     });
 }
 
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
-                                          const ActorPoses& world_from_actor) {
+std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
+                                          const SweepMoment& sweep, const ActorPoses& world_from_actor) {
     std::vector<std::string> tracks;
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The benchmark street: a deterministic synthetic scene of surfels (docs/method.md section 2) and its sensor, the same numbers as
-// ../shared/bench/scene_gen.py draws with numpy. The random stream is numpy's legacy RandomState: MT19937 seeded by one integer,
-// 53-bit uniforms, the polar method for normals, keeping the second of each pair for the next call. Draws follow the script's order.
+// The benchmark street: a deterministic synthetic scene of surfels (docs/method.md
+// section 2) and its sensor, the same numbers as ../shared/bench/scene_gen.py draws with
+// numpy. The random stream is numpy's legacy RandomState: MT19937 seeded by one integer,
+// 53-bit uniforms, the polar method for normals, keeping the second of each pair for the
+// next call. Draws follow the script's order.
 #include "scene/benchmark_street.hpp"
 
 #include <algorithm>
@@ -100,7 +102,8 @@ void add_parked_cars(int side, LegacyRandom& random, std::vector<Rectangle>& rec
 /// Ground, facades and parked cars: always the same (seed 1).
 std::vector<Rectangle> street_layout() {
     LegacyRandom random(1);
-    std::vector<Rectangle> rectangles{{{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
+    std::vector<Rectangle> rectangles{
+        {{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
     for (const int side : {-1, 1}) {
         add_facades(side, random, rectangles);
         add_parked_cars(side, random, rectangles);
@@ -109,20 +112,23 @@ std::vector<Rectangle> street_layout() {
 }
 
 /// A rectangle for each surfel, in proportion to its area.
-std::vector<std::uint16_t> pick_rectangles(std::size_t n, const std::vector<Rectangle>& rectangles, LegacyRandom& random) {
+std::vector<std::uint16_t> pick_rectangles(std::size_t n, const std::vector<Rectangle>& rectangles,
+                                           LegacyRandom& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
     for (double& c : cumulative) c /= total;
     std::vector<std::uint16_t> index(n);
     for (std::uint16_t& i : index) {
-        const auto at = std::upper_bound(cumulative.begin(), cumulative.end(), random.uniform()) - cumulative.begin();
+        const auto at =
+            std::upper_bound(cumulative.begin(), cumulative.end(), random.uniform()) - cumulative.begin();
         i = std::uint16_t(std::min<std::ptrdiff_t>(at, std::ptrdiff_t(rectangles.size()) - 1));
     }
     return index;
 }
 
-void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random, Surfels& surfels) {
+void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
+                LegacyRandom& random, Surfels& surfels) {
     std::vector<glm::dvec2> along(index.size());
     for (glm::dvec2& ab : along) {
         ab.x = random.uniform();
@@ -130,11 +136,13 @@ void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std:
     }
     for (std::size_t i = 0; i < index.size(); ++i) {
         const Rectangle& r = rectangles[index[i]];
-        surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v + r.normal * (0.02 * random.normal()));
+        surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v +
+                                    r.normal * (0.02 * random.normal()));
     }
 }
 
-/// Unit quaternion (w, x, y, z) of the rotation with the given columns; its largest component is positive.
+/// Unit quaternion (w, x, y, z) of the rotation with the given columns; its largest
+/// component is positive.
 glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
     const double trace = x.x + y.y + z.z;
     const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},
@@ -148,8 +156,8 @@ glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dv
 }
 
 /// Normals scatter about the rectangle's; the angle in the plane is uniform.
-void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random,
-                    Surfels& surfels) {
+void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
+                    LegacyRandom& random, Surfels& surfels) {
     std::vector<glm::dvec3> normal(index.size());
     for (std::size_t i = 0; i < index.size(); ++i) {
         glm::dvec3 noise;
@@ -169,7 +177,8 @@ void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<
 void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfels) {
     const double factor = refine ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
-        for (int axis = 0; axis < 2; ++axis) log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.uniform()) * factor));
+        for (int axis = 0; axis < 2; ++axis)
+            log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.uniform()) * factor));
     for (float& logit : surfels.opacity_logit) {
         const double opacity = 0.1 + 0.89 * random.uniform();
         logit = float(std::log(opacity / (1.0 - opacity)));
@@ -177,13 +186,15 @@ void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfe
 }
 
 /// Coefficients on grids of 1/4096 (DC) and 1/256, ties to even as numpy rounds them.
-void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index, LegacyRandom& random, Surfels& surfels) {
+void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
+             LegacyRandom& random, Surfels& surfels) {
     const auto put_dc = [&](std::size_t i, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
         surfels.sh[i * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
     };
     const std::size_t n = index.size();
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 0, std::clamp(rectangles[index[i]].intensity + 0.08 * random.normal(), 0.02, 0.98));
+    for (std::size_t i = 0; i < n; ++i)
+        put_dc(i, 0, std::clamp(rectangles[index[i]].intensity + 0.08 * random.normal(), 0.02, 0.98));
     for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.normal());
     for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.normal());
     for (std::size_t i = 0; i < n; ++i)
@@ -223,8 +234,8 @@ RayTable make_benchmark_rays(int rows, int columns, double top_deg, double botto
         const double elevation = (top_deg + (row + 0.5) / rows * (bottom_deg - top_deg)) * (kPi / 180.0);
         for (int column = 0; column < columns; ++column) {
             const double azimuth = kPi - (column + 0.5) / columns * 2.0 * kPi;
-            table.direction.emplace_back(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
-                                         std::sin(elevation));
+            table.direction.emplace_back(std::cos(elevation) * std::cos(azimuth),
+                                         std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             table.channel.push_back(std::uint16_t(row));
         }
     }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scene on the device: parameter arrays, records, the tables of models and instances, and the activation kernels between them.
+// The scene on the device: parameter arrays, records, the tables of models and instances,
+// and the activation kernels between them.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
@@ -16,46 +17,52 @@
 
 namespace relidar {
 
-static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 96 && sizeof(shared::ModelEntry) == 32);
+static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry) == 96 &&
+              sizeof(shared::ModelEntry) == 32);
 
 namespace {
 
 void check_primitive(Primitive found, const ImageModel& model) {
     if (found == model.primitive) return;
-    throw UsageError(fmt::format(
-        "image.primitive={}: the scene is made of {}, expected image.primitive={}: a scene keeps the primitive it was trained with",
-        kind_of(model.primitive).name, kind_of(found).label, kind_of(found).name));
+    throw UsageError(
+        fmt::format("image.primitive={}: the scene is made of {}, expected image.primitive={}: a scene keeps "
+                    "the primitive it was trained with",
+                    kind_of(model.primitive).name, kind_of(found).label, kind_of(found).name));
 }
 
 void check_layout(const Scene& scene) {
-    std::size_t next = 0;   // kernels find the model of a surfel among ranges in order
+    std::size_t next = 0;  // kernels find the model of a surfel among ranges in order
     for (const Model& model : scene.models) {
         if (model.first != next)
-            throw DataError(fmt::format("loading scene: model {} starts at surfel {}, expected {}, where the model before ends", model.name,
-                                        model.first, next));
+            throw DataError(fmt::format(
+                "loading scene: model {} starts at surfel {}, expected {}, where the model before ends",
+                model.name, model.first, next));
         next += model.count;
     }
     if (next != scene.surfels.size())
-        throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next, scene.surfels.size()));
+        throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next,
+                                    scene.surfels.size()));
     for (const Instance& instance : scene.instances)
         if (instance.model >= scene.models.size())
-            throw DataError(
-                fmt::format("loading scene: an instance places model {}, expected one of {}", instance.model, scene.models.size()));
+            throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}",
+                                        instance.model, scene.models.size()));
 }
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
     std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
-    if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});   // threads that share 4.4 kB: one wave, or two
+    // threads that share 4.4 kB: one wave, or two
+    if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
-/// Where the placements of each model are, and their record gradients: those of a model's first placement are its surfels' own rows,
-/// further ones follow after all surfels, model by model.
+/// Where the placements of each model are, and their record gradients: those of a model's
+/// first placement are its surfels' own rows, further ones follow after all surfels,
+/// model by model.
 struct Placements {
-    std::vector<std::uint32_t> first_row;        ///< [instances]
-    std::vector<std::int64_t> first_instance;    ///< [models] -1: never placed
-    std::vector<std::uint32_t> more;             ///< first rows of further placements, by model
-    std::vector<std::uint32_t> first_more;       ///< [models + 1] into `more`
+    std::vector<std::uint32_t> first_row;      ///< [instances]
+    std::vector<std::int64_t> first_instance;  ///< [models] -1: never placed
+    std::vector<std::uint32_t> more;           ///< first rows of further placements, by model
+    std::vector<std::uint32_t> first_more;     ///< [models + 1] into `more`
     std::uint32_t n_rows;
 
     Placements(const Scene& scene, std::uint32_t n_surfels)
@@ -71,7 +78,8 @@ struct Placements {
             first_more[model + 1] = first_more[model] + n_more;
             next_row[model] = n_rows;
             n_rows += n_more * scene.models[model].count;
-            for (std::uint32_t k = 0; k < n_more; ++k) more.push_back(next_row[model] + k * scene.models[model].count);
+            for (std::uint32_t k = 0; k < n_more; ++k)
+                more.push_back(next_row[model] + k * scene.models[model].count);
         }
         for (std::size_t i = 0; i < scene.instances.size(); ++i) {
             const std::uint32_t model = scene.instances[i].model;
@@ -110,14 +118,15 @@ struct DeviceScene::Impl {
     float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
-    std::optional<TouchedList> list;   ///< where harmonics are not staged
+    std::optional<TouchedList> list;  ///< where harmonics are not staged
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(layout_of(scene)),
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           models(device, model_table(scene, placements), "model table"),
           more_rows(device, placements.more, "rows of further placements"),
-          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel", scene.surfels.parameters()),
+          parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
+                     scene.surfels.parameters()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
           activate(device, "scene/activate", activation_constants(stage_harmonics)),
@@ -127,10 +136,12 @@ struct DeviceScene::Impl {
 
     std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
-    /// Takes the poses. @return the table hits are moved into their models with; an absent instance has no surfels
+    /// Takes the poses. @return the table hits are moved into their models with; an
+    /// absent instance has no surfels
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
-            throw DataError(fmt::format("placing instances: found {} poses, expected {}", placed.size(), layout.instances.size()));
+            throw DataError(fmt::format("placing instances: found {} poses, expected {}", placed.size(),
+                                        layout.instances.size()));
         poses = placed;
         std::vector<shared::InstanceEntry> entries;
         for (std::size_t i = 0; i < placed.size(); ++i) {
@@ -153,22 +164,27 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// View origin in the frame of each model, as its first instance sees it. @return [models], valid for the next submission
+    /// View origin in the frame of each model, as its first instance sees it. @return
+    /// [models], valid for the next submission
     Address<glm::vec3> view_origins(Stream& stream, const glm::vec3& world) const {
         std::vector<glm::vec3> origins;
         for (const std::int64_t i : placements.first_instance)
-            origins.push_back(i < 0 ? world : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) * glm::dvec3(world)));
+            origins.push_back(i < 0 ? world
+                                    : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
+                                                glm::dvec3(world)));
         return impl_of(stream).values(origins);
     }
 
-    /// Of the gait of each model, as its first instance walks. @return [models] turns, below 0 of rigid ones; null where none has a gait
+    /// Of the gait of each model, as its first instance walks. @return [models] turns,
+    /// below 0 of rigid ones; null where none has a gait
     Address<float> phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
             const std::int64_t i = placements.first_instance[m];
             const double turns = i < 0 ? 0.0 : poses[static_cast<std::size_t>(i)].phase;
-            all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns)) : -1.0f);
+            all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
+                                                           : -1.0f);
         }
         return impl_of(stream).values(all);
     }
@@ -189,7 +205,9 @@ void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
     set_poses(placed);
 }
 
-void DeviceScene::set_poses(const std::vector<InstancePose>& placed) { impl_->instances.upload(impl_->instance_table(placed)); }
+void DeviceScene::set_poses(const std::vector<InstancePose>& placed) {
+    impl_->instances.upload(impl_->instance_table(placed));
+}
 
 void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
     const std::vector<shared::InstanceEntry> entries = impl_->instance_table(placed);
@@ -215,7 +233,8 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
 
 bool DeviceScene::lists_touched() const { return impl_->list.has_value(); }
 
-void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m, const ActivationGradients& g) {
+void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
+                               const ActivationGradients& g) {
     if (size() == 0) return;
     const bool listed = g.touched_is_marked && lists_touched() && !g.zero_untouched;
     if (listed) impl_->list->find(stream, g.touched->address(), size());
@@ -249,7 +268,7 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    impl_->placements = Placements(impl_->layout, n);   // as many as before: instances do not change
+    impl_->placements = Placements(impl_->layout, n);  // as many as before: instances do not change
     impl_->models.upload(model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);
 }
@@ -273,7 +292,9 @@ const Array<shared::InstanceEntry>& DeviceScene::instances() const { return impl
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 Primitive DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
-std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const { return impl_->placements.first_row[instance]; }
+std::uint32_t DeviceScene::first_gradient_row(std::size_t instance) const {
+    return impl_->placements.first_row[instance];
+}
 std::uint32_t DeviceScene::gradient_rows() const { return impl_->placements.n_rows; }
 
 }  // namespace relidar

@@ -17,7 +17,8 @@ namespace {
 
 using Basis = std::array<double, kShCoefficients>;
 
-/// shaders/scene/gaussian/sh.glsl in double: real harmonics up to degree 3, orthonormal on the sphere. @param d [3] unit
+/// shaders/scene/gaussian/sh.glsl in double: real harmonics up to degree 3, orthonormal
+/// on the sphere. @param d [3] unit
 Basis harmonics(const glm::dvec3& d) {
     const double x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
@@ -41,13 +42,15 @@ Basis harmonics(const glm::dvec3& d) {
 
 using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
-/// What takes coefficients of directions in a model to those of the same directions in the world: the integral of Y_i(R d) Y_j(d) over the
-/// sphere. Products are of degree 6: four Gauss-Legendre heights by eight azimuths are exact.
+/// What takes coefficients of directions in a model to those of the same directions in
+/// the world: the integral of Y_i(R d) Y_j(d) over the sphere. Products are of degree 6:
+/// four Gauss-Legendre heights by eight azimuths are exact.
 Turn turn_of(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},
                                                              {0.3399810435848563, 0.6521451548625461},
-                                                             {0.8611363115940526, 0.3478548451374538}}};   // and their weights
+                                                             // and their weights
+                                                             {0.8611363115940526, 0.3478548451374538}}};
     constexpr int kAzimuths = 8;
     Turn turn{};
     for (const auto& [z, weight] : kHeights)
@@ -72,7 +75,8 @@ void turn_harmonics(const Turn& turn, float* channel) {
     std::ranges::copy(turned, channel);
 }
 
-/// Moves a surfel to where it is at a phase of its gait, and lets it fade (shaders/scene/gaussian/gait.glsl).
+/// Moves a surfel to where it is at a phase of its gait, and lets it fade
+/// (shaders/scene/gaussian/gait.glsl).
 void bend(Surfels& s, std::size_t i, double phase) {
     const Gait& gait = s.gait[i];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
@@ -88,10 +92,12 @@ void place(Surfels& s, const Pose& world_from_model) {
     const Turn turn = turn_of(world_from_model.rotation);
     for_each_block(s.size(), [&](std::size_t i) {
         s.mean[i] = glm::vec3(world_from_model * glm::dvec3(s.mean[i]));
-        const glm::dquat q(double(s.rotation[i].x), double(s.rotation[i].y), double(s.rotation[i].z), double(s.rotation[i].w));
+        const glm::dquat q(double(s.rotation[i].x), double(s.rotation[i].y), double(s.rotation[i].z),
+                           double(s.rotation[i].w));
         const glm::dquat turned = world_from_model.rotation * q;
         s.rotation[i] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
-        for (std::size_t c = 0; c < kShChannels; ++c) turn_harmonics(turn, &s.sh[i * kShFloats + c * kShCoefficients]);
+        for (std::size_t c = 0; c < kShChannels; ++c)
+            turn_harmonics(turn, &s.sh[i * kShFloats + c * kShCoefficients]);
     });
 }
 
@@ -99,7 +105,8 @@ void place(Surfels& s, const Pose& world_from_model) {
 
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed) {
     if (placed.size() != scene.instances.size())
-        throw DataError(fmt::format("freezing a scene: found {} poses, expected {}", placed.size(), scene.instances.size()));
+        throw DataError(fmt::format("freezing a scene: found {} poses, expected {}", placed.size(),
+                                    scene.instances.size()));
     Surfels all;
     all.primitive = scene.surfels.primitive;
     for (std::size_t k = 0; k < placed.size(); ++k) {

@@ -18,19 +18,22 @@
 namespace relidar {
 namespace {
 
-constexpr double kAverage_s = 1.0;       // labels jitter
+constexpr double kAverage_s = 1.0;  // labels jitter
 constexpr double kStands_mps = 0.2;
 
 struct PhaseCloud {
     const std::vector<Sample>& samples;
-    std::vector<std::uint32_t> of;   ///< numbers of samples
+    std::vector<std::uint32_t> of;  ///< numbers of samples
 
     std::size_t kdtree_get_point_count() const { return of.size(); }
     float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[of[i]].position[int(axis)]; }
     template <class Box>
-    bool kdtree_get_bbox(Box&) const { return false; }
+    bool kdtree_get_bbox(Box&) const {
+        return false;
+    }
 };
-using PhaseTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, PhaseCloud>, PhaseCloud, 3, std::size_t>;
+using PhaseTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, PhaseCloud>,
+                                                      PhaseCloud, 3, std::size_t>;
 
 /// Samples of a part of them, searched by place.
 struct Index {
@@ -54,7 +57,8 @@ struct Index {
         if (cloud.of.empty()) return {};
         found.resize(tree.knnSearch(&p.x, most, found.data(), distance2.data()));
         std::vector<std::uint32_t> numbers;
-        for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k) numbers.push_back(cloud.of[found[k]]);
+        for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k)
+            numbers.push_back(cloud.of[found[k]]);
         return numbers;
     }
 };
@@ -68,7 +72,7 @@ double apart(double a, double b) { return b - a - std::round(b - a); }
 WalkedWay::WalkedWay(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
         const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
-        constexpr int kSteps = 5;   // to each side
+        constexpr int kSteps = 5;  // to each side
         glm::dvec3 sum(0.0);
         for (int k = -kSteps; k <= kSteps; ++k) sum += track.at(t_s + half * k / kSteps).translation;
         return sum / double(2 * kSteps + 1);
@@ -94,21 +98,21 @@ double WalkedWay::at(double t_s) const {
 
 std::optional<StrideRange> stride_range(ObjectKind kind) {
     if (kind == ObjectKind::person) return StrideRange{0.7, 2.4};
-    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};   // a turn of the pedals
+    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};  // a turn of the pedals
     return std::nullopt;
 }
 
 namespace {
 
-constexpr double kTurns = 2.0;        // at the least that a stride has to be seen
-constexpr double kNearSurface_m = 0.3;       // farther is not looked
+constexpr double kTurns = 2.0;          // at the least that a stride has to be seen
+constexpr double kNearSurface_m = 0.3;  // farther is not looked
 
 /// How far some samples are from the nearest points of each frame.
 struct FrameGaps {
-    std::vector<double> walked_m;                 ///< [frames] when it was taken
-    std::vector<std::size_t> frame;               ///< [samples] each is of
-    std::vector<std::vector<float>> distance_m;   ///< [samples][frames]
-    std::vector<char> varies;                     ///< [samples] whether it is one of the half whose distances vary most: limbs
+    std::vector<double> walked_m;                ///< [frames] when it was taken
+    std::vector<std::size_t> frame;              ///< [samples] each is of
+    std::vector<std::vector<float>> distance_m;  ///< [samples][frames]
+    std::vector<char> varies;  ///< [samples] whether it is one of the half whose distances vary most: limbs
 };
 
 FrameGaps frame_gaps(const std::vector<Sample>& samples) {
@@ -128,7 +132,8 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     gaps.distance_m.resize(gaps.frame.size());
     run_parallel(int(gaps.frame.size()), [&](int k) {
         for (const std::unique_ptr<Index>& frame : frames)
-            gaps.distance_m[std::size_t(k)].push_back(float(frame->distance_m(samples[std::size_t(k) * step].position, kNearSurface_m)));
+            gaps.distance_m[std::size_t(k)].push_back(
+                float(frame->distance_m(samples[std::size_t(k) * step].position, kNearSurface_m)));
     });
     std::vector<double> spread;
     for (const std::vector<float>& distances : gaps.distance_m) {
@@ -142,61 +147,71 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     return gaps;
 }
 
-/// How much nearer frames of the same phase lie than those of others: about 1 where a stride means nothing; more than that where no two
-/// frames are of the same phase.
+/// How much nearer frames of the same phase lie than those of others: about 1 where a
+/// stride means nothing; more than that where no two frames are of the same phase.
 double misfit_share(const FrameGaps& gaps, double stride_m) {
-    constexpr double kSame = 0.06, kOther = 0.15;   // turns apart
+    constexpr double kSame = 0.06, kOther = 0.15;  // turns apart
     constexpr double kWorst = 2.0;
     double same = 0.0, other = 0.0;
     std::size_t n_same = 0, n_other = 0;
     for (std::size_t k = 0; k < gaps.frame.size(); ++k) {
         if (!gaps.varies[k]) continue;
         for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
-            const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m, off = std::abs(apart(0.0, turns));
-            if (std::abs(turns) < 0.5) continue;   // it looks like itself a moment ago
+            const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m,
+                         off = std::abs(apart(0.0, turns));
+            if (std::abs(turns) < 0.5) continue;  // it looks like itself a moment ago
             if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
         }
     }
-    if (n_same < gaps.frame.size() / 2 || n_other < gaps.frame.size() / 2) return kWorst;   // not even one frame each
+    // not even one frame each
+    if (n_same < gaps.frame.size() / 2 || n_other < gaps.frame.size() / 2) return kWorst;
     return same / double(n_same) / std::max(other / double(n_other), 1e-9);
 }
 
 }  // namespace
 
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
-    constexpr std::size_t kFewest = 200, kFewestFrames = 24;   // of fewer some stride fits by chance
+    constexpr std::size_t kFewest = 200, kFewestFrames = 24;  // of fewer some stride fits by chance
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
-    if (samples.size() < kFewest) return {0.0, fmt::format("{} points, expected {} or more", samples.size(), kFewest)};
+    if (samples.size() < kFewest)
+        return {0.0, fmt::format("{} points, expected {} or more", samples.size(), kFewest)};
     const auto [first, last] = std::ranges::minmax(samples, {}, &Sample::walked_m);
-    const double walked = double(last.walked_m) - double(first.walked_m), most = std::min(range.most_m, walked / kTurns);
+    const double walked = double(last.walked_m) - double(first.walked_m),
+                 most = std::min(range.most_m, walked / kTurns);
     if (most < range.least_m)
-        return {0.0, fmt::format("it came {:.1f} m, expected {:.1f} m or more", walked, kTurns * range.least_m)};
+        return {0.0,
+                fmt::format("it came {:.1f} m, expected {:.1f} m or more", walked, kTurns * range.least_m)};
     const FrameGaps gaps = frame_gaps(samples);
     if (gaps.walked_m.size() < kFewestFrames)
-        return {0.0, fmt::format("it is seen in {} frames, expected {} or more to find a gait", gaps.walked_m.size(), kFewestFrames)};
+        return {0.0, fmt::format("it is seen in {} frames, expected {} or more to find a gait",
+                                 gaps.walked_m.size(), kFewestFrames)};
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
     std::vector<double> shares(strides.size()), smooth;
-    run_parallel(int(strides.size()), [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
-    for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)   // a single one is chance
-        smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) / (2 * kBeside + 1));
+    run_parallel(int(strides.size()),
+                 [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
+    for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)  // a single one is chance
+        smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
+                         (2 * kBeside + 1));
     if (smooth.size() < 3) return {0.0, "it came too few strides"};
     const std::size_t best = std::size_t(std::ranges::min_element(smooth) - smooth.begin());
     const double stride = strides[best + kBeside];
     if (smooth[best] > kClearly || best == 0 || best + 1 == smooth.size())
-        return {0.0, fmt::format("its points show no gait: of strides from {:.1f} to {:.1f} m one of {:.2f} m fits best, and points of the "
-                                 "same phase then lie {:.2f} times as far apart as others, expected {} or less",
-                                 strides.front(), strides.back(), stride, smooth[best], kClearly)};
+        return {0.0,
+                fmt::format("its points show no gait: of strides from {:.1f} to {:.1f} m one of {:.2f} m "
+                            "fits best, and points of the "
+                            "same phase then lie {:.2f} times as far apart as others, expected {} or less",
+                            strides.front(), strides.back(), stride, smooth[best], kClearly)};
     return {stride, {}};
 }
 
 namespace {
 
-constexpr int kBins = 40;               // of a turn
-constexpr double kWindow = 0.06;        // turns: standard deviation of when a surfel is there
-constexpr double kSame_m = 0.07;        // points nearer than this show the same surface
+constexpr int kBins = 40;         // of a turn
+constexpr double kWindow = 0.06;  // turns: standard deviation of when a surfel is there
+constexpr double kSame_m = 0.07;  // points nearer than this show the same surface
 
 /// The samples of each fortieth of a turn.
 struct Phases {
@@ -206,8 +221,10 @@ struct Phases {
 
     Phases(const std::vector<Sample>& s, double stride) : samples(s), stride_m(stride) {
         std::vector<std::vector<std::uint32_t>> numbers(kBins);
-        for (std::size_t i = 0; i < samples.size(); ++i) numbers[std::size_t(bin(of(i)))].push_back(std::uint32_t(i));
-        for (std::vector<std::uint32_t>& of_bin : numbers) bins.push_back(std::make_unique<Index>(samples, std::move(of_bin)));
+        for (std::size_t i = 0; i < samples.size(); ++i)
+            numbers[std::size_t(bin(of(i)))].push_back(std::uint32_t(i));
+        for (std::vector<std::uint32_t>& of_bin : numbers)
+            bins.push_back(std::make_unique<Index>(samples, std::move(of_bin)));
     }
     double of(std::size_t i) const { return turn(samples[i].walked_m / stride_m); }
     static int bin(double turns) { return std::min(kBins - 1, int(turn(turns) * kBins)); }
@@ -225,7 +242,8 @@ bool rests(const Phases& phases, const glm::vec3& p) {
     return 4 * seen >= 3 * filled;
 }
 
-/// The velocity, in metres a turn, at which the points around a sample lie on those of the phases before and after.
+/// The velocity, in metres a turn, at which the points around a sample lie on those of
+/// the phases before and after.
 glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     constexpr double kPatch_m = 0.12, kFar_m = 0.15;
     constexpr std::size_t kOfPatch = 6;
@@ -237,12 +255,13 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     for (float x = -3.2f; x <= 3.21f; x += 0.4f)
         for (float z = -0.8f; z <= 0.81f; z += 0.4f) {
             const glm::vec3 velocity(x, 0.0f, z);
-            double sum = 1e-4 * double(glm::length(velocity));   // of equals the slowest
+            double sum = 1e-4 * double(glm::length(velocity));  // of equals the slowest
             for (const int ahead : {-4, -2, 2, 4}) {
                 const Index& there = phases.at(bin + ahead);
                 for (const std::uint32_t j : patch) {
                     const double turns = (bin + ahead + 0.5) / kBins - phases.of(j);
-                    sum += there.distance_m(phases.samples[j].position + float(apart(0.0, turns)) * velocity, kFar_m);
+                    sum += there.distance_m(phases.samples[j].position + float(apart(0.0, turns)) * velocity,
+                                            kFar_m);
                 }
             }
             if (sum < least) least = sum, best = velocity;
@@ -252,7 +271,8 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
 
 /// The same of all samples, each the middle of those around it.
 /// @param wanted  of which @return [samples]
-std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted, const Progress& progress) {
+std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted,
+                                  const Progress& progress) {
     constexpr double kAround_m = 0.15;
     constexpr std::size_t kMost = 9;
     const int n = int(wanted.size());
@@ -266,21 +286,23 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
         const int bin = Phases::bin(phases.of(i));
         std::array<std::vector<float>, 3> around;
         for (const int beside : {-1, 0, 1})
-            for (const std::uint32_t j : phases.at(bin + beside).within(phases.samples[i].position, kAround_m, kMost))
+            for (const std::uint32_t j :
+                 phases.at(bin + beside).within(phases.samples[i].position, kAround_m, kMost))
                 for (int k = 0; k < 3; ++k)
                     if (wanted[j]) around[std::size_t(k)].push_back(each[j][k]);
         for (int k = 0; k < 3; ++k) {
             std::vector<float>& values = around[std::size_t(k)];
             const auto half = values.begin() + std::ptrdiff_t(values.size() / 2);
             std::nth_element(values.begin(), half, values.end());
-            middle[i][k] = *half;   // there is itself at the least
+            middle[i][k] = *half;  // there is itself at the least
         }
     });
     return middle;
 }
 
 /// One surfel a sample, there around its own phase, or always.
-Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait, const InitialiseOptions& options, double incidence) {
+Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
+                  const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
     Surfels surfels = surfels_from_points(samples, options, incidence, {}, &order);
     surfels.add_gait();
@@ -290,11 +312,13 @@ Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& g
 
 }  // namespace
 
-Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, const InitialiseOptions& options, double incidence,
-                          std::size_t most, const Progress& progress) {
+Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
+                          const InitialiseOptions& options, double incidence, std::size_t most,
+                          const Progress& progress) {
     const Phases phases(samples, stride_m);
     std::vector<char> at_rest(samples.size());
-    run_parallel(int(samples.size()), [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
+    run_parallel(int(samples.size()),
+                 [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
     std::vector<char> moves(at_rest);
     for (char& one : moves) one = !one;
     const std::vector<glm::vec3> velocity = velocities(phases, moves, progress);
@@ -306,7 +330,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, c
         resting = thin_out(resting, most / 2);
         surfels = with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
     }
-    constexpr int kTogether = 4;   // bins whose points make surfaces together
+    constexpr int kTogether = 4;  // bins whose points make surfaces together
     for (int first = 0; first < kBins; first += kTogether) {
         std::vector<std::uint32_t> numbers;
         for (int bin = first; bin < first + kTogether; ++bin)
@@ -314,12 +338,14 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, c
                 if (!at_rest[i]) numbers.push_back(i);
         std::vector<Gait> gait;
         for (const std::uint32_t i : numbers)
-            gait.push_back({float(phases.of(i)), float(1.0 / (2.0 * kPi * kWindow)), velocity[i] / float(2.0 * kPi)});
-        std::vector<Sample> moving;   // all where they are in the middle of these bins
+            gait.push_back(
+                {float(phases.of(i)), float(1.0 / (2.0 * kPi * kWindow)), velocity[i] / float(2.0 * kPi)});
+        std::vector<Sample> moving;  // all where they are in the middle of these bins
         const double middle = (first + 0.5 * kTogether) / kBins;
         for (std::size_t k = 0; k < numbers.size(); ++k) {
             moving.push_back(samples[numbers[k]]);
-            moving.back().position += float(std::sin(2.0 * kPi * apart(double(gait[k].phase), middle))) * gait[k].swing;
+            moving.back().position +=
+                float(std::sin(2.0 * kPi * apart(double(gait[k].phase), middle))) * gait[k].swing;
             gait[k].phase = float(middle);
         }
         std::vector<std::uint32_t> kept;

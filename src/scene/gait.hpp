@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// People and cyclists that walk: how far they have come, how long a stride is, and surfels that take part in it (docs/method.md M10).
-// Private to scene.
+// People and cyclists that walk: how far they have come, how long a stride is, and
+// surfels that take part in it (docs/method.md M10). Private to scene.
 #pragma once
 
 #include <optional>
@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// How far something has come along its track. Positions are averaged over a second, since labels jitter, and what is slower than 0.2 m/s
-/// stands.
+/// How far something has come along its track. Positions are averaged over a second,
+/// since labels jitter, and what is slower than 0.2 m/s stands.
 class WalkedWay {
 public:
     explicit WalkedWay(const PoseTrack& world_from_box);
@@ -34,16 +34,19 @@ std::optional<StrideRange> stride_range(ObjectKind kind);
 
 /// A stride, or why there is none.
 struct FoundStride {
-    double stride_m = 0.0;   ///< 0: none
+    double stride_m = 0.0;  ///< 0: none
     std::string why_none = {};
 };
-/// The stride at which points of one moment lie nearest to those of the same phase in other turns.
+/// The stride at which points of one moment lie nearest to those of the same phase in
+/// other turns.
 /// @param samples  in the frame of the box, with what was walked until then
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
-/// Surfels of something that walks: where points lie at every phase they rest, others are there around their own phase and swing as the
-/// points beside them do. @param samples  at least one @param most  surfels @param progress  what it throws ends it
-Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m, const InitialiseOptions& options, double incidence,
-                          std::size_t most, const Progress& progress = {});
+/// Surfels of something that walks: where points lie at every phase they rest, others are
+/// there around their own phase and swing as the points beside them do. @param samples
+/// at least one @param most  surfels @param progress  what it throws ends it
+Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
+                          const InitialiseOptions& options, double incidence, std::size_t most,
+                          const Progress& progress = {});
 
 }  // namespace relidar

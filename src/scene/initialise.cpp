@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Background surfels from the training frames: points averaged per voxel, normals and scales from nearest neighbours (docs/method.md
-// section 2; paper section 3.2). Points of moving boxes are left out, and no held-out frame is looked at.
+// Background surfels from the training frames: points averaged per voxel, normals and
+// scales from nearest neighbours (docs/method.md section 2; paper section 3.2). Points of
+// moving boxes are left out, and no held-out frame is looked at.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -15,21 +16,22 @@
 
 #include "base/nearest_place.hpp"
 #include "base/parallel.hpp"
+#include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 #include "scene/point_surfels.hpp"
-#include "base/progress_blocks.hpp"
 #include "scene/visibility.hpp"
 
 namespace relidar {
 
 namespace {
 
-// of the frames that see a place: with 1, what stood for a while stays as a ghost (RMSE 2.28 instead of 2.12 m on KITTI 0005)
+// of the frames that see a place: with 1, what stood for a while stays as a ghost (RMSE
+// 2.28 instead of 2.12 m on KITTI 0005)
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples of one voxel.
 struct Voxel {
-    std::uint64_t first = 0;   ///< sample that began it, counted over frames
+    std::uint64_t first = 0;  ///< sample that began it, counted over frames
     glm::dvec3 position{0.0};
     glm::dvec3 view{0.0};
     double intensity = 0.0;
@@ -49,11 +51,13 @@ struct CellHash {
 };
 
 /// Points of one frame in the world, each from where the sensor was when it fired.
-std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
-                                  const InitialiseOptions& options) {
+std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
+                                  const std::vector<BoxTrack>& separate, const InitialiseOptions& options) {
     std::vector<Sample> samples;
     for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& w) {
-        const auto is_in = [&](const BoxTrack& box) { return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m); };
+        const auto is_in = [&](const BoxTrack& box) {
+            return box.present(w.time_s) && box.holds(w.point_m, w.time_s, kMoverMargin_m);
+        };
         if (std::ranges::any_of(separate, is_in)) return;
         samples.push_back({glm::vec3(w.point_m), w.intensity, glm::vec3(w.direction)});
     });
@@ -65,12 +69,15 @@ std::vector<glm::vec3> sensor_places(const Sequence& sequence, const std::vector
     std::vector<glm::vec3> places;
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
-        places.emplace_back(sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
+        places.emplace_back(
+            sequence.world_from_vehicle.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor)
+                .translation);
     }
     return places;
 }
 
-/// Voxel edge at a point: voxel_m, doubled where the point is far from every sensor position (voxel_growth > 0).
+/// Voxel edge at a point: voxel_m, doubled where the point is far from every sensor
+/// position (voxel_growth > 0).
 Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const InitialiseOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
@@ -89,11 +96,14 @@ struct Placed {
     std::uint32_t number;
 };
 
-constexpr std::size_t kParts = 32;   // of the voxels, by their hash: each has a table of its own, so that threads fill all at the same time
+// of the voxels, by their hash: each has a table of its own, so that threads fill all at
+// the same time
+constexpr std::size_t kParts = 32;
 using PlacedByPart = std::array<std::vector<Placed>, kParts>;
 
-PlacedByPart placed_samples(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& separate,
-                            const NearestPlace<float>& sensors, const InitialiseOptions& options) {
+PlacedByPart placed_samples(const Sequence& sequence, const Frame& frame,
+                            const std::vector<BoxTrack>& separate, const NearestPlace<float>& sensors,
+                            const InitialiseOptions& options) {
     PlacedByPart placed;
     std::uint32_t number = 0;
     for (const Sample& s : frame_samples(sequence, frame, separate, options)) {
@@ -119,9 +129,10 @@ struct Voxels {
     }
 };
 
-/// Voxel means in a reproducible order: that of first appearance. A few frames at a time, so that memory grows with the voxels alone.
-std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train, const InitialiseOptions& options,
-                                const Progress& progress) {
+/// Voxel means in a reproducible order: that of first appearance. A few frames at a time,
+/// so that memory grows with the voxels alone.
+std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train,
+                                const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
     const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
     const NearestPlace<float> sensors(sensor_places(sequence, train));
@@ -131,11 +142,13 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
         std::vector<PlacedByPart> frames(std::min(kFrames, train.size() - begin));
         run_parallel(static_cast<int>(frames.size()), [&](int i) {
             frames[std::size_t(i)] =
-                placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])], separate, sensors, options);
+                placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])],
+                               separate, sensors, options);
         });
         run_parallel(kParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
-                for (const Placed& placed : frames[i][std::size_t(part)]) parts[std::size_t(part)].add(placed, begin + i);
+                for (const Placed& placed : frames[i][std::size_t(part)])
+                    parts[std::size_t(part)].add(placed, begin + i);
         });
     }
     if (progress) progress("points of the background", 1.0);
@@ -153,8 +166,8 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
 }
 
 /// Leaves out samples that other frames see through.
-std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence, const std::vector<int>& train,
-                                   const Progress& progress) {
+std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence,
+                                   const std::vector<int>& train, const Progress& progress) {
     Visibility visibility(sequence, train);
     std::vector<glm::vec3> points;
     for (const Sample& sample : samples) points.push_back(sample.position);
@@ -171,14 +184,16 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
 
 }  // namespace
 
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions, const InitialiseOptions& options,
-                              const Progress& progress) {
+Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions,
+                              const InitialiseOptions& options, const Progress& progress) {
     std::vector<Sample> samples = voxel_means(sequence, train_positions, options, progress);
-    if (options.unlabelled_movers != UnlabelledMovers::background) samples = without_movers(samples, sequence, train_positions, progress);
+    if (options.unlabelled_movers != UnlabelledMovers::background)
+        samples = without_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
-        throw DataError(fmt::format(
-            "initialising the background of {}: found no return outside moving boxes in {} training frames, expected at least one",
-            sequence.name, train_positions.size()));
+        throw DataError(
+            fmt::format("initialising the background of {}: found no return outside moving boxes in {} "
+                        "training frames, expected at least one",
+                        sequence.name, train_positions.size()));
     return surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }
 

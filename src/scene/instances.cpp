@@ -12,7 +12,7 @@
 namespace relidar {
 
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model) {
-    Model added = other.models[model];   // with its box and stride
+    Model added = other.models[model];  // with its box and stride
     const Surfels surfels = other.surfels.slice(added.first, added.count);
     added.first = static_cast<std::uint32_t>(scene.surfels.size());
     scene.models.push_back(std::move(added));

@@ -12,8 +12,8 @@
 namespace relidar {
 namespace {
 
-constexpr int kRounds = 3;               // the first path is that of what was seen, which turns as other sides appear
-constexpr double kTop_s = 1.0;           // the road rises little while this passes
+constexpr int kRounds = 3;      // the first path is that of what was seen, which turns as other sides appear
+constexpr double kTop_s = 1.0;  // the road rises little while this passes
 constexpr double kMargin_m = 0.1;        // of the box around its points
 constexpr double kGroundOfBox_m = 0.15;  // the lowest part of a box counts as ground (actors.cpp)
 constexpr double kSpeedOver_s = 0.5;
@@ -63,7 +63,8 @@ std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vect
     return placed_along(positions);
 }
 
-/// What of an observation lies between two ends along an axis, without the few points that are farthest out.
+/// What of an observation lies between two ends along an axis, without the few points
+/// that are farthest out.
 struct Extent {
     double low, high;
 };
@@ -97,32 +98,40 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
     return centres;
 }
 
-/// Heights of the top: of a thing far away the beams miss some, so an observation takes the highest of those within a second.
+/// Heights of the top: of a thing far away the beams miss some, so an observation takes
+/// the highest of those within a second.
 std::vector<double> tops(const MoverTrack& track) {
     std::vector<double> own, result;
     for (const Observation& o : track.seen) own.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
     for (const Observation& o : track.seen) {
         double top = -1e30;
         for (std::size_t j = 0; j < own.size(); ++j)
-            if (std::abs(track.seen[j].cluster.time_s - o.cluster.time_s) < kTop_s) top = std::max(top, own[j]);
+            if (std::abs(track.seen[j].cluster.time_s - o.cluster.time_s) < kTop_s)
+                top = std::max(top, own[j]);
         result.push_back(top);
     }
     return result;
 }
 
-/// Where observations lie if the thing heads along its placements: centres by near ends, at the height of the top.
+/// Where observations lie if the thing heads along its placements: centres by near ends,
+/// at the height of the top.
 /// @param size_m  length and width; none: what was shown
-std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vector<Placement>& placed, const glm::dvec3* size_m) {
+std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vector<Placement>& placed,
+                                        const glm::dvec3* size_m) {
     std::vector<glm::dvec3> along, across, places;
     for (const Placement& p : placed) along.push_back(p.along()), across.push_back(p.across());
-    const std::vector<double> x = centres_along(track, along, size_m ? 0.5 * size_m->x : half_shown(track, along));
-    const std::vector<double> y = centres_along(track, across, size_m ? 0.5 * size_m->y : half_shown(track, across));
+    const std::vector<double> x =
+        centres_along(track, along, size_m ? 0.5 * size_m->x : half_shown(track, along));
+    const std::vector<double> y =
+        centres_along(track, across, size_m ? 0.5 * size_m->y : half_shown(track, across));
     const std::vector<double> top = tops(track);
-    for (std::size_t k = 0; k < placed.size(); ++k) places.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
+    for (std::size_t k = 0; k < placed.size(); ++k)
+        places.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
     return places;
 }
 
-/// Ends of a track's returns in its own frame, without the few that are farthest out, and a margin.
+/// Ends of a track's returns in its own frame, without the few that are farthest out, and
+/// a margin.
 struct Corners {
     glm::dvec3 low, high;
 };
@@ -144,33 +153,38 @@ Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed
     return corners;
 }
 
-/// Sizes of things that are seen from one side: about the middle of what is on the road. Passenger cars are 3.6 to 5 m long and 1.6 to
-/// 1.9 m wide, a bicycle is 1.8 m long and its rider 0.6 m wide; of lorries and buses a length is not to be had from their rear, so that of
-/// a light one is taken: a longer one shows its side.
+/// Sizes of things that are seen from one side: about the middle of what is on the road.
+/// Passenger cars are 3.6 to 5 m long and 1.6 to 1.9 m wide, a bicycle is 1.8 m long and
+/// its rider 0.6 m wide; of lorries and buses a length is not to be had from their rear,
+/// so that of a light one is taken: a longer one shows its side.
 struct Kind {
     const char* name;
     double length_m, width_m;
-    double least_length_m, least_width_m;   ///< less of one, and all of the other, is a side
+    double least_length_m, least_width_m;  ///< less of one, and all of the other, is a side
 };
-constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0}, kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-constexpr double kDrives_mps = 2.5;                        // people on foot are slower, and may walk side by side
-constexpr double kTruck_m = 2.5;                           // of what is taller
-constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;   // of what is narrower, and as tall
+constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
+    kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
+constexpr double kDrives_mps = 2.5;  // people on foot are slower, and may walk side by side
+constexpr double kTruck_m = 2.5;     // of what is taller
+constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;  // of what is narrower, and as tall
 
-/// What shows its rear, its front or its side alone; nothing for what is too small to tell.
+/// What shows its rear, its front or its side alone; nothing for what is too small to
+/// tell.
 const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     if (speed_mps < kDrives_mps) return nullptr;
-    const bool cyclist = size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m && size_m.x < kCar.least_length_m;
+    const bool cyclist =
+        size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m && size_m.x < kCar.least_length_m;
     const Kind* kind = cyclist ? &kCyclist : size_m.z > kTruck_m ? &kTruck : &kCar;
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
-/// On which side of a box the sensor was along an axis, most of the time: -1, 1, or 0 where it was beside or on both.
+/// On which side of a box the sensor was along an axis, most of the time: -1, 1, or 0
+/// where it was beside or on both.
 double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.seen.size(); ++k) {
         const double at = (inverse(box.world_from_box.pose[k]) * track.seen[k].sensor_m)[axis];
-        low += at < -0.5 * box.size_m[axis] - kBeside_m, high += at > 0.5 * box.size_m[axis] + kBeside_m;
+        low += at<-0.5 * box.size_m[axis] - kBeside_m, high += at> 0.5 * box.size_m[axis] + kBeside_m;
     }
     const auto most = std::ptrdiff_t(track.seen.size() * 3 / 4);
     return low > most ? -1.0 : high > most ? 1.0 : 0.0;
@@ -183,14 +197,16 @@ double median(std::vector<double> values) {
     return values[values.size() / 2];
 }
 
-/// How labels lie about what is seen of their thing: where the box is in the frame of a placement, and how far it is turned.
+/// How labels lie about what is seen of their thing: where the box is in the frame of a
+/// placement, and how far it is turned.
 struct Offset {
     glm::dvec3 local_m{0.0};
     double yaw = 0.0;
 };
 /// @param members  labelled observations
-Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& members, const std::vector<Placement>& placed,
-                 const std::vector<glm::dvec3>& places, const BoxTrack& label) {
+Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& members,
+                 const std::vector<Placement>& placed, const std::vector<glm::dvec3>& places,
+                 const BoxTrack& label) {
     std::vector<double> values[4];
     for (const std::size_t k : members) {
         const Pose pose = label.world_from_box.at(track.seen[k].cluster.time_s);
@@ -229,7 +245,8 @@ BoxTrack box_of(const MoverTrack& track) {
     box.size_m = high - low;
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         box.world_from_box.time_s.push_back(track.seen[k].frame_time_s);
-        box.world_from_box.pose.push_back({at_frames[k].rotation(), at_frames[k].to_world(0.5 * (low + high))});
+        box.world_from_box.pose.push_back(
+            {at_frames[k].rotation(), at_frames[k].to_world(0.5 * (low + high))});
     }
     return box;
 }
@@ -242,7 +259,8 @@ void complete_size(BoxTrack& box, const MoverTrack& track) {
     if (box.size_m.x < kind->least_length_m) grown.x = kind->length_m;
     if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
     if (grown == box.size_m) return;
-    for (int axis = 0; axis < 2; ++axis) shift[axis] = -0.5 * side_of_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
+    for (int axis = 0; axis < 2; ++axis)
+        shift[axis] = -0.5 * side_of_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
     box.size_m = grown;
     box.size_guess = kind->name;
     for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
@@ -259,20 +277,24 @@ BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
     for (int round = 0; round < kRounds; ++round) {
         const std::vector<Placement> placed = placed_along(positions_of(path));
         places = near_end_places(track, placed, &label.size_m);
-        before = offset_of(track, near.first, placed, places, label), after = offset_of(track, near.last, placed, places, label);
+        before = offset_of(track, near.first, placed, places, label),
+        after = offset_of(track, near.last, placed, places, label);
         for (std::size_t k = 0; k < places.size(); ++k)
-            places[k] = is_labelled(track.seen[k]) ? label.world_from_box.at(times[k]).translation
-                                                   : Placement{places[k], placed[k].yaw}.to_world((is_before(k) ? before : after).local_m);
+            places[k] =
+                is_labelled(track.seen[k])
+                    ? label.world_from_box.at(times[k]).translation
+                    : Placement{places[k], placed[k].yaw}.to_world((is_before(k) ? before : after).local_m);
         path = smooth_path(times, places);
     }
     const std::vector<Placement> at_frames = placed_at_frames(track, path);
     BoxTrack box = label;
-    PoseTrack poses[2];   // before and after the labels
+    PoseTrack poses[2];  // before and after the labels
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         if (is_labelled(track.seen[k])) continue;
         PoseTrack& side = poses[is_before(k) ? 0 : 1];
         side.time_s.push_back(track.seen[k].frame_time_s);
-        side.pose.push_back({Placement{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.rotation(), at_frames[k].position_m});
+        side.pose.push_back({Placement{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.rotation(),
+                             at_frames[k].position_m});
     }
     box.n_before = poses[0].pose.size(), box.n_after = poses[1].pose.size();
     PoseTrack& all = box.world_from_box;

@@ -16,21 +16,27 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxRange_m = 40.0;     // farther out a person is a return or two
-constexpr double kCell_m = 0.2;          // visibility is asked once a cell of the world
-constexpr double kSquare_m = 0.3;        // returns of one thing, seen from above, lie in squares of the ground
-constexpr int kReach = 2;                // of which the next is at most so many away: 0.6 to 0.9 m
-constexpr double kMinPoints = 12;        // that moved
+constexpr double kMaxRange_m = 40.0;  // farther out a person is a return or two
+constexpr double kCell_m = 0.2;       // visibility is asked once a cell of the world
+constexpr double kSquare_m = 0.3;     // returns of one thing, seen from above, lie in squares of the ground
+constexpr int kReach = 2;             // of which the next is at most so many away: 0.6 to 0.9 m
+constexpr double kMinPoints = 12;     // that moved
 constexpr double kMaxLength_m = 14.0;
-constexpr double kSeenThroughShare = 0.25;   // of the frames that see a cell: what drives ahead hides where it was
-constexpr int kSeldomSeen = 3;           // frames: what rests is seen by more, unless it is far or hidden
-constexpr double kGroundBelow_m = 0.05;  // what moved: what is lower and seldom seen is the ground around it
-constexpr double kGapAbove_m = 1.0;       // with nothing in it: what is higher is another thing. Beams two degrees apart have it at 29 m
-constexpr double kMovedShare = 0.15;      // of the returns of a group
-constexpr std::size_t kStretch = 200;     // frames at a time, at least, whose returns are in memory; cells that two see are asked twice
+// of the frames that see a cell: what drives ahead hides where it was
+constexpr double kSeenThroughShare = 0.25;
+constexpr int kSeldomSeen = 3;  // frames: what rests is seen by more, unless it is far or hidden
+// what moved: what is lower and seldom seen is the ground around it
+constexpr double kGroundBelow_m = 0.05;
+// with nothing in it: what is higher is another thing. Beams two degrees apart have it at
+// 29 m
+constexpr double kGapAbove_m = 1.0;
+constexpr double kMovedShare = 0.15;  // of the returns of a group
+// frames at a time, at least, whose returns are in memory; cells that two see are asked
+// twice
+constexpr std::size_t kStretch = 200;
 
-/// What the frames say of a cell. Where few frames look, as at the end of a log, nothing sees through a part of what moves: that part is
-/// taken in with the rest.
+/// What the frames say of a cell. Where few frames look, as at the end of a log, nothing
+/// sees through a part of what moves: that part is taken in with the rest.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// A return of a frame.
@@ -44,11 +50,12 @@ struct Return {
 /// A box of which a frame may see something.
 struct LabelledBox {
     BoxTrack box;
-    int label;   ///< kNoLabel where it stands
+    int label;  ///< kNoLabel where it stands
 };
 
-/// What is labelled needs no discovery: where it moves, at its time; and what stands as long as it is labelled, or is parked as far as its
-/// labels tell, stands before and after as well.
+/// What is labelled needs no discovery: where it moves, at its time; and what stands as
+/// long as it is labelled, or is parked as far as its labels tell, stands before and
+/// after as well.
 std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
@@ -60,7 +67,8 @@ std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
             continue;
         }
         BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
-        still.world_from_box = {{time_s}, {track.at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
+        still.world_from_box = {{time_s},
+                                {track.at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
     }
     return boxes;
 }
@@ -89,7 +97,8 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
             labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
-        } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {   // the margin has ground
+            // the margin has ground
+        } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
             cluster.time_s += w.time_s;
@@ -102,12 +111,14 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
     return result;
 }
 
-/// Gives returns the cells of the world that they lie in. @return [cells] the mean of the returns of each
+/// Gives returns the cells of the world that they lie in. @return [cells] the mean of the
+/// returns of each
 std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     std::vector<Return*> all;
     for (Returns& frame : frames)
         for (Return& r : frame.others) all.push_back(&r);
-    const CellNumbers numbers = number_cells(all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i]->point_m), kCell_m); });
+    const CellNumbers numbers = number_cells(
+        all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i]->point_m), kCell_m); });
     const ItemsOfCells items(numbers);
     for_each_block(all.size(), [&](std::size_t i) { all[i]->cell = numbers.of[i]; });
     std::vector<glm::vec3> means(items.size());
@@ -119,23 +130,28 @@ std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     return means;
 }
 
-/// A thing is in one piece from bottom to top; a tree above it is another, and so is the ground below. The piece with most of what moved.
-/// @param heights_m  of the returns of a group that moved, one or more @return lowest and highest place of what belongs to it, metres
+/// A thing is in one piece from bottom to top; a tree above it is another, and so is the
+/// ground below. The piece with most of what moved.
+/// @param heights_m  of the returns of a group that moved, one or more @return lowest and
+/// highest place of what belongs to it, metres
 std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
     for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
-        for (end = first + 1; end < heights_m.size() && heights_m[end] - heights_m[end - 1] < kGapAbove_m;) ++end;
+        for (end = first + 1; end < heights_m.size() && heights_m[end] - heights_m[end - 1] < kGapAbove_m;)
+            ++end;
         if (end - first > n_best) best = first, n_best = end - first;
     }
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups of returns whose squares of the ground are near each other; those seldom seen only beside one that moved.
+/// Groups of returns whose squares of the ground are near each other; those seldom seen
+/// only beside one that moved.
 std::vector<MoverCluster> group(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kSquare_m); };
-    for (std::uint32_t i = 0; i < returns.size(); ++i) squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
+    for (std::uint32_t i = 0; i < returns.size(); ++i)
+        squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
     std::vector<char> taken(returns.size(), 0);
     std::vector<MoverCluster> clusters;
     for (std::uint32_t start = 0; start < returns.size(); ++start) {
@@ -149,7 +165,8 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
             const Return& here = returns[open.back()];
             const glm::dvec3 p(here.point_m);
             open.pop_back();
-            if (here.motion != Motion::moved) continue;   // a group grows from what moved alone, by what is near that
+            // a group grows from what moved alone, by what is near that
+            if (here.motion != Motion::moved) continue;
             moved_at_m.push_back(p.z);
             for (int dx = -kReach; dx <= kReach; ++dx)
                 for (int dy = -kReach; dy <= kReach; ++dy) {
@@ -157,7 +174,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
                     if (near == squares.end()) continue;
                     for (const std::uint32_t j : near->second)
                         if (!std::exchange(taken[j], 1)) open.push_back(j);
-                    near->second.clear();   // all of them are taken
+                    near->second.clear();  // all of them are taken
                 }
         }
         const auto [bottom_m, top_m] = heights_of_one(std::move(moved_at_m));
@@ -190,13 +207,14 @@ void MoverCluster::take_in(const MoverCluster& other) {
 
 namespace {
 
-using Clusters = std::vector<std::vector<MoverCluster>>;   // [frames]
+using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
 
 /// Of some neighbouring frames.
 Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility) {
     std::vector<Returns> frames(positions.size());
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
-        frames[std::size_t(i)] = returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
+        frames[std::size_t(i)] =
+            returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
     });
     const std::vector<glm::vec3> cells = put_into_cells(frames);
     visibility.announce(cells);
@@ -227,7 +245,7 @@ Clusters joined_clusters(const ProcessGroup& group, const Clusters& own) {
         std::uint64_t n_points;
         std::int64_t label;
     };
-    std::vector<std::uint64_t> n_clusters;   // [frames]
+    std::vector<std::uint64_t> n_clusters;  // [frames]
     std::vector<Head> heads;
     std::vector<glm::dvec3> points;
     for (const std::vector<MoverCluster>& frame : own) {
@@ -256,16 +274,18 @@ Clusters joined_clusters(const ProcessGroup& group, const Clusters& own) {
 
 }  // namespace
 
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence, const std::vector<int>& positions,
-                                                           Visibility& visibility,
-                                                           const Progress& progress, const ProcessGroup& group) {
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence,
+                                                           const std::vector<int>& positions,
+                                                           Visibility& visibility, const Progress& progress,
+                                                           const ProcessGroup& group) {
     const std::size_t n_stretches = std::max<std::size_t>(1, positions.size() / kStretch);
     const auto first_of = [&](std::size_t stretch) { return positions.size() * stretch / n_stretches; };
     const ProcessGroup::Share share = group.share(n_stretches);
     Clusters own;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
-        const std::span<const int> stretch = std::span(positions).subspan(first_of(s), first_of(s + 1) - first_of(s));
+        const std::span<const int> stretch =
+            std::span(positions).subspan(first_of(s), first_of(s + 1) - first_of(s));
         Clusters found = clusters_of(sequence, stretch, visibility);
         std::move(found.begin(), found.end(), std::back_inserter(own));
     }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evidence for and against motion. What stands has returns at the same places of the world whenever they can be seen; what moves left them
-// free, and all that may be there later is something else. Cells that are seen through are only where to look: glass, leaves and edges
-// have some too.
+// Evidence for and against motion. What stands has returns at the same places of the
+// world whenever they can be seen; what moves left them free, and all that may be there
+// later is something else. Cells that are seen through are only where to look: glass,
+// leaves and edges have some too.
 #include "scene/mover_evidence.hpp"
 
 #include <algorithm>
@@ -9,11 +10,11 @@
 namespace relidar {
 namespace {
 
-constexpr double kSamePlace_m = 0.2;      // returns of one thing that stands, poses and noise included
-constexpr double kClear_m = 0.4;          // of the box, before its place may be expected to be free
-constexpr double kToldShare = 0.25;       // of the returns of a track, of which others say that they moved
-constexpr double kLeftShare = 0.85;       // of those of which they say anything
-constexpr double kProvenShare = 0.5;      // of the frames of a track
+constexpr double kSamePlace_m = 0.2;  // returns of one thing that stands, poses and noise included
+constexpr double kClear_m = 0.4;      // of the box, before its place may be expected to be free
+constexpr double kToldShare = 0.25;   // of the returns of a track, of which others say that they moved
+constexpr double kLeftShare = 0.85;   // of those of which they say anything
+constexpr double kProvenShare = 0.5;  // of the frames of a track
 
 }  // namespace
 
@@ -21,7 +22,8 @@ Evidence look_back(const Visibility& visibility, const glm::dvec3& point_m, cons
     const std::vector<double>& times = box.world_from_box.time_s;
     Evidence evidence;
     for (const std::uint32_t view : visibility.views_near(point_m)) {
-        if (box.holds(point_m, std::clamp(visibility.time_s(view), times.front(), times.back()), kClear_m)) continue;
+        if (box.holds(point_m, std::clamp(visibility.time_s(view), times.front(), times.back()), kClear_m))
+            continue;
         if (visibility.has_return_at(view, point_m, kSamePlace_m)) ++evidence.stayed;
         else if (visibility.look(view, point_m) == Sight::seen_through) ++evidence.left;
     }
@@ -35,7 +37,8 @@ void Testimony::operator+=(const Testimony& other) {
 }
 
 bool Testimony::says_moved() const {
-    return looks.says_moved() && double(moved) >= kToldShare * double(returns) && double(moved) >= kLeftShare * double(told) &&
+    return looks.says_moved() && double(moved) >= kToldShare * double(returns) &&
+           double(moved) >= kLeftShare * double(told) &&
            double(frames_moved) >= kProvenShare * double(frames);
 }
 

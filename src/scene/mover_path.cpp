@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The spline is the mean of a walk with noise on the jerk, found by a Kalman filter forward and the smoother of Rauch, Tung and Striebel
-// backward:
+// The spline is the mean of a walk with noise on the jerk, found by a Kalman filter
+// forward and the smoother of Rauch, Tung and Striebel backward:
 //   state = (p, v, a),   F = [1 dt dt^2/2; 0 1 dt; 0 0 1],   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
 #include "scene/mover_path.hpp"
 
@@ -10,12 +10,13 @@
 namespace relidar {
 namespace {
 
-constexpr double kPlaceNoise_m = 0.1;    // of where a frame sees the near end of something
-constexpr double kJerk = 0.2;            // q, m^2/s^5: with places every 0.1 s the path follows what takes longer than 0.4 s
-constexpr double kFarFromPath_m = 0.3;           // from the path, where a place counts half
+constexpr double kPlaceNoise_m = 0.1;  // of where a frame sees the near end of something
+// q, m^2/s^5: with places every 0.1 s the path follows what takes longer than 0.4 s
+constexpr double kJerk = 0.2;
+constexpr double kFarFromPath_m = 0.3;  // from the path, where a place counts half
 constexpr int kPathRounds = 3;
-constexpr double kChord_m = 1.5;         // to either side: noise of 3 cm at its ends is less than a degree
-constexpr double kTurnsBack = 0.3;       // of that: where a path returns its chord says nothing
+constexpr double kChord_m = 1.5;    // to either side: noise of 3 cm at its ends is less than a degree
+constexpr double kTurnsBack = 0.3;  // of that: where a path returns its chord says nothing
 
 /// A column an axis of the world; rows are position, velocity, acceleration.
 struct Estimate {
@@ -27,7 +28,8 @@ glm::dmat3 transition(double dt) { return {1.0, 0.0, 0.0, dt, 1.0, 0.0, 0.5 * dt
 
 glm::dmat3 jerk_noise(double dt) {
     const double d2 = dt * dt, d3 = d2 * dt, d4 = d3 * dt;
-    return kJerk * glm::dmat3(d4 * dt / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0, d2 / 2.0, dt);
+    return kJerk * glm::dmat3(d4 * dt / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0,
+                              d2 / 2.0, dt);
 }
 
 Estimate predicted(const Estimate& from, double dt) {
@@ -38,7 +40,8 @@ Estimate predicted(const Estimate& from, double dt) {
 void correct(Estimate& estimate, const glm::dvec3& place_m, double weight) {
     const glm::dvec3 column = estimate.covariance[0];
     const glm::dvec3 gain = column / (column.x + kPlaceNoise_m * kPlaceNoise_m / weight);
-    for (int axis = 0; axis < 3; ++axis) estimate.state[axis] += gain * (place_m[axis] - estimate.state[axis][0]);
+    for (int axis = 0; axis < 3; ++axis)
+        estimate.state[axis] += gain * (place_m[axis] - estimate.state[axis][0]);
     estimate.covariance -= glm::outerProduct(gain, column);
 }
 
@@ -57,7 +60,8 @@ std::vector<PathState> smooth_once(const std::vector<double>& time_s, const std:
     glm::dmat3 state = filtered[n - 1].state;
     for (std::size_t k = n; k-- > 0;) {
         if (k + 1 < n) {
-            const glm::dmat3 back = filtered[k].covariance * glm::transpose(transition(time_s[k + 1] - time_s[k])) *
+            const glm::dmat3 back = filtered[k].covariance *
+                                    glm::transpose(transition(time_s[k + 1] - time_s[k])) *
                                     glm::inverse(before[k + 1].covariance);
             state = filtered[k].state + back * (state - before[k + 1].state);
         }
@@ -67,14 +71,16 @@ std::vector<PathState> smooth_once(const std::vector<double>& time_s, const std:
     return path;
 }
 
-/// Where a path is first so far from one of its places, or ends. @param step  1 later, -1 earlier
+/// Where a path is first so far from one of its places, or ends. @param step  1 later, -1
+/// earlier
 glm::dvec2 end_of_chord(const std::vector<glm::dvec3>& path_m, std::size_t place, int step) {
     const glm::dvec2 here(path_m[place]);
     glm::dvec2 last = here;
     for (auto k = std::ptrdiff_t(place) + step; k >= 0 && k < std::ptrdiff_t(path_m.size()); k += step) {
         const glm::dvec2 next(path_m[std::size_t(k)]);
         const double near_m = glm::distance(here, last), far_m = glm::distance(here, next);
-        if (far_m >= kChord_m) return glm::mix(last, next, (kChord_m - near_m) / std::max(far_m - near_m, 1e-9));
+        if (far_m >= kChord_m)
+            return glm::mix(last, next, (kChord_m - near_m) / std::max(far_m - near_m, 1e-9));
         last = next;
     }
     return last;
@@ -82,7 +88,8 @@ glm::dvec2 end_of_chord(const std::vector<glm::dvec3>& path_m, std::size_t place
 
 }  // namespace
 
-std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m) {
+std::vector<PathState> smooth_path(const std::vector<double>& time_s,
+                                   const std::vector<glm::dvec3>& place_m) {
     std::vector<double> weights(time_s.size(), 1.0);
     std::vector<PathState> path;
     for (int round = 0; round < kPathRounds; ++round) {
@@ -100,7 +107,9 @@ std::vector<double> headings_along(const std::vector<glm::dvec3>& path_m) {
     for (std::size_t k = 0; k < path_m.size(); ++k) {
         const glm::dvec2 from = end_of_chord(path_m, k, -1), here(path_m[k]);
         glm::dvec2 to = end_of_chord(path_m, k, 1);
-        if (glm::distance(from, to) < kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to))) to = here;
+        if (glm::distance(from, to) <
+            kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to)))
+            to = here;
         result.push_back(std::atan2(to.y - from.y, to.x - from.x));
     }
     return result;

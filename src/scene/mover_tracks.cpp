@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters by where a track would be now, and joins tracks that are parts of one thing, side by side or one after the other.
+// Links clusters by where a track would be now, and joins tracks that are parts of one
+// thing, side by side or one after the other.
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
@@ -14,31 +15,37 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxGap_s = 0.35;          // a track is interrupted where nothing continues it so long
-constexpr double kLongestGap_s = 1.5;       // behind which it may go on
-constexpr std::size_t kEndsOfGap = 4;       // observations on either side of it, at least
-constexpr std::size_t kNext = 4, kFar = 10; // observations that tell a velocity, for the next frame and over a gap
-constexpr double kFirstSpeed_mps = 15.0;    // of something seen once
-constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;   // what a prediction may be off, at once and a second
-constexpr double kOverGap_mps = 0.8;        // the same over a gap, forward and backward
-constexpr double kOtherSpeed_mps = 2.0;     // behind a gap
-constexpr double kMaxRatio = 8.0;           // of the numbers of returns of one thing in successive frames
+constexpr double kMaxGap_s = 0.35;     // a track is interrupted where nothing continues it so long
+constexpr double kLongestGap_s = 1.5;  // behind which it may go on
+constexpr std::size_t kEndsOfGap = 4;  // observations on either side of it, at least
+// observations that tell a velocity, for the next frame and over a gap
+constexpr std::size_t kNext = 4, kFar = 10;
+constexpr double kFirstSpeed_mps = 15.0;  // of something seen once
+// what a prediction may be off, at once and a second
+constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
+constexpr double kOverGap_mps = 0.8;     // the same over a gap, forward and backward
+constexpr double kOtherSpeed_mps = 2.0;  // behind a gap
+constexpr double kMaxRatio = 8.0;        // of the numbers of returns of one thing in successive frames
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-constexpr double kMinStraightness = 0.5;    // of the path: noise walks to and fro
+constexpr double kMinStraightness = 0.5;  // of the path: noise walks to and fro
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
-constexpr double kVehiclePart_m = 1.2;      // parts as large belong to a vehicle, not to people who walk together
-constexpr double kBesides_m = 1.5;          // between parts of one vehicle
-constexpr double kRigid_m = 0.5;            // standard deviation of where a part is seen of the whole: its visible side changes
+// parts as large belong to a vehicle, not to people who walk together
+constexpr double kVehiclePart_m = 1.2;
+constexpr double kBesides_m = 1.5;  // between parts of one vehicle
+// standard deviation of where a part is seen of the whole: its visible side changes
+constexpr double kRigid_m = 0.5;
 
 glm::dvec3 velocity_between(const MoverCluster& from, const MoverCluster& to) {
     return (to.centre_m - from.centre_m) / std::max(to.time_s - from.time_s, 1e-3);
 }
 glm::dvec3 last_velocity(const MoverTrack& track, std::size_t most) {
-    return velocity_between(track.seen[track.seen.size() - std::min(track.seen.size(), most)].cluster, track.last());
+    return velocity_between(track.seen[track.seen.size() - std::min(track.seen.size(), most)].cluster,
+                            track.last());
 }
 glm::dvec3 first_velocity(const MoverTrack& track, std::size_t most) {
-    return velocity_between(track.seen.front().cluster, track.seen[std::min(track.seen.size(), most) - 1].cluster);
+    return velocity_between(track.seen.front().cluster,
+                            track.seen[std::min(track.seen.size(), most) - 1].cluster);
 }
 
 /// How far a cluster is from where a track would be; beyond 1 it is something else.
@@ -47,15 +54,22 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
     const double ratio = double(cluster.points_m.size()) / double(track.last().points_m.size());
     if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
-    const double gate = track.seen.size() < 2 ? kAcceleration_m + kFirstSpeed_mps * dt : kAcceleration_m + kAcceleration_mps * dt;
-    return glm::length(glm::dvec2(cluster.centre_m - track.last().centre_m - dt * last_velocity(track, kNext))) / gate;
+    const double gate = track.seen.size() < 2 ? kAcceleration_m + kFirstSpeed_mps * dt
+                                              : kAcceleration_m + kAcceleration_mps * dt;
+    return glm::length(
+               glm::dvec2(cluster.centre_m - track.last().centre_m - dt * last_velocity(track, kNext))) /
+           gate;
 }
 
-/// The same where labels are: a label's own track takes its clusters, and no others while it is there.
-double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s, const Sequence& sequence) {
+/// The same where labels are: a label's own track takes its clusters, and no others while
+/// it is there.
+double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
+                const Sequence& sequence) {
     if (track.label == kNoLabel) return mismatch(track, cluster);
     if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
-    return sequence.boxes[std::size_t(track.label)].world_from_box.covers(frame_time_s) ? 2.0 : mismatch(track, cluster);
+    return sequence.boxes[std::size_t(track.label)].world_from_box.covers(frame_time_s)
+               ? 2.0
+               : mismatch(track, cluster);
 }
 
 /// Tracks that clusters of a frame may continue.
@@ -87,10 +101,12 @@ private:
     };
     const Sequence& sequence_;
     std::vector<MoverTrack> tracks_;
-    std::vector<std::size_t> open_;   // those that may go on
+    std::vector<std::size_t> open_;  // those that may go on
 
     bool is_over(const MoverTrack& track, double frame_time_s) const {
-        if (track.label != kNoLabel && sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s) return false;
+        if (track.label != kNoLabel &&
+            sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
+            return false;
         return frame_time_s - track.seen.back().frame_time_s > 2.0 * kMaxGap_s;
     }
     /// Best first.
@@ -98,14 +114,16 @@ private:
         std::vector<Fit> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
-                if (const double m = mismatch(tracks_[t], clusters[c], frame_time_s, sequence_); m < 1.0) result.push_back({m, t, c});
+                if (const double m = mismatch(tracks_[t], clusters[c], frame_time_s, sequence_); m < 1.0)
+                    result.push_back({m, t, c});
         std::sort(result.begin(), result.end(), [](const Fit& a, const Fit& b) {
             return std::tie(a.mismatch, a.track, a.cluster) < std::tie(b.mismatch, b.track, b.cluster);
         });
         return result;
     }
     void take(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
-        track.seen.push_back({frame_time_s, sequence_.world_from_vehicle.at(cluster.time_s).translation, cluster});
+        track.seen.push_back(
+            {frame_time_s, sequence_.world_from_vehicle.at(cluster.time_s).translation, cluster});
         if (cluster.label != kNoLabel) track.label = cluster.label;
     }
 };
@@ -113,14 +131,16 @@ private:
 /// The longer side of what is seen of something from above.
 double width_seen(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
-    for (const glm::dvec3& p : cluster.points_m) low = glm::min(low, glm::dvec2(p)), high = glm::max(high, glm::dvec2(p));
+    for (const glm::dvec3& p : cluster.points_m)
+        low = glm::min(low, glm::dvec2(p)), high = glm::max(high, glm::dvec2(p));
     return std::max(high.x - low.x, high.y - low.y);
 }
 
 double gap_between(const MoverCluster& a, const MoverCluster& b) {
     double nearest = 1e30;
     for (const glm::dvec3& p : a.points_m)
-        for (const glm::dvec3& q : b.points_m) nearest = std::min(nearest, glm::distance(glm::dvec2(p), glm::dvec2(q)));
+        for (const glm::dvec3& q : b.points_m)
+            nearest = std::min(nearest, glm::distance(glm::dvec2(p), glm::dvec2(q)));
     return nearest;
 }
 
@@ -135,7 +155,8 @@ std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, 
     return pairs;
 }
 
-/// Whether two tracks are parts of one vehicle, as its tail and its cabin with a roof that no beam meets between them.
+/// Whether two tracks are parts of one vehicle, as its tail and its cabin with a roof
+/// that no beam meets between them.
 bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     if (part.label != kNoLabel) return false;
     const auto common = in_common(whole, part);
@@ -154,7 +175,8 @@ bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     return variance.x + variance.y < kRigid_m * kRigid_m;
 }
 
-/// How well one track continues another behind a gap: both, driving on, meet in its middle. Beyond 1 it is something else.
+/// How well one track continues another behind a gap: both, driving on, meet in its
+/// middle. Beyond 1 it is something else.
 double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
     if (before.label != kNoLabel && after.label != kNoLabel) return 2.0;
     if (std::min(before.seen.size(), after.seen.size()) < kEndsOfGap) return 2.0;
@@ -162,8 +184,10 @@ double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
     const glm::dvec3 from_velocity = last_velocity(before, kFar), to_velocity = first_velocity(after, kFar);
     const glm::dvec3 way = after.seen.front().cluster.centre_m - before.last().centre_m;
-    const double off = std::max(glm::length(glm::dvec2(way - dt * from_velocity)), glm::length(glm::dvec2(way - dt * to_velocity)));
-    return std::max(off / (kAcceleration_m + kOverGap_mps * dt), glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
+    const double off = std::max(glm::length(glm::dvec2(way - dt * from_velocity)),
+                                glm::length(glm::dvec2(way - dt * to_velocity)));
+    return std::max(off / (kAcceleration_m + kOverGap_mps * dt),
+                    glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
 /// Pairs of tracks of which the second may continue the first, best first.
@@ -171,15 +195,18 @@ struct GapFit {
     double mismatch;
     std::size_t before, after;
 };
-std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {   // in the order of their first frames
+// in the order of their first frames
+std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
     std::vector<GapFit> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].seen.front().frame_time_s; };
     std::vector<std::size_t> all(tracks.size());
     std::iota(all.begin(), all.end(), std::size_t(0));
     for (const std::size_t a : all) {
         const double end_s = tracks[a].seen.back().frame_time_s;
-        for (auto b = std::ranges::upper_bound(all, end_s, {}, starts_s); b != all.end() && starts_s(*b) < end_s + kLongestGap_s; ++b)
-            if (const double m = mismatch_over_gap(tracks[a], tracks[*b]); m < 1.0) fits.push_back({m, a, *b});
+        for (auto b = std::ranges::upper_bound(all, end_s, {}, starts_s);
+             b != all.end() && starts_s(*b) < end_s + kLongestGap_s; ++b)
+            if (const double m = mismatch_over_gap(tracks[a], tracks[*b]); m < 1.0)
+                fits.push_back({m, a, *b});
     }
     std::sort(fits.begin(), fits.end(), [](const GapFit& a, const GapFit& b) {
         return std::tie(a.mismatch, a.before, a.after) < std::tie(b.mismatch, b.before, b.after);
@@ -187,12 +214,14 @@ std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {   //
     return fits;
 }
 
-/// Joins tracks that a gap interrupts; what has a label of its own is not joined to what has another.
+/// Joins tracks that a gap interrupts; what has a label of its own is not joined to what
+/// has another.
 std::vector<MoverTrack> joined_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
     for (const GapFit& fit : fits_over_gaps(tracks))
-        if (next[fit.before] == tracks.size() && !follows[fit.after]) next[fit.before] = fit.after, follows[fit.after] = 1;
+        if (next[fit.before] == tracks.size() && !follows[fit.after])
+            next[fit.before] = fit.after, follows[fit.after] = 1;
     std::vector<MoverTrack> joined;
     for (std::size_t first = 0; first < tracks.size(); ++first) {
         if (follows[first]) continue;
@@ -218,8 +247,8 @@ std::vector<double> MoverTrack::times() const {
     return times;
 }
 
-std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters, const std::vector<double>& frame_times_s,
-                                      const Sequence& sequence) {
+std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
+                                      const std::vector<double>& frame_times_s, const Sequence& sequence) {
     OpenTracks open(sequence);
     for (std::size_t f = 0; f < clusters.size(); ++f) open.add(frame_times_s[f], clusters[f]);
     return joined_across_gaps(std::move(open).all());
@@ -231,25 +260,31 @@ bool comes_far(const MoverTrack& track) {
     for (const Observation& o : track.seen) centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
     const std::vector<PathState> path = smooth_path(track.times(), centres);
     double length = 0.0;
-    for (std::size_t i = 1; i < path.size(); ++i) length += glm::distance(path[i - 1].position_m, path[i].position_m);
+    for (std::size_t i = 1; i < path.size(); ++i)
+        length += glm::distance(path[i - 1].position_m, path[i].position_m);
     const double net = glm::distance(path.front().position_m, path.back().position_m);
     return net > kMinPath_m && net > kMinStraightness * length;
 }
 
 bool rides_along(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     std::vector<glm::dvec3> places;
-    for (const Observation& o : track.seen) places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
-    const auto is_near = [&](const glm::dvec3& p) { return glm::distance(p, places[places.size() / 2]) < kRides_m; };
+    for (const Observation& o : track.seen)
+        places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
+    const auto is_near = [&](const glm::dvec3& p) {
+        return glm::distance(p, places[places.size() / 2]) < kRides_m;
+    };
     return glm::length(places[places.size() / 2]) < kOwnVehicle_m &&
            std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
 }
 
 void join_parts(std::vector<MoverTrack>& tracks) {
-    std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& a, const MoverTrack& b) { return a.seen.size() > b.seen.size(); });
+    std::stable_sort(tracks.begin(), tracks.end(),
+                     [](const MoverTrack& a, const MoverTrack& b) { return a.seen.size() > b.seen.size(); });
     for (std::size_t a = 0; a < tracks.size(); ++a)
         for (std::size_t b = a + 1; b < tracks.size(); ++b) {
             if (!move_as_one(tracks[a], tracks[b])) continue;
-            for (const auto& [i, j] : in_common(tracks[a], tracks[b])) tracks[a].seen[i].cluster.take_in(tracks[b].seen[j].cluster);
+            for (const auto& [i, j] : in_common(tracks[a], tracks[b]))
+                tracks[a].seen[i].cluster.take_in(tracks[b].seen[j].cluster);
             tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
         }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classes of datasets as a few kinds. The words of KITTI, KITTI-360, Waymo, Argoverse 2 and nuScenes mean the same wherever two of them
-// have one, so a table of words does without the dataset's name.
+// Classes of datasets as a few kinds. The words of KITTI, KITTI-360, Waymo, Argoverse 2
+// and nuScenes mean the same wherever two of them have one, so a table of words does
+// without the dataset's name.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -11,20 +12,35 @@ namespace relidar {
 namespace {
 
 constexpr std::string_view kVehicles[] = {
-    "car", "van", "truck", "tram", "bus", "trailer", "caravan", "train", "vehicle",                            // KITTI, KITTI-360, Waymo
-    "regular_vehicle", "large_vehicle", "box_truck", "truck_cab", "vehicular_trailer", "school_bus",           // Argoverse 2
+    // KITTI, KITTI-360, Waymo
+    "car", "van", "truck", "tram", "bus", "trailer", "caravan", "train", "vehicle",
+    // Argoverse 2
+    "regular_vehicle", "large_vehicle", "box_truck", "truck_cab", "vehicular_trailer", "school_bus",
     "articulated_bus", "message_board_trailer", "railed_vehicle", "traffic_light_trailer",
-    "vehicle.car", "vehicle.truck", "vehicle.trailer", "vehicle.construction", "vehicle.bus.bendy",            // nuScenes
+    // nuScenes
+    "vehicle.car", "vehicle.truck", "vehicle.trailer", "vehicle.construction", "vehicle.bus.bendy",
     "vehicle.bus.rigid", "vehicle.emergency.ambulance", "vehicle.emergency.police",
-    "vehicle.other", "vehicle.ego_trailer", "vehicle.train", "other_vehicle", "emergency_vehicle"};            // TruckScenes, Lyft
-constexpr std::string_view kCyclists[] = {"cyclist", "bicycle", "motorcycle", "rider", "bicyclist", "motorcyclist", "wheeled_rider",
-                                          "vehicle.bicycle", "vehicle.motorcycle"};
-constexpr std::string_view kPersons[] = {"pedestrian", "person", "person (sitting)", "person_sitting", "official_signaler",
-                                         "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
-                                         "human.pedestrian.police_officer", "human.pedestrian.personal_mobility",
-                                         "human.pedestrian.stroller", "human.pedestrian.wheelchair"};
+    // TruckScenes, Lyft
+    "vehicle.other", "vehicle.ego_trailer", "vehicle.train", "other_vehicle", "emergency_vehicle"};
+constexpr std::string_view kCyclists[] = {"cyclist",       "bicycle",         "motorcycle",
+                                          "rider",         "bicyclist",       "motorcyclist",
+                                          "wheeled_rider", "vehicle.bicycle", "vehicle.motorcycle"};
+constexpr std::string_view kPersons[] = {"pedestrian",
+                                         "person",
+                                         "person (sitting)",
+                                         "person_sitting",
+                                         "official_signaler",
+                                         "human.pedestrian.adult",
+                                         "human.pedestrian.child",
+                                         "human.pedestrian.construction_worker",
+                                         "human.pedestrian.police_officer",
+                                         "human.pedestrian.personal_mobility",
+                                         "human.pedestrian.stroller",
+                                         "human.pedestrian.wheelchair"};
 
-bool has(std::span<const std::string_view> words, std::string_view word) { return std::ranges::find(words, word) != words.end(); }
+bool has(std::span<const std::string_view> words, std::string_view word) {
+    return std::ranges::find(words, word) != words.end();
+}
 
 }  // namespace
 

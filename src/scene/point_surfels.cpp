@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals, scales and start values of surfels from the points around each (docs/method.md section 2; paper section 3.2).
+// Normals, scales and start values of surfels from the points around each (docs/method.md
+// section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
 #include <algorithm>
@@ -9,46 +10,59 @@
 #include <Eigen/Eigenvalues>
 #include <nanoflann.hpp>
 
-#include "base/random.hpp"
 #include "base/progress_blocks.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 
 namespace {
 
-constexpr float kSh0 = 0.28209479177387814f;   ///< constant of SH degree 0
-constexpr double kSh1 = 0.4886025119029199;    ///< of degree 1: -y, z, -x
+constexpr float kSh0 = 0.28209479177387814f;  ///< constant of SH degree 0
+constexpr double kSh1 = 0.4886025119029199;   ///< of degree 1: -y, z, -x
 constexpr int kScaleNeighbours = 3;
-constexpr double kGap = 2.5;   ///< a gap is wider than this times the distance of neighbours on a line: points at random have narrower ones
+/// a gap is wider than this times the distance of neighbours on a line: points at random
+/// have narrower ones
+constexpr double kGap = 2.5;
 
 /// nanoflann's view of the samples.
 struct Cloud {
     const std::vector<Sample>& samples;
     std::size_t kdtree_get_point_count() const { return samples.size(); }
-    float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[i].position[static_cast<int>(axis)]; }
+    float kdtree_get_pt(std::size_t i, std::size_t axis) const {
+        return samples[i].position[static_cast<int>(axis)];
+    }
     template <class Box>
-    bool kdtree_get_bbox(Box&) const { return false; }
+    bool kdtree_get_bbox(Box&) const {
+        return false;
+    }
 };
-using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3, std::size_t>;
+using Tree =
+    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3, std::size_t>;
 
 /// The plane of a neighbourhood.
 struct Plane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
-    bool is_line = false;      ///< the points spread along one axis
-    bool is_surface = false;   ///< the points spread along two axes, and less along the third than options.flatness says
+    bool is_line = false;  ///< the points spread along one axis
+    /// the points spread along two axes, and less along the third than options.flatness
+    /// says
+    bool is_surface = false;
 };
 
-/// Normal: eigenvector of the smallest eigenvalue. Points along one scan line leave it free to turn about the line; then it faces
-/// the sensor as far as the line allows. Points that are no surface have no normal either. Their discs face the sensor, too: others are
-/// seen edge on, so that rays of the next scan pass by and return from behind.
-Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& view, double flatness) {
+/// Normal: eigenvector of the smallest eigenvalue. Points along one scan line leave it
+/// free to turn about the line; then it faces the sensor as far as the line allows.
+/// Points that are no surface have no normal either. Their discs face the sensor, too:
+/// others are seen edge on, so that rays of the next scan pass by and return from behind.
+Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
+                const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    for (const std::size_t j : neighbours) mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
+    for (const std::size_t j : neighbours)
+        mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
     mean /= double(neighbours.size());
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
     for (const std::size_t j : neighbours) {
-        const Eigen::Vector3d d = Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z) - mean;
+        const Eigen::Vector3d d =
+            Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z) - mean;
         covariance += d * d.transpose();
     }
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
@@ -79,8 +93,8 @@ glm::vec4 rotation_of(const glm::dvec3& x, const glm::dvec3& normal) {
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
 
-/// How a surface was met by scan lines: the direction within it across them, and how far it is to the next points on either side of the
-/// line; 0 where there are none.
+/// How a surface was met by scan lines: the direction within it across them, and how far
+/// it is to the next points on either side of the line; 0 where there are none.
 struct Gap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
@@ -90,12 +104,14 @@ struct Gap {
 };
 
 /// @param neighbours of a point on the surface, itself first, the nearest first
-Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours, const glm::dvec3& normal) {
-    constexpr std::size_t kOnLine = 4;                     // the nearest are on the point's own line
-    constexpr double kAcross = 0.7071;                     // cosine of how far aside
-    constexpr double kSlope = 0.1, kNoise_m = 0.05;        // how far off the plane
-    const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0), y = glm::cross(normal, x);
-    double even = 0.0, odd = 0.0;   // of twice the angle, so that either way along a line counts as the same
+Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
+                      const glm::dvec3& normal) {
+    constexpr std::size_t kOnLine = 4;               // the nearest are on the point's own line
+    constexpr double kAcross = 0.7071;               // cosine of how far aside
+    constexpr double kSlope = 0.1, kNoise_m = 0.05;  // how far off the plane
+    const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0),
+                                                             y = glm::cross(normal, x);
+    double even = 0.0, odd = 0.0;  // of twice the angle, so that either way along a line counts as the same
     for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
         const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
@@ -106,7 +122,8 @@ Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std:
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
         const double length = glm::length(d), across = glm::dot(d, gap.across);
         double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
-        if (on_side == 0.0 && std::abs(across) > kAcross * length && std::abs(glm::dot(d, normal)) < kSlope * length + kNoise_m)
+        if (on_side == 0.0 && std::abs(across) > kAcross * length &&
+            std::abs(glm::dot(d, normal)) < kSlope * length + kNoise_m)
             on_side = length;
     }
     return gap;
@@ -117,15 +134,16 @@ glm::dvec3 random_direction(Random& random) {
     return d / std::max(glm::length(d), 1e-12);
 }
 
-/// Intensity a (1 - q (1 - cos)) with cos = -n . d for rays of direction d towards the surface: harmonics of degrees 0 and 1. What was seen
-/// at a grazing angle says little of a. @param normal zero where there is none: as bright from every side
+/// Intensity a (1 - q (1 - cos)) with cos = -n . d for rays of direction d towards the
+/// surface: harmonics of degrees 0 and 1. What was seen at a grazing angle says little of
+/// a. @param normal zero where there is none: as bright from every side
 void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazing = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;   // of a direction's y, z, x
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // of a direction's y, z, x
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
@@ -144,7 +162,8 @@ struct Neighbours {
     double spacing_m() const {
         double sum = 0.0;
         std::size_t n = 0;
-        for (std::size_t j = 1; j < samples.size() && n < kScaleNeighbours; ++j, ++n) sum += std::sqrt(distance2[j]);
+        for (std::size_t j = 1; j < samples.size() && n < kScaleNeighbours; ++j, ++n)
+            sum += std::sqrt(distance2[j]);
         return n ? sum / double(n) : 0.0;
     }
 };
@@ -155,19 +174,22 @@ struct Place {
     Gap gap;
 };
 
-/// Nearest points of one scan line leave their plane free to turn about it, and those at one side of a gap do not see the other: then more
-/// are asked.
-Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i, std::vector<std::size_t> nearest,
-               const InitialiseOptions& options) {
-    constexpr int kWider = 2;   // times
+/// Nearest points of one scan line leave their plane free to turn about it, and those at
+/// one side of a gap do not see the other: then more are asked.
+Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
+               std::vector<std::size_t> nearest, const InitialiseOptions& options) {
+    constexpr int kWider = 2;  // times
     Place place{fit_plane(samples, nearest, samples[i].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return place;
-    const auto widen = [&] { nearest = Neighbours(tree, samples[i], std::min(4 * nearest.size(), samples.size())).samples; };
+    const auto widen = [&] {
+        nearest = Neighbours(tree, samples[i], std::min(4 * nearest.size(), samples.size())).samples;
+    };
     const bool is_line = place.plane.is_line;
     for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
         widen();
         const Plane wider = fit_plane(samples, nearest, samples[i].view, options.flatness);
-        if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};   // too wide to move the point onto it
+        // too wide to move the point onto it
+        if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};
     }
     if (!place.plane.is_surface) return place;
     place.gap = gap_between_lines(samples, nearest, place.plane.normal);
@@ -178,21 +200,25 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
 }
 
 /// Fills surfel i from its sample and neighbours.
-void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree, const InitialiseOptions& options,
-                 double incidence) {
-    const std::size_t k = std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
+void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree,
+                 const InitialiseOptions& options, double incidence) {
+    const std::size_t k =
+        std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     Neighbours nearest(tree, samples[i], k);
     const double spacing = nearest.samples.size() > 1 ? nearest.spacing_m() : options.voxel_m;
     Random random(hash64(options.seed, i));
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
     Place place{{{}, random_direction(random)}, {}};
-    if (options.normals && nearest.samples.size() >= 3) place = place_of(tree, samples, i, std::move(nearest.samples), options);
+    if (options.normals && nearest.samples.size() >= 3)
+        place = place_of(tree, samples, i, std::move(nearest.samples), options);
     const Plane& plane = place.plane;
     surfels.mean[i] = samples[i].position;
     if (options.flatness < 1.0 && plane.is_surface)
-        surfels.mean[i] -= glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
+        surfels.mean[i] -=
+            glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
     glm::dvec3 x = direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
-    const double width = place.gap.width_m(), round = std::min(spacing * options.scale_factor, options.max_scale_m);
+    const double width = place.gap.width_m(),
+                 round = std::min(spacing * options.scale_factor, options.max_scale_m);
     const bool reaches = !place.gap.is_open() && width > kGap * spacing && width < options.max_gap_m;
     if (reaches) x = place.gap.across;
     surfels.rotation[i] = rotation_of(x, plane.normal);
@@ -201,15 +227,16 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + i * kShFloats;
     fill_intensity(sh, samples[i], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
-    const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin), drop_logit = hit_logit - options.hit_margin;
+    const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
+                 drop_logit = hit_logit - options.hit_margin;
     sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
     sh[2 * kShCoefficients] = (static_cast<float>(drop_logit) - 0.5f) / kSh0;
 }
 
 }  // namespace
 
-Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options, double incidence,
-                            const Progress& progress, std::vector<std::uint32_t>* order) {
+Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
+                            double incidence, const Progress& progress, std::vector<std::uint32_t>* order) {
     const Cloud cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
@@ -222,21 +249,25 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
     return surfels.permuted(sorted);
 }
 
-std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most, std::vector<std::uint32_t>* kept) {
-    constexpr double kVoxel_m = 0.06;   // label jitter blurs anything finer
+std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
+                             std::vector<std::uint32_t>* kept) {
+    constexpr double kVoxel_m = 0.06;  // label jitter blurs anything finer
     std::unordered_set<std::uint64_t> seen;
     std::vector<std::uint32_t> first;
     for (std::size_t i = 0; i < samples.size(); ++i) {
         const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kVoxel_m)) + 512;
-        const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 | std::uint64_t(cell.z & 1023);
+        const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 |
+                                  std::uint64_t(cell.z & 1023);
         if (seen.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
     if (first.size() > most) {
         const auto order = [&](std::uint32_t i) {
             const glm::vec3& p = samples[i].position;
-            return hash64(std::uint64_t(std::int64_t(p.x * 1e4f)), std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
+            return hash64(std::uint64_t(std::int64_t(p.x * 1e4f)),
+                          std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
-        std::sort(first.begin(), first.end(), [&](std::uint32_t a, std::uint32_t b) { return order(a) < order(b); });
+        std::sort(first.begin(), first.end(),
+                  [&](std::uint32_t a, std::uint32_t b) { return order(a) < order(b); });
         first.resize(most);
     }
     std::vector<Sample> thin;

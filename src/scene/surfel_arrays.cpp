@@ -23,31 +23,35 @@ std::vector<std::size_t> ParameterGroup::shape(std::size_t n) const {
 }
 
 ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
-                           const std::function<bool(const char*)>& has_array) {
+                               const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = texts.find(key);
-    if (text == texts.end()) throw DataError(fmt::format("{}: missing, expected one of {}", key, fmt::join(names, ", ")));
+    if (text == texts.end())
+        throw DataError(fmt::format("{}: missing, expected one of {}", key, fmt::join(names, ", ")));
     for (const PrimitiveKind& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
-    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40), fmt::join(names, ", ")));
+    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40),
+                                fmt::join(names, ", ")));
 }
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& what, ParameterSet of)
     : n(count), primitive(of.primitive), bends(of.bends) {
     for (const ParameterGroup& group : groups_of(of))
-        group.mutable_device(*this) = Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+        group.mutable_device(*this) =
+            Array<float>(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::upload(const Surfels& s) {
     s.check_shapes();
     if (s.size() > 0 && s.primitive != primitive)
-        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays", kind_of(s.primitive).label,
-                                    kind_of(primitive).label));
+        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays",
+                                    kind_of(s.primitive).label, kind_of(primitive).label));
     if (s.size() > 0 && s.bends != bends)
-        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays", s.bends ? "a gait" : "none of a gait",
-                                    bends ? "a gait" : "none"));
-    for (const ParameterGroup& group : groups_of(parameters())) group.mutable_device(*this).upload(group.values(s));
+        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays",
+                                    s.bends ? "a gait" : "none of a gait", bends ? "a gait" : "none"));
+    for (const ParameterGroup& group : groups_of(parameters()))
+        group.mutable_device(*this).upload(group.values(s));
 }
 
 Surfels SurfelArrays::download() const {
@@ -62,13 +66,15 @@ Surfels SurfelArrays::download() const {
 
 std::uint32_t SurfelArrays::capacity() const {
     std::size_t least = std::numeric_limits<std::uint32_t>::max();
-    for (const ParameterGroup& group : groups_of(parameters())) least = std::min(least, group.device(*this).size() / group.floats());
+    for (const ParameterGroup& group : groups_of(parameters()))
+        least = std::min(least, group.device(*this).size() / group.floats());
     return static_cast<std::uint32_t>(least);
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& what) {
     for (const ParameterGroup& group : groups_of(parameters()))
-        group.mutable_device(*this).reserve(device, std::size_t(group.floats()) * count, fmt::format("{} {}", what, group.name));
+        group.mutable_device(*this).reserve(device, std::size_t(group.floats()) * count,
+                                            fmt::format("{} {}", what, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels as PLY in the layout that tools for 3D Gaussian splatting read, and back. What those tools know stays where they look
-// for it, with their activations (3D Gaussians are theirs whole, a surfel is a flat one); the LiDAR channels follow as further properties,
-// so that a file cropped or cleaned in such a tool comes back as a scene. The reader trusts no number of the header before the size of the
-// file confirms it.
+// Surfels as PLY in the layout that tools for 3D Gaussian splatting read, and back. What
+// those tools know stays where they look for it, with their activations (3D Gaussians are
+// theirs whole, a surfel is a flat one); the LiDAR channels follow as further properties,
+// so that a file cropped or cleaned in such a tool comes back as a scene. The reader
+// trusts no number of the header before the size of the file confirms it.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
@@ -15,43 +16,48 @@
 
 #include <fmt/format.h>
 
-#include "base/files.hpp"
-#include "base/codecs/file_io.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
+#include "base/codecs/file_io.hpp"
+#include "base/files.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
-const float kFlat = std::log(1e-4f);            // thickness of a surfel for viewers of ellipsoids, metres
-constexpr std::string_view kEndOfHeader = "\nend_header";   // and a line end, which may be that of Windows
+const float kFlat = std::log(1e-4f);  // thickness of a surfel for viewers of ellipsoids, metres
+constexpr std::string_view kEndOfHeader = "\nend_header";  // and a line end, which may be that of Windows
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
-constexpr std::size_t kMaxModels = 1u << 24;    // an index is stored as a float
+constexpr std::size_t kMaxModels = 1u << 24;  // an index is stored as a float
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// What a property is: a float of a group of parameters, or one of those that other tools want. Colours two and three repeat the first.
+/// What a property is: a float of a group of parameters, or one of those that other tools
+/// want. Colours two and three repeat the first.
 struct Property {
     std::string name;
-    const ParameterGroup* group = nullptr;   ///< of a parameter
-    std::uint32_t index = 0;                 ///< float of the group's row, or component of the normal
+    const ParameterGroup* group = nullptr;  ///< of a parameter
+    std::uint32_t index = 0;                ///< float of the group's row, or component of the normal
     bool read = true;
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
 std::vector<Property> properties(ParameterSet of) {
     std::vector<Property> list;
-    const auto add = [&](const std::string& prefix, std::uint32_t n, const ParameterGroup& group, std::uint32_t first) {
-        for (std::uint32_t k = 0; k < n; ++k) list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
+    const auto add = [&](const std::string& prefix, std::uint32_t n, const ParameterGroup& group,
+                         std::uint32_t first) {
+        for (std::uint32_t k = 0; k < n; ++k)
+            list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
     };
     for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
-    for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, Property::normal});
+    for (std::uint32_t k = 0; k < 3; ++k)
+        list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, Property::normal});
     for (std::uint32_t c = 0; c < kColours; ++c) list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
-    for (std::uint32_t k = 0; k < kColours * kRest; ++k) list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
+    for (std::uint32_t k = 0; k < kColours * kRest; ++k)
+        list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
     if (kind_of(of.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
@@ -69,15 +75,20 @@ glm::vec3 normal_of(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
     const glm::vec4 q = wxyz / length;
-    return {2.0f * (q.y * q.w + q.x * q.z), 2.0f * (q.z * q.w - q.x * q.y), 1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
+    return {2.0f * (q.y * q.w + q.x * q.z), 2.0f * (q.z * q.w - q.x * q.y),
+            1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
 float property_value(const Property& p, const Surfels& s, std::size_t i, std::size_t model) {
     switch (p.kind) {
-        case Property::parameter: return p.group->values(s)[i * p.group->floats() + p.index];
-        case Property::normal: return normal_of(s.rotation[i])[static_cast<int>(p.index)];
-        case Property::thickness: return kFlat;
-        case Property::model: return float(model);
+        case Property::parameter:
+            return p.group->values(s)[i * p.group->floats() + p.index];
+        case Property::normal:
+            return normal_of(s.rotation[i])[static_cast<int>(p.index)];
+        case Property::thickness:
+            return kFlat;
+        case Property::model:
+            return float(model);
     }
     return 0.0f;
 }
@@ -88,7 +99,8 @@ void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& mode
     else p.group->mutable_values(s)[i * p.group->floats() + p.index] = value;
 }
 
-/// What a header says of the one element: its count, and name and byte offset of each property.
+/// What a header says of the one element: its count, and name and byte offset of each
+/// property.
 struct Layout {
     std::size_t count = 0;
     std::size_t stride = 0;
@@ -101,23 +113,30 @@ struct Layout {
 };
 
 std::size_t size_of_type(const std::string& type) {
-    for (const char* t : {"char", "uchar", "int8", "uint8"}) if (type == t) return 1;
-    for (const char* t : {"short", "ushort", "int16", "uint16"}) if (type == t) return 2;
-    for (const char* t : {"int", "uint", "int32", "uint32", "float", "float32"}) if (type == t) return 4;
-    for (const char* t : {"double", "float64"}) if (type == t) return 8;
-    throw DataError(fmt::format("found a property of type \"{}\", expected a number (no lists)", excerpt(type)));
+    for (const char* t : {"char", "uchar", "int8", "uint8"})
+        if (type == t) return 1;
+    for (const char* t : {"short", "ushort", "int16", "uint16"})
+        if (type == t) return 2;
+    for (const char* t : {"int", "uint", "int32", "uint32", "float", "float32"})
+        if (type == t) return 4;
+    for (const char* t : {"double", "float64"})
+        if (type == t) return 8;
+    throw DataError(
+        fmt::format("found a property of type \"{}\", expected a number (no lists)", excerpt(type)));
 }
 
 std::size_t parse_count(const std::string& text) {
     std::size_t count = 0;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), count);
     if (error != std::errc() || stop != text.data() + text.size() || count > kMaxSurfels)
-        throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}", excerpt(text), kMaxSurfels));
+        throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}",
+                                    excerpt(text), kMaxSurfels));
     return count;
 }
 
 void add_field(Layout& layout, const std::string& type, const std::string& name) {
-    if (std::any_of(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == name; }))
+    if (std::any_of(layout.fields.begin(), layout.fields.end(),
+                    [&](const Layout::Field& f) { return f.name == name; }))
         throw DataError(fmt::format("property {}: found twice, expected once", excerpt(name)));
     layout.fields.push_back({name, type == "float" || type == "float32", layout.stride});
     layout.stride += size_of_type(type);
@@ -137,15 +156,19 @@ Layout parse_ply_header(const std::string& header) {
         if (what == "format") {
             has_format = true;
             if (first != "binary_little_endian")
-                throw DataError(fmt::format("found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
+                throw DataError(fmt::format(
+                    "found format {}, expected binary_little_endian (export as binary PLY)", excerpt(first)));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
-                throw DataError(fmt::format("found element {}, expected one element, vertex", excerpt(first)));
+                throw DataError(
+                    fmt::format("found element {}, expected one element, vertex", excerpt(first)));
             has_vertex = true;
             layout.count = parse_count(second);
         } else if (what == "property") {
             if (!has_vertex)
-                throw DataError(fmt::format("property {}: found before an element, expected it after element vertex", excerpt(second)));
+                throw DataError(
+                    fmt::format("property {}: found before an element, expected it after element vertex",
+                                excerpt(second)));
             add_field(layout, first, second);
         }
     }
@@ -163,10 +186,13 @@ Columns find_columns(const Layout& layout, ParameterSet of) {
     Columns columns;
     for (const Property& p : properties(of)) {
         if (!p.read) continue;
-        const auto it = std::find_if(layout.fields.begin(), layout.fields.end(), [&](const Layout::Field& f) { return f.name == p.name; });
+        const auto it = std::find_if(layout.fields.begin(), layout.fields.end(),
+                                     [&](const Layout::Field& f) { return f.name == p.name; });
         if (it == layout.fields.end())
-            throw DataError(fmt::format("property {}: missing, expected it as write_surfel_ply() writes it", p.name));
-        if (!it->is_float) throw DataError(fmt::format("property {}: found another type, expected float", p.name));
+            throw DataError(
+                fmt::format("property {}: missing, expected it as write_surfel_ply() writes it", p.name));
+        if (!it->is_float)
+            throw DataError(fmt::format("property {}: found another type, expected float", p.name));
         columns.property.push_back(p);
         columns.offset.push_back(it->offset);
     }
@@ -174,10 +200,12 @@ Columns find_columns(const Layout& layout, ParameterSet of) {
 }
 
 float checked(float value, const Property& p, std::size_t row, std::size_t n_models) {
-    if (!std::isfinite(value)) throw DataError(fmt::format("vertex {}: {} is {}, expected a finite number", row, p.name, value));
+    if (!std::isfinite(value))
+        throw DataError(fmt::format("vertex {}: {} is {}, expected a finite number", row, p.name, value));
     if (p.kind == Property::model && (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
         throw DataError(
-            fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run", row, value, n_models));
+            fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run",
+                        row, value, n_models));
     return value;
 }
 
@@ -185,12 +213,14 @@ float checked(float value, const Property& p, std::size_t row, std::size_t n_mod
 Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, const Scene& layout) {
     std::vector<std::uint32_t> order(model.size());
     std::iota(order.begin(), order.end(), 0u);
-    std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return model[a] < model[b]; });
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::uint32_t a, std::uint32_t b) { return model[a] < model[b]; });
     Scene scene = layout_of(layout);
     scene.surfels = surfels.permuted(order);
     std::uint32_t first = 0;
     for (std::size_t k = 0; k < scene.models.size(); ++k) {
-        const auto count = static_cast<std::uint32_t>(std::count(model.begin(), model.end(), static_cast<std::uint32_t>(k)));
+        const auto count =
+            static_cast<std::uint32_t>(std::count(model.begin(), model.end(), static_cast<std::uint32_t>(k)));
         scene.models[k].first = first;
         scene.models[k].count = count;
         first += count;
@@ -198,7 +228,8 @@ Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, c
     return scene;
 }
 
-/// Where the last line of the header begins, its line end before it. @return npos where there is none
+/// Where the last line of the header begins, its line end before it. @return npos where
+/// there is none
 std::size_t find_end_of_header(const std::string& start) {
     std::size_t at = start.find(kEndOfHeader);
     while (at != std::string::npos) {
@@ -213,12 +244,14 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
     const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxPlyHeader));
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
-    if (end == std::string::npos) throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
+    if (end == std::string::npos)
+        throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
     const Layout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
     const Columns columns = find_columns(layout, of);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
-        throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count, layout.stride));
+        throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
+                                    layout.count, layout.stride));
     Surfels surfels;
     surfels.resize(layout.count, of);
     std::vector<std::uint32_t> model(layout.count);
@@ -226,24 +259,27 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
             float value;
             std::memcpy(&value, file.data() + data + i * layout.stride + columns.offset[k], sizeof value);
-            set_value(columns.property[k], surfels, i, model[i], checked(value, columns.property[k], i, scene_layout.models.size()));
+            set_value(columns.property[k], surfels, i, model[i],
+                      checked(value, columns.property[k], i, scene_layout.models.size()));
         }
     return grouped(surfels, model, scene_layout);
 }
 
 /// @param frame  of the positions
-std::string header_of(const Surfels& surfels, const std::vector<Property>& list, const char* frame, const FileNotes& notes = {}) {
+std::string header_of(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
+                      const FileNotes& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
     const PrimitiveKind& kind = kind_of(surfels.primitive);
-    text += fmt::format("{}: metres, {}{}\n", kind.label, frame, kind.third_scale ? "" : "; scale_2 only makes them flat");
+    text += fmt::format("{}: metres, {}{}\n", kind.label, frame,
+                        kind.third_scale ? "" : "; scale_2 only makes them flat");
     for (const auto& note : notes) text += fmt::format("comment {}\n", export_detail::note_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
 }
 
-void write_records(export_detail::OutputFile& file, const Surfels& surfels, const std::vector<Property>& list, const Model& model,
-                   std::size_t number) {
+void write_records(export_detail::OutputFile& file, const Surfels& surfels, const std::vector<Property>& list,
+                   const Model& model, std::size_t number) {
     std::vector<float> record(list.size());
     for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
         for (std::size_t k = 0; k < list.size(); ++k) record[k] = property_value(list[k], surfels, i, number);
@@ -254,12 +290,13 @@ void write_records(export_detail::OutputFile& file, const Surfels& surfels, cons
 void check_models(const Scene& scene) {
     std::size_t next = 0;
     for (const Model& m : scene.models) {
-        if (m.first != next) throw DataError(fmt::format("model {}: begins at surfel {}, expected {}", m.name, m.first, next));
+        if (m.first != next)
+            throw DataError(fmt::format("model {}: begins at surfel {}, expected {}", m.name, m.first, next));
         next += m.count;
     }
     if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
-        throw DataError(
-            fmt::format("{} models of {} surfels, expected at most {} of {}", scene.models.size(), next, kMaxModels, scene.surfels.size()));
+        throw DataError(fmt::format("{} models of {} surfels, expected at most {} of {}", scene.models.size(),
+                                    next, kMaxModels, scene.surfels.size()));
 }
 
 }  // namespace
@@ -292,7 +329,8 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
-        const bool walks = std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; });
+        const bool walks =
+            std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; });
         return parse_surfels(file, layout, {primitive, walks});
     } catch (const DataError& error) {
         throw DataError(fmt::format("reading PLY '{}': {}", path.string(), error.what()));

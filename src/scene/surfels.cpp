@@ -25,9 +25,12 @@ static_assert(are_in_order(), "the numbers of primitives count up from 0");
 /// Whether surfels have the parameters of a group.
 bool have(ParameterSet of, const ParameterGroup& group) {
     switch (group.of) {
-        case ParameterGroup::Of::third_scale: return kind_of(of.primitive).third_scale;
-        case ParameterGroup::Of::bends: return of.bends;
-        default: return true;
+        case ParameterGroup::Of::third_scale:
+            return kind_of(of.primitive).third_scale;
+        case ParameterGroup::Of::bends:
+            return of.bends;
+        default:
+            return true;
     }
 }
 
@@ -36,7 +39,8 @@ bool have(ParameterSet of, const ParameterGroup& group) {
 void Surfels::resize(std::size_t n, ParameterSet of) {
     primitive = of.primitive;
     bends = of.bends;
-    for (const ParameterGroup& group : kParameterGroups) group.resize(*this, have(of, group) ? n * group.floats() : 0);
+    for (const ParameterGroup& group : kParameterGroups)
+        group.resize(*this, have(of, group) ? n * group.floats() : 0);
 }
 
 void Surfels::add_gait() {
@@ -47,17 +51,21 @@ void Surfels::add_gait() {
 void Surfels::check_shapes() const {
     for (const ParameterGroup& group : kParameterGroups) {
         const bool is_there = have(parameters(), group);
-        const std::size_t found = group.values(*this).size(), expected = is_there ? size() * group.floats() : 0;
+        const std::size_t found = group.values(*this).size(),
+                          expected = is_there ? size() * group.floats() : 0;
         if (found != expected)
-            throw DataError(fmt::format("reading {}: {} has {} values, expected {}: {} for each of the {} means", kind_of(primitive).label,
-                                        group.name, found, expected, is_there ? group.floats() : 0, size()));
+            throw DataError(
+                fmt::format("reading {}: {} has {} values, expected {}: {} for each of the {} means",
+                            kind_of(primitive).label, group.name, found, expected,
+                            is_there ? group.floats() : 0, size()));
     }
 }
 
 void Surfels::append(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
-        throw DataError(fmt::format("joining {} surfels and {}: found {} beside {}, expected one primitive (image.primitive)", size(),
-                                    other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
+        throw DataError(fmt::format(
+            "joining {} surfels and {}: found {} beside {}, expected one primitive (image.primitive)", size(),
+            other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_gait();
     const std::size_t n = size() + other.size();
@@ -67,7 +75,7 @@ void Surfels::append(const Surfels& other) {
         group.resize(*this, before + more.size());
         std::ranges::copy(more, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(before));
     }
-    if (bends) gait.resize(n);   // those of a set without one rest
+    if (bends) gait.resize(n);  // those of a set without one rest
 }
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
@@ -77,7 +85,8 @@ Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
         const std::size_t n = group.floats();
-        for (std::size_t i = 0; i < order.size(); ++i) std::ranges::copy(from.subspan(order[i] * n, n), to.subspan(i * n).begin());
+        for (std::size_t i = 0; i < order.size(); ++i)
+            std::ranges::copy(from.subspan(order[i] * n, n), to.subspan(i * n).begin());
     }
     return result;
 }
@@ -97,17 +106,21 @@ void make_primitive(Surfels& surfels, Primitive primitive, double thickness) {
 }
 
 Scene with_background(const Scene& scene, const Surfels& background) {
-    const std::uint32_t before = scene.models.front().count, n = static_cast<std::uint32_t>(background.size());
+    const std::uint32_t before = scene.models.front().count,
+                        n = static_cast<std::uint32_t>(background.size());
     Scene other = layout_of(scene);
     other.blocks.clear();
     other.surfels = background.permuted(kd_order(background.mean));
     other.models.front().count = n;
-    for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;   // modulo 2^32
+    // modulo 2^32
+    for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;
 }
 
-Scene layout_of(const Scene& scene) { return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks}; }
+Scene layout_of(const Scene& scene) {
+    return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks};
+}
 
 std::size_t count_surfels(const Scene& scene) {
     std::size_t n = scene.surfels.size();
@@ -139,7 +152,8 @@ std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points) {
         const glm::vec3 size = high - low;
         const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
         const std::size_t middle = (first + last) / 2;
-        std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first), order.begin() + static_cast<std::ptrdiff_t>(middle),
+        std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first),
+                         order.begin() + static_cast<std::ptrdiff_t>(middle),
                          order.begin() + static_cast<std::ptrdiff_t>(last),
                          [&](std::uint32_t a, std::uint32_t b) { return points[a][axis] < points[b][axis]; });
         ranges.push_back({first, middle});

@@ -23,10 +23,11 @@ TouchedList::TouchedList(Device& device)
                      {device, "scene/list_touched", {{ConstantId::WORKGROUP_SIZE, 128u}}}}) {}
 TouchedList::~TouchedList() = default;
 
-void TouchedList::find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows) {
+void TouchedList::find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched,
+                       std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {
-        stream.finish();   // what is there may be in use
+        stream.finish();  // what is there may be in use
         l.rows.reserve(l.device, n_rows, "rows with a gradient");
     }
     stream.fill(l.count);
@@ -38,7 +39,8 @@ Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return i
 Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
 
 std::size_t TouchedList::threads(std::size_t most) const {
-    const bool is_cpu = !coalesces(impl_->device);   // on a CPU few, so that each of its threads has as much to do
+    // on a CPU few, so that each of its threads has as much to do
+    const bool is_cpu = !coalesces(impl_->device);
     return std::min(most, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }
 

@@ -16,19 +16,23 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-constexpr double kCellsPerRay = 4.0 / 3.0;   // six cells around a point hold four or five returns
-constexpr double kBeyond_rad = 0.002;  // the outermost beams: about a beam's own width
-constexpr int kMinReturns = 3;         // of the 2 x 3 cells around a point
-constexpr int kSectors = 64;           // of a sweep: in one the sensor moves by millimetres to centimetres
-constexpr double kBehind = 1.5;        // margins, that what is seen through a point lies behind it
-constexpr double kTile_m = 8.0;        // of the ground, whose points ask the same frames
-constexpr double kNear_m = 40.0;       // a sensor farther away sees a person as a return or two, and most places not at all
-constexpr double kHardlyFarther = 1.25;   // than the nearest sensor, where none is near
+constexpr double kCellsPerRay = 4.0 / 3.0;  // six cells around a point hold four or five returns
+constexpr double kBeyond_rad = 0.002;       // the outermost beams: about a beam's own width
+constexpr int kMinReturns = 3;              // of the 2 x 3 cells around a point
+constexpr int kSectors = 64;     // of a sweep: in one the sensor moves by millimetres to centimetres
+constexpr double kBehind = 1.5;  // margins, that what is seen through a point lies behind it
+constexpr double kTile_m = 8.0;  // of the ground, whose points ask the same frames
+// a sensor farther away sees a person as a return or two, and most places not at all
+constexpr double kNear_m = 40.0;
+constexpr double kHardlyFarther = 1.25;  // than the nearest sensor, where none is near
 constexpr std::size_t kMostViews = 64;
 
-double elevation_rad(const glm::vec3& direction) { return std::asin(std::clamp(double(direction.z), -1.0, 1.0)); }
+double elevation_rad(const glm::vec3& direction) {
+    return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
+}
 
-/// Elevations of the rows of a scan, falling; of rays that are in no rows, even steps over what they see.
+/// Elevations of the rows of a scan, falling; of rays that are in no rows, even steps
+/// over what they see.
 std::vector<double> row_elevations(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
@@ -37,7 +41,8 @@ std::vector<double> row_elevations(const RayTable& rays) {
             rows[ray / std::size_t(rays.columns)] += elevation_rad(rays.direction[ray]) / rays.columns;
     } else {
         double low = 1e9, high = -1e9;
-        for (const glm::vec3& d : rays.direction) low = std::min(low, elevation_rad(d)), high = std::max(high, elevation_rad(d));
+        for (const glm::vec3& d : rays.direction)
+            low = std::min(low, elevation_rad(d)), high = std::max(high, elevation_rad(d));
         for (int k = 0; k < kEvenRows; ++k) rows.push_back(high + (low - high) * k / (kEvenRows - 1));
     }
     std::sort(rows.begin(), rows.end(), std::greater<>());
@@ -48,11 +53,13 @@ std::vector<double> row_elevations(const RayTable& rays) {
 int columns_of(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
-        const glm::vec3 d = rays.direction[std::size_t(rays.rows / 2) * std::size_t(rays.columns) + std::size_t(column)];
+        const glm::vec3 d =
+            rays.direction[std::size_t(rays.rows / 2) * std::size_t(rays.columns) + std::size_t(column)];
         return std::atan2(double(d.y), double(d.x));
     };
     double turned = 0.0;
-    for (int c = 1; c < rays.columns; ++c) turned += std::abs(std::remainder(azimuth(c) - azimuth(c - 1), 2.0 * kPi));
+    for (int c = 1; c < rays.columns; ++c)
+        turned += std::abs(std::remainder(azimuth(c) - azimuth(c - 1), 2.0 * kPi));
     const double columns = kCellsPerRay * 2.0 * kPi * (rays.columns - 1) / std::max(turned, 1e-9);
     return static_cast<int>(std::clamp(std::round(columns), double(kFewestColumns), double(kMostColumns)));
 }
@@ -77,7 +84,8 @@ BeamGrid::BeamGrid(const Scan& scan) {
     const std::vector<double> elevations = row_elevations(scan.rays);
     const double least_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
-        const auto end = std::find_if(first, elevations.end(), [&](double e) { return *first - e >= least_height && e < *first; });
+        const auto end = std::find_if(first, elevations.end(),
+                                      [&](double e) { return *first - e >= least_height && e < *first; });
         row_rad_.push_back(std::accumulate(first, end, 0.0) / double(end - first));
         first = end;
     }
@@ -89,10 +97,14 @@ std::optional<BeamGrid::Place> BeamGrid::place(const glm::dvec3& point_m) const 
     const double elevation = std::asin(std::clamp(point_m.z / range, -1.0, 1.0));
     Place place;
     place.is_beyond = elevation > row_rad_.front() + kBeyond_rad || elevation < row_rad_.back() - kBeyond_rad;
-    place.row_below = static_cast<int>(std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
-    const auto off = [&](int row) { return row < 0 || row >= rows() ? 1e9 : std::abs(row_rad_[std::size_t(row)] - elevation); };
+    place.row_below = static_cast<int>(
+        std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
+    const auto off = [&](int row) {
+        return row < 0 || row >= rows() ? 1e9 : std::abs(row_rad_[std::size_t(row)] - elevation);
+    };
     place.row = off(place.row_below) < off(place.row_below - 1) ? place.row_below : place.row_below - 1;
-    place.column = static_cast<int>(std::lround((1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * columns_) % columns_);
+    place.column = static_cast<int>(
+        std::lround((1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * columns_) % columns_);
     return place;
 }
 
@@ -112,7 +124,7 @@ std::vector<float> BeamGrid::nearest_m(const Scan& scan) const {
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    grids_.resize(sequence.lidars.size());   // those of LiDARs without a view are not asked
+    grids_.resize(sequence.lidars.size());  // those of LiDARs without a view are not asked
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
@@ -160,7 +172,8 @@ void Visibility::sort_by_tile() {
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
         const double farthest = lidar.sensor.max_range_m + kTile_m;
-        glm::dvec3 sensor = sequence_.world_from_vehicle.at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
+        glm::dvec3 sensor =
+            sequence_.world_from_vehicle.at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
         sensor.z = 0.0;
         for (double dx = -farthest; dx <= farthest; dx += kTile_m)
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
@@ -198,7 +211,9 @@ Visibility::Surroundings Visibility::around(const View& view, const glm::dvec3& 
     result.range_m = glm::length(p);
     for (int r = std::max(at->row_below - 1, 0); r <= std::min(at->row_below, grid.rows() - 1); ++r)
         for (int c = at->column - 1; c <= at->column + 1; ++c)
-            if (const float value = view.range_m[std::size_t(r * grid.columns() + (c + grid.columns()) % grid.columns())]; value > 0.0f)
+            if (const float value =
+                    view.range_m[std::size_t(r * grid.columns() + (c + grid.columns()) % grid.columns())];
+                value > 0.0f)
                 result.returned_m[result.n++] = value;
     return result;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every pipeline of the program, made by what makes them in a training and in rendering: a look at what a driver's compiler says of them
-// needs neither a log nor a card.
+// Every pipeline of the program, made by what makes them in a training and in rendering:
+// a look at what a driver's compiler says of them needs neither a log nor a card.
 #include "train/compile_pipelines.hpp"
 
 #include <relidar/diff/forward.hpp>
@@ -22,7 +22,8 @@ struct Setting {
     const char* value;
 };
 
-// What is tried on top of the preset `default`, one at a time, beside the terms of the loss. A new specialisation constant is a line here.
+// What is tried on top of the preset `default`, one at a time, beside the terms of the
+// loss. A new specialisation constant is a line here.
 constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
                                  {"image.single_drop_logit", "true"},
@@ -63,7 +64,8 @@ void compile_searches(Device& device, const Sequence& street) {
                 const Renderer renderer(device, scene, config.image, options);
             }
             for (const Reduction sums : {Reduction::atomics, Reduction::gather})
-                const DifferentiableRenderer renderer(device, scene, config.image, options, {.sums = {.reduction = sums}});
+                const DifferentiableRenderer renderer(device, scene, config.image, options,
+                                                      {.sums = {.reduction = sums}});
         }
 }
 
@@ -71,13 +73,16 @@ void compile_searches(Device& device, const Sequence& street) {
 
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress) {
     const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
-    const auto tell = [&](const std::string& what) { if (progress) progress(what); };
+    const auto tell = [&](const std::string& what) {
+        if (progress) progress(what);
+    };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
         tell(preset);
         compile(device, street, make_preset(preset));
     }
     std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) settings.push_back({"loss." #setting, "0.1"});
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
+    settings.push_back({"loss." #setting, "0.1"});
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     for (const PrimitiveKind& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
@@ -96,7 +101,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         compile_drop_network(device, options);
     }
     tell("sums of hits in a fixed order");
-    const RadixSort by_row(device, 1, 1);   // made by BackwardPass at its first batch
+    const RadixSort by_row(device, 1, 1);  // made by BackwardPass at its first batch
 }
 
 }  // namespace relidar

@@ -9,8 +9,9 @@ namespace relidar {
 
 class Device;
 
-/// Compiles every pipeline that training and rendering use: those of each preset, and of each
-/// setting that changes a kernel, one at a time. Afterwards Device::pipelines() lists them.
+/// Compiles every pipeline that training and rendering use: those of each preset, and of
+/// each setting that changes a kernel, one at a time. Afterwards Device::pipelines()
+/// lists them.
 /// @param device  opened with DeviceOptions::compile_only
 /// @param progress  called with each preset or setting before it is compiled
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});

@@ -34,7 +34,8 @@ void IterationReports::close(Stream& stream, const DeviceCounts& counts, const s
     take(slot.pass_cap, counts.pass_cap->buffer(), sizeof(std::uint32_t));
     if (counts.most_hits) take(slot.most_hits, counts.most_hits->buffer(), sizeof(std::uint32_t));
     take(slot.overfull, counts.overfull->buffer(), sizeof(std::uint32_t));
-    closed_.push_back({std::exchange(iterations_, {}), counts.most_hits != nullptr, counts.hit_capacity, counts.kept_hits, line});
+    closed_.push_back({std::exchange(iterations_, {}), counts.most_hits != nullptr, counts.hit_capacity,
+                       counts.kept_hits, line});
 }
 
 std::optional<IterationReports::Report> IterationReports::take(Stream& stream, int last) {
@@ -43,7 +44,9 @@ std::optional<IterationReports::Report> IterationReports::take(Stream& stream, i
     closed_.pop_front();
     const int first_step = report.iterations.front().step, last_step = report.iterations.back().step;
     Slot& slot = slots_[std::size_t(last_step) % kReadbackLag];
-    const auto count = [&](Readback& readback) { return *static_cast<const std::uint32_t*>(readback.wait(stream)); };
+    const auto count = [&](Readback& readback) {
+        return *static_cast<const std::uint32_t*>(readback.wait(stream));
+    };
     add_up(report, static_cast<const float*>(slot.terms.wait(stream)));
     if (report.line) end_line(*report.line);
     return Report{.first_step = first_step,
@@ -60,8 +63,9 @@ void IterationReports::add_up(const Closed& report, const float* terms) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *terms++;
             if (!std::isfinite(term))
-                throw DataError(fmt::format("training, iteration {}, frame {}: the {} loss is {}, expected a finite number", step, frame,
-                                            kLossTermNames[k], term));
+                throw DataError(fmt::format(
+                    "training, iteration {}, frame {}: the {} loss is {}, expected a finite number", step,
+                    frame, kLossTermNames[k], term));
             sums_[k] += term;
         }
     }
@@ -69,7 +73,8 @@ void IterationReports::add_up(const Closed& report, const float* terms) {
 }
 
 void IterationReports::end_line(LogLine line) {
-    for (std::size_t k = 0; k < kLossTerms; ++k) line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
+    for (std::size_t k = 0; k < kLossTerms; ++k)
+        line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
     n_summed_ = 0;
     lines_.push_back(std::move(line));
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What iterations tell: losses, and counts of what must not happen. Rows of losses collect on the device; a report of up to 64 iterations
-// is read back without a wait and looked at a few iterations later (readback_lag.hpp).
+// What iterations tell: losses, and counts of what must not happen. Rows of losses
+// collect on the device; a report of up to 64 iterations is read back without a wait and
+// looked at a few iterations later (readback_lag.hpp).
 #pragma once
 
 #include <array>
@@ -18,18 +19,19 @@ namespace relidar {
 /// A line of the log.
 struct LogLine {
     int step = 0;
-    std::array<double, kLossTerms> terms{};   ///< means over the iterations since the last line
-    std::uint32_t n_surfels = 0;              ///< after this step, as the next
-    DensifyReport densified;                  ///< since the last line
+    std::array<double, kLossTerms> terms{};  ///< means over the iterations since the last line
+    std::uint32_t n_surfels = 0;             ///< after this step, as the next
+    DensifyReport densified;                 ///< since the last line
 };
 
 /// Counts on the device: each is read and set to 0 with a report.
 struct DeviceCounts {
-    const Array<std::uint32_t>* pass_cap = nullptr;    ///< [1] ForwardPass::pass_cap_count
-    const Array<std::uint32_t>* most_hits = nullptr;   ///< [1] BackwardPass::most_hits; null where nobody asks
+    const Array<std::uint32_t>* pass_cap = nullptr;  ///< [1] ForwardPass::pass_cap_count
+    /// [1] BackwardPass::most_hits; null where nobody asks
+    const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
-    const Array<std::uint32_t>* overfull = nullptr;    ///< [1] ForwardPass::overfull_count
-    std::uint32_t kept_hits = 0;                       ///< of a ray
+    const Array<std::uint32_t>* overfull = nullptr;  ///< [1] ForwardPass::overfull_count
+    std::uint32_t kept_hits = 0;                     ///< of a ray
 };
 
 class IterationReports {
@@ -41,17 +43,19 @@ public:
     /// That iteration is recorded. @param frame  the dataset's own number
     void add(int step, int frame) { iterations_.push_back({step, frame}); }
     bool is_full() const { return iterations_.size() == kRows; }
-    /// Records a report of the iterations since the last one: at most one an iteration, after add(). @param line  that ends with them
+    /// Records a report of the iterations since the last one: at most one an iteration,
+    /// after add(). @param line  that ends with them
     void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
 
     /// A report as the device left it.
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        std::uint64_t hit_capacity;   ///< when it was recorded, as the next
+        std::uint64_t hit_capacity;  ///< when it was recorded, as the next
         std::uint32_t kept_hits;
     };
-    /// The oldest report not looked at, where it ends at iteration `last` or before. Waits where it is not done.
+    /// The oldest report not looked at, where it ends at iteration `last` or before.
+    /// Waits where it is not done.
     /// @throws DataError naming iteration, frame and term where a loss is not finite
     std::optional<Report> take(Stream& stream, int last);
     /// Lines of the reports taken.
@@ -84,12 +88,12 @@ private:
         explicit Slot(Device& device);
     };
 
-    Array<float> terms_;                  ///< [kRows, kLossTerms] of iterations_
-    std::vector<Iteration> iterations_;   ///< since the last report
-    std::vector<Slot> slots_;              ///< [kReadbackLag] by iteration
-    std::deque<Closed> closed_;           ///< oldest first
-    std::vector<double> sums_;            ///< [kLossTerms] of the reports taken since the last line
-    std::uint64_t n_summed_ = 0;          ///< iterations in them
+    Array<float> terms_;                 ///< [kRows, kLossTerms] of iterations_
+    std::vector<Iteration> iterations_;  ///< since the last report
+    std::vector<Slot> slots_;            ///< [kReadbackLag] by iteration
+    std::deque<Closed> closed_;          ///< oldest first
+    std::vector<double> sums_;           ///< [kLossTerms] of the reports taken since the last line
+    std::uint64_t n_summed_ = 0;         ///< iterations in them
     std::vector<LogLine> lines_;
 
     void add_up(const Closed& report, const float* terms);

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the intensities of a log scatter about those of its trained scene: some training frames rendered along the rays that measured them.
-// Residuals of held-out frames are as large (0.083 against 0.081 on KITTI raw drive 0005), so what is learnt here holds there.
+// How the intensities of a log scatter about those of its trained scene: some training
+// frames rendered along the rays that measured them. Residuals of held-out frames are as
+// large (0.083 against 0.081 on KITTI raw drive 0005), so what is learnt here holds
+// there.
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
@@ -10,7 +12,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostFrames = 16;   // of a LiDAR
+constexpr int kMostFrames = 16;  // of a LiDAR
 
 std::vector<int> frames_of(const Run& run, int lidar) {
     std::vector<int> own;
@@ -22,7 +24,8 @@ std::vector<int> frames_of(const Run& run, int lidar) {
 std::vector<float> measured_intensities(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
     std::vector<float> measured;
     const std::vector<float> dropped = measured_drops(sequence, frame, masks);
-    for (std::size_t i = 0; i < dropped.size(); ++i) measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
+    for (std::size_t i = 0; i < dropped.size(); ++i)
+        measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
     return measured;
 }
 
@@ -39,9 +42,12 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, cons
         std::vector<MeasuredIntensities> images;
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};
-            if (session.progress) session.progress("learning how intensities scatter", double(images.size()) / double(positions.size()));
+            if (session.progress)
+                session.progress("learning how intensities scatter",
+                                 double(images.size()) / double(positions.size()));
             const Frame& frame = run.sequence.frames[std::size_t(position)];
-            const RenderedScan scan = renderer.render(nominal_rays_of(config, run.sequence, frame), frame.time_s);
+            const RenderedScan scan =
+                renderer.render(nominal_rays_of(config, run.sequence, frame), frame.time_s);
             images.push_back({rendered_intensities(scan), measured_intensities(run.sequence, frame, masks)});
         }
         result.push_back(fit_scatter(images));

@@ -6,8 +6,9 @@
 
 namespace relidar {
 
-/// What iteration i reports is looked at before iteration i + kReadbackLag is recorded. The stream waits for that submission then anyway,
-/// to record into its slot again: looking costs no wait, and a fixed lag leaves every training repeatable.
+/// What iteration i reports is looked at before iteration i + kReadbackLag is recorded.
+/// The stream waits for that submission then anyway, to record into its slot again:
+/// looking costs no wait, and a fixed lag leaves every training repeatable.
 inline constexpr int kReadbackLag = static_cast<int>(Stream::Impl::kSlots);
 
 }  // namespace relidar

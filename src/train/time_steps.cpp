@@ -19,9 +19,12 @@ constexpr int kWarmUp = 5;
 
 StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop) {
     if (!run.scene.blocks.empty())
-        throw UsageError(fmt::format("timing steps of {}: found a run in blocks, expected one whose scene is whole", run.folder.string()));
+        throw UsageError(
+            fmt::format("timing steps of {}: found a run in blocks, expected one whose scene is whole",
+                        run.folder.string()));
     if (n_steps < 1 || n_steps > kMostTimedSteps)
-        throw UsageError(fmt::format("timing steps: found {} steps, expected 1 to {}", n_steps, kMostTimedSteps));
+        throw UsageError(
+            fmt::format("timing steps: found {} steps, expected 1 to {}", n_steps, kMostTimedSteps));
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.iterate(first + k);
@@ -29,15 +32,18 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
     const std::map<std::string, KernelTimes::Total> before = loop.times().totals;
     StepTimes result;
     const auto start = std::chrono::steady_clock::now();
-    for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps) loop.iterate(first + kWarmUp + result.n_steps);
+    for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
+        loop.iterate(first + kWarmUp + result.n_steps);
     loop.settle();
     if (result.n_steps == 0) return result;
-    result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / result.n_steps;
+    result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
+                     result.n_steps;
     for (const auto& [kernel, sum] : loop.times().totals) {
         const auto earlier = before.find(kernel);
         const KernelTimes::Total had = earlier == before.end() ? KernelTimes::Total{} : earlier->second;
         if (sum.launches == had.launches) continue;
-        result.kernels[kernel] = {(sum.launches - had.launches) / result.n_steps, (sum.ms - had.ms) / result.n_steps};
+        result.kernels[kernel] = {(sum.launches - had.launches) / result.n_steps,
+                                  (sum.ms - had.ms) / result.n_steps};
         result.kernels_ms += result.kernels[kernel].ms;
     }
     result.surfels = loop.n_surfels();

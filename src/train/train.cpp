@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training from a log to a scene: initialise or continue, iterate, report, keep checkpoints (the iteration itself is in train_loop.cpp).
+// Training from a log to a scene: initialise or continue, iterate, report, keep
+// checkpoints (the iteration itself is in train_loop.cpp).
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -21,9 +22,12 @@ namespace relidar {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+double seconds_since(Clock::time_point start) {
+    return std::chrono::duration<double>(Clock::now() - start).count();
+}
 
-/// With one drop logit it starts as the difference of the two, which is the same ray-drop probability (M6).
+/// With one drop logit it starts as the difference of the two, which is the same ray-drop
+/// probability (M6).
 InitialiseOptions start_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;
@@ -32,7 +36,8 @@ InitialiseOptions start_options(const Config& config) {
 }
 
 /// What training starts from.
-Scene start_scene(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session) {
+Scene start_scene(const Sequence& sequence, const Split& split, const Config& config,
+                  const TrainSession& session) {
     std::vector<std::string> notes;
     Scene scene = initialise_scene(sequence, split.train, start_options(config), session.progress, &notes);
     for (const std::string& note : notes)
@@ -42,26 +47,34 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
 }
 
 /// Says which moving boxes are nothing in the scene.
-void tell_masked(const Scene& scene, const Sequence& sequence, const Config& config, const TrainSession& session) {
+void tell_masked(const Scene& scene, const Sequence& sequence, const Config& config,
+                 const TrainSession& session) {
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
-    session.note(fmt::format("{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and "
-                             "init.actor_min_points what they need",
-                             masked.size(), names_of(masked)));
+    session.note(fmt::format(
+        "{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and "
+        "init.actor_min_points what they need",
+        masked.size(), names_of(masked)));
 }
 
 /// Says how many training frames stay on the device, where not all do.
 void tell_sent(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_staying() == frames.all().size() || !session.note) return;
-    session.note(fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are sent in their turn",
-                             frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
+    session.note(
+        fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are "
+                    "sent in their turn",
+                    frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
 }
 
-/// Settings with the poses alone that can be found. Where all training frames are of one sweep nothing tells its pose: it would drift, and
-/// the scene with it, away from the poses of every other sweep.
-Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial, const TrainSession& session) {
+/// Settings with the poses alone that can be found. Where all training frames are of one
+/// sweep nothing tells its pose: it would drift, and the scene with it, away from the
+/// poses of every other sweep.
+Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
+                           const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
-    const auto of_first_sweep = [&](int position) { return frame(position).index == frame(split.train[0]).index; };
+    const auto of_first_sweep = [&](int position) {
+        return frame(position).index == frame(split.train[0]).index;
+    };
     const auto tell = [&](const char* note) {
         if (session.note) session.note(note);
     };
@@ -80,19 +93,23 @@ bool logs_at(int step, const TrainConfig& config) {
 
 }  // namespace
 
-TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config, const ProgressCallback& progress,
-                  const TrainSession& session) {
-    if (split.train.empty()) throw DataError(fmt::format("training on {}: found no training frames, expected at least one", sequence.name));
+TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config,
+                  const ProgressCallback& progress, const TrainSession& session) {
+    if (split.train.empty())
+        throw DataError(
+            fmt::format("training on {}: found no training frames, expected at least one", sequence.name));
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
-    const Scene initial = session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session);
+    const Scene initial =
+        session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session);
     result.initialise_s = seconds_since(begin);
     tell_masked(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
-    const Config findable = with_findable_poses(config, sequence, split, initial, session);   // the loop refers to it
+    // the loop refers to it
+    const Config findable = with_findable_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("memory and kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
     if (session.progress) session.progress("memory and kernels", 1.0);
@@ -119,7 +136,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         stop = stop || (session.stop && session.stop());
         if (!stop && !checkpoints.due(step)) continue;
         loop.settle();
-        take_lines();   // they belong into the checkpoint
+        take_lines();  // they belong into the checkpoint
         checkpoints.save(loop, result, trained_s());
     }
     loop.finish();
@@ -128,10 +145,12 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     result.scene = loop.download();
     result.poses = loop.refined_poses();
     begin_stage(session.stages, "drops");
-    if (config.train.sensor_drop && !result.interrupted) result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
+    if (config.train.sensor_drop && !result.interrupted)
+        result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
     begin_stage(session.stages, "coverage");
-    result.coverage = find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle, split.train,
-                                    with_farthest(config, sequence).dataset.max_range_m);
+    result.coverage =
+        find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle,
+                      split.train, with_farthest(config, sequence).dataset.max_range_m);
     result.train_s = trained_s();
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors of a scene in blocks learn on before the joined background. What they learn from is little: the rays near their boxes, and the
-// surfels along these, so that many blocks go into one training and an actor that drives along learns from all of them in random order.
+// Actors of a scene in blocks learn on before the joined background. What they learn from
+// is little: the rays near their boxes, and the surfels along these, so that many blocks
+// go into one training and an actor that drives along learns from all of them in random
+// order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -16,12 +18,13 @@
 namespace relidar {
 namespace {
 
-constexpr double kBeside_m = 0.5;              // of an actor's box: its silhouette
-constexpr double kSweep_m = 0.2;               // that a sensor comes along while its beam crosses an actor
-constexpr double kAlong_m = 2.0;               // that it comes along within a sweep, to either side of its time
-constexpr double kReach_sigmas = 3.5;          // of a surfel: beyond, its alpha is below any that is blended
-constexpr std::size_t kTogether = 1'500'000;   // surfels of the blocks that go into one training, of which it takes what is near actors
-constexpr float kBlind = 0.5f;                 // of the sensor's own drop probability: such rays tell nothing of actors
+constexpr double kBeside_m = 0.5;      // of an actor's box: its silhouette
+constexpr double kSweep_m = 0.2;       // that a sensor comes along while its beam crosses an actor
+constexpr double kAlong_m = 2.0;       // that it comes along within a sweep, to either side of its time
+constexpr double kReach_sigmas = 3.5;  // of a surfel: beyond, its alpha is below any that is blended
+// surfels of the blocks that go into one training, of which it takes what is near actors
+constexpr std::size_t kTogether = 1'500'000;
+constexpr float kBlind = 0.5f;  // of the sensor's own drop probability: such rays tell nothing of actors
 
 /// An actor in a sweep, and where the sensor is when it faces the actor.
 struct Sight {
@@ -34,7 +37,8 @@ struct Sight {
     /// Whether a ball is on the way of rays that meet it, before or behind.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
         const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
-        return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s, kBeside_m + kSweep_m + way_m + reach_m);
+        return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
+                     kBeside_m + kSweep_m + way_m + reach_m);
     }
 
 private:
@@ -47,9 +51,9 @@ private:
 
 /// A training frame with the actors that it sees.
 struct SightedFrame {
-    int position = 0;   ///< in Sequence::frames
+    int position = 0;  ///< in Sequence::frames
     glm::dvec3 sensor_m{0.0};
-    double reach_m = 0.0;   ///< of its farthest return
+    double reach_m = 0.0;  ///< of its farthest return
     std::vector<Sight> sights;
 
     bool reaches(const SceneBlock& block) const {
@@ -66,7 +70,8 @@ struct Stretch {
 /// Poses of each LiDAR: made once, since they are as many as the log has sweeps.
 std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
     std::vector<PoseTrack> tracks;
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) tracks.push_back(sequence.world_from_sensor(static_cast<int>(l)));
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
+        tracks.push_back(sequence.world_from_sensor(static_cast<int>(l)));
     return tracks;
 }
 
@@ -81,13 +86,15 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
         const Sight sight{world_from_sensor.at(placed[i].time_s).translation, placed[i], 0.5 * box->size_m};
-        if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) < result.reach_m + 0.5 * glm::length(box->size_m))
+        if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) <
+            result.reach_m + 0.5 * glm::length(box->size_m))
             result.sights.push_back(sight);
     }
     return result;
 }
 
-/// Cuts the training frames into stretches whose blocks have kTogether surfels at most, or those of one frame.
+/// Cuts the training frames into stretches whose blocks have kTogether surfels at most,
+/// or those of one frame.
 std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& tracks) {
     std::vector<Stretch> stretches(1);
     for (const int position : run.split.train) {
@@ -106,15 +113,20 @@ std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& 
     return stretches;
 }
 
-/// The rays of a scan that come near an actor and that the sensor is not blind for, without image order.
-Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor, const std::vector<Sight>& sights) {
+/// The rays of a scan that come near an actor and that the sensor is not blind for,
+/// without image order.
+Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
+               const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
     std::vector<std::size_t> near;
     Scan scan;
     for (std::size_t i = 0; i < all.range_m.size(); ++i) {
-        const WorldRay ray = world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
+        const WorldRay ray =
+            world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
-        if (std::none_of(sights.begin(), sights.end(), [&](const Sight& sight) { return sight.is_met_by(ray, after_s); })) continue;
+        if (std::none_of(sights.begin(), sights.end(),
+                         [&](const Sight& sight) { return sight.is_met_by(ray, after_s); }))
+            continue;
         const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
         if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
         near.push_back(i);
@@ -132,7 +144,9 @@ Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTr
         const SightedFrame& sighted = stretch.frames[std::size_t(i)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
-        frames[std::size_t(i)] = {from.index, from.time_s, rays_near(run, from, world_from_sensor, sighted.sights), from.lidar, from.start};
+        frames[std::size_t(i)] = {from.index, from.time_s,
+                                  rays_near(run, from, world_from_sensor, sighted.sights), from.lidar,
+                                  from.start};
     });
     Sequence log = without_frames(run.sequence);
     for (Frame& frame : frames)
@@ -145,9 +159,11 @@ Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*
     std::vector<std::uint8_t> kept(surfels.size(), 0);
     for_each_block(surfels.size(), [&](std::size_t i) {
         const glm::dvec3 mean = surfels.mean[i];
-        const double reach_m = kReach_sigmas * std::exp(double(std::max(surfels.log_scale[i].x, surfels.log_scale[i].y)));
+        const double reach_m =
+            kReach_sigmas * std::exp(double(std::max(surfels.log_scale[i].x, surfels.log_scale[i].y)));
         kept[i] = std::any_of(frames.begin(), frames.end(), [&](const SightedFrame* frame) {
-            return std::any_of(frame->sights.begin(), frame->sights.end(), [&](const Sight& s) { return s.may_show(mean, reach_m); });
+            return std::any_of(frame->sights.begin(), frame->sights.end(),
+                               [&](const Sight& s) { return s.may_show(mean, reach_m); });
         });
     });
     std::vector<std::uint32_t> order;
@@ -178,18 +194,20 @@ StretchScene scene_of(const Run& run, const Stretch& stretch) {
     return {with_background(run.scene, background), extent_m};
 }
 
-/// The schedule of training once more, on all rays there are, without what changes poses or the number of surfels.
+/// The schedule of training once more, on all rays there are, without what changes poses
+/// or the number of surfels.
 Config settings_of(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
-    t.iterations = static_cast<int>(std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
+    t.iterations = static_cast<int>(
+        std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;   // such rays are left out before
+    t.sensor_drop = false;  // such rays are left out before
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
-    c.loss.intensity_ssim = c.loss.normal = 0.0f;   // compare neighbours in an image
+    c.loss.intensity_ssim = c.loss.normal = 0.0f;  // compare neighbours in an image
     return c;
 }
 
@@ -213,7 +231,9 @@ bool train_actors(Device& device, Run& run, const ActorSession& session) {
         TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.iterate(step);
-            if (session.step) session.step(static_cast<int>(done) + step, run.config.blocks.actor_epochs * static_cast<int>(n_frames));
+            if (session.step)
+                session.step(static_cast<int>(done) + step,
+                             run.config.blocks.actor_epochs * static_cast<int>(n_frames));
             if (session.stop && session.stop()) return false;
         }
         loop.finish();

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// One iteration: sample a frame, render its rays, compare, differentiate, step (docs/method.md sections 4-6). One submission an
-// iteration, and no wait: what the host must know of it comes a few iterations later (readback_lag.hpp).
+// One iteration: sample a frame, render its rays, compare, differentiate, step
+// (docs/method.md sections 4-6). One submission an iteration, and no wait: what the host
+// must know of it comes a few iterations later (readback_lag.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -43,11 +44,12 @@ bool FrameSampler::is_sound(std::size_t n) const {
 
 namespace {
 
-/// Rate of the other harmonics over that of the constant one: what depends on the direction is known from few views, and learns a
-/// twentieth as fast, as in 3D Gaussian splatting.
+/// Rate of the other harmonics over that of the constant one: what depends on the
+/// direction is known from few views, and learns a twentieth as fast, as in 3D Gaussian
+/// splatting.
 constexpr double kShRestFactor = 0.05;
 
-constexpr int kGrowthEvery = 32;   // iterations between two looks at how the tree has grown
+constexpr int kGrowthEvery = 32;  // iterations between two looks at how the tree has grown
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
     const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
@@ -61,37 +63,47 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             .intensity_factor = c.intensity_factor};
 }
 
-/// Means learn at a rate in proportion to the extent of their own model: steps that suit a street would throw an actor's out of its box.
-/// Done where surfels are cloned and split by shares of that extent, as in the paper; a dense start learns at a tenth of the paper's rate.
+/// Means learn at a rate in proportion to the extent of their own model: steps that suit
+/// a street would throw an actor's out of its box. Done where surfels are cloned and
+/// split by shares of that extent, as in the paper; a dense start learns at a tenth of
+/// the paper's rate.
 /// @return [models] over the background's
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
     for (const Model& model : layout.models)
-        factors.push_back(model.half_size_m.x > 0.0f ? static_cast<float>(box_extent(model.half_size_m) / background_extent_m) : 1.0f);
+        factors.push_back(model.half_size_m.x > 0.0f
+                              ? static_cast<float>(box_extent(model.half_size_m) / background_extent_m)
+                              : 1.0f);
     return factors;
 }
 
 /// Active degree of the spherical harmonics; the image's own may be lower.
-int sh_degree_at(const TrainConfig& c, int step) { return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval); }
+int sh_degree_at(const TrainConfig& c, int step) {
+    return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval);
+}
 
-/// How often trees are fitted to what has been learnt, and how much larger their boxes are so that no hit is lost in between.
+/// How often trees are fitted to what has been learnt, and how much larger their boxes
+/// are so that no hit is lost in between.
 struct TreeFits {
-    int every = 1;   ///< iterations
+    int every = 1;  ///< iterations
     AccelOptions accel;
 };
 
-/// At the rates of training a surfel moves by millimetres and grows by some per cent an iteration. One that has just begun to be visible
-/// at all may grow by more, and is met from the next fit on. Where most surfels are fixed, fitting trees to the few that learn would be
-/// most of an iteration. Without harmonics per surfel only a fit brings the records of hits up to date.
+/// At the rates of training a surfel moves by millimetres and grows by some per cent an
+/// iteration. One that has just begun to be visible at all may grow by more, and is met
+/// from the next fit on. Where most surfels are fixed, fitting trees to the few that
+/// learn would be most of an iteration. Without harmonics per surfel only a fit brings
+/// the records of hits up to date.
 TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Whether trees are fitted in a step: in every one as long as surfels may outgrow the margin between two fits.
+/// Whether trees are fitted in a step: in every one as long as surfels may outgrow the
+/// margin between two fits.
 bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
-    constexpr double kShare = 0.9;   // of the margin; opacities make surfels larger, too
+    constexpr double kShare = 0.9;  // of the margin; opacities make surfels larger, too
     const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
 }
@@ -103,7 +115,8 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
-/// How far each surfel may grow: what lies close together began small and has no need to be large, what lies far apart must close holes.
+/// How far each surfel may grow: what lies close together began small and has no need to
+/// be large, what lies far apart must close holes.
 std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -118,13 +131,15 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
 bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
-    Unknown masks{config.init, {}, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}};
+    Unknown masks{
+        config.init, {}, config.train.sensor_drop ? observed_drops(sequence, split.train) : DropTable{}};
     for (const Instance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
 }
 
-/// The cells that are trained on; nothing: the sensor's own rays. @throws UsageError beside what speaks of those
+/// The cells that are trained on; nothing: the sensor's own rays. @throws UsageError
+/// beside what speaks of those
 std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> of_own_rays[] = {{config.train.sensor_drop, "train.sensor_drop"},
@@ -132,7 +147,8 @@ std::optional<RangeGrid> trained_grid(const Config& config) {
     for (const auto& [found, setting] : of_own_rays)
         if (found)
             throw UsageError(
-                fmt::format("setting train.grid={}: found {} too, which is of the sensor's own rays, expected one of them",
+                fmt::format("setting train.grid={}: found {} too, which is of the sensor's own rays, "
+                            "expected one of them",
                             config.train.grid, setting));
     return find_grid(config.train.grid);
 }
@@ -146,8 +162,8 @@ FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& sc
 
 }  // namespace
 
-TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial, const Config& config,
-                     std::uint32_t n_fixed, std::optional<double> extent_m)
+TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
+                     const Config& config, std::uint32_t n_fixed, std::optional<double> extent_m)
     : config_(config),
       n_fixed_(n_fixed),
       frames_(device, sequence, split.train, frame_use(sequence, split, initial, config)),
@@ -157,21 +173,25 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
                 {backward_options(config), refiner_.wanted(), all_have_gradients(config)}),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
-      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed}, initial.surfels.parameters()),
-      densifier_(device, initial, config.densify, config.image.alpha_min, static_cast<std::uint32_t>(frames_.all().size()),
-                 config.train.seed),
+      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed},
+            initial.surfels.parameters()),
+      densifier_(device, initial, config.densify, config.image.alpha_min,
+                 static_cast<std::uint32_t>(frames_.all().size()), config.train.seed),
       reports_(device),
       extent_m_(extent_m ? *extent_m : background_extent(initial)),
       sampler_(frames_.all().size(), config.train.seed) {
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
-        frames_[i].placed = place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
-    if (config.densify.strategy == DensifyStrategy::none)   // else there are others soon, and large ones are split
+        frames_[i].placed =
+            place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
+    // else there are others soon, and large ones are split
+    if (config.densify.strategy == DensifyStrategy::none)
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
-        stream_.wait(submitted_);   // where training ends by an exception, the device may still use the arrays
+        // where training ends by an exception, the device may still use the arrays
+        stream_.wait(submitted_);
     } catch (const DeviceError&) {
         // a lost device uses nothing any more, and has been reported
     }
@@ -191,9 +211,11 @@ const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
-    renderer_.record_forward(rays);                                                                                        // Eq. 2-4
-    for (const std::unique_ptr<Loss>& loss : losses_) loss->compare(stream_, renderer_.batch(), targets, terms);           // Eq. 10-11
-    renderer_.record_backward();                                                                                           // Eq. 9
+    renderer_.record_forward(rays);  // Eq. 2-4
+    // Eq. 10-11
+    for (const std::unique_ptr<Loss>& loss : losses_)
+        loss->compare(stream_, renderer_.batch(), targets, terms);
+    renderer_.record_backward();  // Eq. 9
 }
 
 void TrainLoop::iterate(int step, bool ends_line) {
@@ -210,18 +232,26 @@ void TrainLoop::iterate(int step, bool ends_line) {
     Gradients& gradients = renderer_.gradients();
     refiner_.record(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
-        loss->regularise(stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr}, terms);
+        loss->regularise(stream_, scene,
+                         {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
+                         terms);
     const bool whole_frame = batch.rays.n_rays == frame.n_rays;
-    densifier_.observe(stream_, scene, {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
+    densifier_.observe(
+        stream_, scene,
+        {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
     LearningRates rates = rates_at(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
-    const Array<std::uint32_t, shared::TouchedSurfels>* touched = all_have_gradients(config_) ? nullptr : &gradients.touched;
-    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step, renderer_.model().sh_degree);
+    const Array<std::uint32_t, shared::TouchedSurfels>* touched =
+        all_have_gradients(config_) ? nullptr : &gradients.touched;
+    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step,
+               renderer_.model().sh_degree);
     reports_.add(step, frame.index);
     if (densifier_.due(step))
-        change_surfels([&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
-    densifier_.after_step(stream_, scene, adam_, step, rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+        change_surfels(
+            [&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
+    densifier_.after_step(stream_, scene, adam_, step,
+                          rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
     if (ends_line || reports_.is_full()) close_report(step, ends_line);
     if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
     submitted_ = stream_.submit();
@@ -234,18 +264,22 @@ void TrainLoop::change_surfels(const std::function<DensifyReport(double others_b
 
 void TrainLoop::close_report(int step, bool ends_line) {
     const BackwardPass& backward = renderer_.backward_pass();
-    const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(), config_.train.deterministic ? backward.most_hits() : nullptr,
-                              backward.hit_capacity(), &renderer_.forward_pass().overfull_count(), renderer_.kept_hits()};
+    const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(),
+                              config_.train.deterministic ? backward.most_hits() : nullptr,
+                              backward.hit_capacity(), &renderer_.forward_pass().overfull_count(),
+                              renderer_.kept_hits()};
     reports_.close(stream_, counts,
-                   ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})}) : std::nullopt);
+                   ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})})
+                             : std::nullopt);
 }
 
 void TrainLoop::look_at_reports(int last) {
     while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
         if (report->pass_cap > 0)
-            throw DeviceError(fmt::format(
-                "training, iterations {} to {}: {} rays reached the cap of passes or filled the traversal stack, expected every ray to end",
-                report->first_step, report->last_step, report->pass_cap));
+            throw DeviceError(
+                fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the "
+                            "traversal stack, expected every ray to end",
+                            report->first_step, report->last_step, report->pass_cap));
         check_room(*report);
         keep_more_hits(*report);
     }
@@ -254,19 +288,22 @@ void TrainLoop::look_at_reports(int last) {
 void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits > report.hit_capacity)
         throw DeviceError(
-            fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, expected at most {}; "
+            fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, "
+                        "expected at most {}; "
                         "fewer rays of a step (train.rays_per_iteration) have fewer",
                         report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
-    close_report(last_step_, false);   // of iterations that had the room there is now
-    renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));   // before it is needed
+    close_report(last_step_, false);  // of iterations that had the room there is now
+    // before it is needed
+    renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
-    if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;   // a report of before there were more
+    // a report of before there were more
+    if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
     const std::uint32_t wanted = kept_hits_wanted(report.kept_hits, report.overfull);
     if (wanted == report.kept_hits) return;
-    close_report(last_step_, false);   // of iterations that kept as many as now
+    close_report(last_step_, false);  // of iterations that kept as many as now
     no_room_to_keep_more_ = !renderer_.keep_hits(wanted);
 }
 
@@ -290,41 +327,48 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
-    settle();   // of the steps this state replaces
+    settle();  // of the steps this state replaces
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
         throw DataError(
-            fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those of {} frames and {} terms",
+            fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those "
+                        "of {} frames and {} terms",
                         checkpoint.iteration, frames_.all().size(), kLossTerms));
     if (!refiner_.take_over())
         throw DataError(
-            fmt::format("resuming from iteration {}: the corrections of poses are not those of this log", checkpoint.iteration));
+            fmt::format("resuming from iteration {}: the corrections of poses are not those of this log",
+                        checkpoint.iteration));
 }
 
 DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
-    constexpr std::uint32_t kRays = 20000;     // of a frame at once: hundreds a bin over a log
-    constexpr std::size_t kRaysPerBin = 20;    // of a short log all rays, if need be
+    constexpr std::uint32_t kRays = 20000;   // of a frame at once: hundreds a bin over a log
+    constexpr std::size_t kRaysPerBin = 20;  // of a short log all rays, if need be
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    some_rays.loss.intensity_ssim = some_rays.loss.normal = 0.0f;   // no windows: rays from all directions
+    some_rays.loss.intensity_ssim = some_rays.loss.normal = 0.0f;  // no windows: rays from all directions
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
     renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
-    const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());   // of a frame
+    // of a frame
+    const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        const FrameData& frame = bring(k, k == 0);   // the last step has moved surfels
+        const FrameData& frame = bring(k, k == 0);  // the last step has moved surfels
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
-        const auto passes = static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, batches.n_batches(frame)));
+        const auto passes =
+            static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, batches.n_batches(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
             count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }
     return counts.shrunk();
 }
 
-void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame, const SampledBatch& batch) {
-    constexpr float kSolid = 0.9f;   // a ray must meet this much of a surface; a blind one, for which none was trained, any of one
+void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
+                            const SampledBatch& batch) {
+    // a ray must meet this much of a surface; a blind one, for which none was trained,
+    // any of one
+    constexpr float kSolid = 0.9f;
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
     const DropTable& observed = frames_.unknown().observed_drops;
     renderer_.record_forward(batch.rays);
@@ -332,7 +376,9 @@ void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const 
     const Rendering r = to_rendering(renderer_.rendered().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.ray_of_frame(j);
-        if (r.hit_logit[j] > r.drop_logit[j] && (r.weight[j] > kSolid || is_blind(observed, sequence, sweep, ray))) counts.add(sweep, ray);
+        if (r.hit_logit[j] > r.drop_logit[j] &&
+            (r.weight[j] > kSolid || is_blind(observed, sequence, sweep, ray)))
+            counts.add(sweep, ray);
     }
 }
 

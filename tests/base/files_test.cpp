@@ -9,15 +9,16 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include "base/toml_depth.hpp"
 #include "base/codecs/temporary_folder.hpp"
+#include "base/toml_depth.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
 
-/// The user "nobody" while it lives, where the test runs as root, for whom no file is locked.
+/// The user "nobody" while it lives, where the test runs as root, for whom no file is
+/// locked.
 struct Nobody {
     Nobody() : root(::geteuid() == 0) {
         if (root && ::seteuid(65534) != 0) std::abort();
@@ -31,7 +32,8 @@ struct Nobody {
 using Files = TemporaryFolder;
 
 TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
-    const fs::path locked = folder / "locked", loop = folder / "loop", file = folder / "file", long_name = folder / std::string(300, 'x');
+    const fs::path locked = folder / "locked", loop = folder / "loop", file = folder / "file",
+                   long_name = folder / std::string(300, 'x');
     fs::create_directory(locked);
     fs::permissions(locked, fs::perms::none);
     fs::create_symlink(loop, loop);
@@ -39,17 +41,25 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
     fs::permissions(file, fs::perms::none);
     fs::permissions(folder, fs::perms::all);
     const Nobody nobody;
-    for (const auto& read : {std::function<void(const fs::path&)>([](const fs::path& p) { read_file(p); }),
-                             std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
-                             std::function<void(const fs::path&)>([](const fs::path& p) { path_exists(p); })}) {
-        EXPECT_THAT(data_error([&] { read(locked / "inside"); }), testing::HasSubstr("inside: cannot be read: Permission denied"));
-        EXPECT_THAT(data_error([&] { read(loop); }), testing::HasSubstr("loop: cannot be read: Too many levels"));
-        EXPECT_THAT(data_error([&] { read(long_name); }), testing::HasSubstr("cannot be read: File name too long"));
+    for (const auto& read :
+         {std::function<void(const fs::path&)>([](const fs::path& p) { read_file(p); }),
+          std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
+          std::function<void(const fs::path&)>([](const fs::path& p) { path_exists(p); })}) {
+        EXPECT_THAT(data_error([&] { read(locked / "inside"); }),
+                    testing::HasSubstr("inside: cannot be read: Permission denied"));
+        EXPECT_THAT(data_error([&] { read(loop); }),
+                    testing::HasSubstr("loop: cannot be read: Too many levels"));
+        EXPECT_THAT(data_error([&] { read(long_name); }),
+                    testing::HasSubstr("cannot be read: File name too long"));
     }
-    EXPECT_THAT(data_error([&] { read_file(file); }), testing::HasSubstr("file: cannot be read: Permission denied"));
-    EXPECT_THAT(data_error([&] { list_folder(locked); }), testing::HasSubstr("locked: cannot be read: Permission denied"));
-    EXPECT_THAT(data_error([&] { read_file(folder / "nothing"); }), testing::HasSubstr("nothing: no such file"));
-    EXPECT_THAT(data_error([&] { list_folder(folder / "nothing"); }), testing::HasSubstr("nothing: no such folder"));
+    EXPECT_THAT(data_error([&] { read_file(file); }),
+                testing::HasSubstr("file: cannot be read: Permission denied"));
+    EXPECT_THAT(data_error([&] { list_folder(locked); }),
+                testing::HasSubstr("locked: cannot be read: Permission denied"));
+    EXPECT_THAT(data_error([&] { read_file(folder / "nothing"); }),
+                testing::HasSubstr("nothing: no such file"));
+    EXPECT_THAT(data_error([&] { list_folder(folder / "nothing"); }),
+                testing::HasSubstr("nothing: no such folder"));
     EXPECT_THAT(data_error([&] { read_file(folder); }), testing::HasSubstr("not a file"));
     EXPECT_FALSE(path_exists(folder / "nothing"));
     EXPECT_FALSE(path_exists(file / "below"));
@@ -61,35 +71,44 @@ TEST_F(Files, AByteOrderMarkIsNoText) {
     put(folder / "unicode.csv", std::string("\xFF\xFEx\0", 4));
     EXPECT_EQ(read_text(folder / "excel.csv"), "x,y\n");
     EXPECT_EQ(read_file(folder / "excel.csv").size(), 7u) << "bytes stay as they are";
-    EXPECT_THAT(data_error([&] { read_text(folder / "unicode.csv"); }), testing::HasSubstr("found text in UTF-16, expected UTF-8"));
+    EXPECT_THAT(data_error([&] { read_text(folder / "unicode.csv"); }),
+                testing::HasSubstr("found text in UTF-16, expected UTF-8"));
 }
 
 TEST_F(Files, NumbersInNames) {
     EXPECT_EQ(file_number("0000000012"), 12);
     EXPECT_EQ(file_number("00000000000000000007"), 7);
     EXPECT_EQ(file_number("99999999"), 99999999);
-    for (const char* none : {"", "100000000", "9999999999", "nan", "1e3", "-1", "1.5", " 1"}) EXPECT_FALSE(file_number(none)) << none;
+    for (const char* none : {"", "100000000", "9999999999", "nan", "1e3", "-1", "1.5", " 1"})
+        EXPECT_FALSE(file_number(none)) << none;
 }
 
 TEST_F(Files, ExcerptsAreShortAndPrintable) {
     EXPECT_EQ(excerpt("a\tb\n"), "a?b?");
     EXPECT_EQ(excerpt(std::string(80, 'x')), std::string(80, 'x'));
     EXPECT_EQ(excerpt(std::string(1 << 20, 'x')), std::string(77, 'x') + "...");
-    EXPECT_EQ(excerpt(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')), std::string(76, 'x') + "...");   // not half of a letter
+    // not half of a letter
+    EXPECT_EQ(excerpt(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')), std::string(76, 'x') + "...");
 }
 
 TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
-    const auto refused = [](const std::string& text) { return data_error([&] { check_toml_depth(text, "f.toml"); }); };
+    const auto refused = [](const std::string& text) {
+        return data_error([&] { check_toml_depth(text, "f.toml"); });
+    };
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
-    EXPECT_THAT(refused("x = 1\n" + dots + " = 1\n"), testing::HasSubstr("f.toml:2: a key of more than 8 parts"));
+    EXPECT_THAT(refused("x = 1\n" + dots + " = 1\n"),
+                testing::HasSubstr("f.toml:2: a key of more than 8 parts"));
     EXPECT_THAT(refused("[" + dots + "]\n"), testing::HasSubstr("f.toml:1: a key"));
     EXPECT_THAT(refused("a = {" + dots + " = 1}\n"), testing::HasSubstr("a key"));
     EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), testing::HasSubstr("a key"));
-    EXPECT_THAT(refused("a = " + std::string(9, '[')), testing::HasSubstr("f.toml:1: brackets more than 8 deep"));
-    EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"), testing::HasSubstr("f.toml:5: brackets"));
+    EXPECT_THAT(refused("a = " + std::string(9, '[')),
+                testing::HasSubstr("f.toml:1: brackets more than 8 deep"));
+    EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"),
+                testing::HasSubstr("f.toml:5: brackets"));
     EXPECT_NO_THROW(
-        check_toml_depth("# ........................\na = \"..........\\\"..........\"\nb = '..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "
+        check_toml_depth("# ........................\na = \"..........\\\"..........\"\nb = "
+                         "'..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "
                          "[1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
                          "f.toml"));
 }

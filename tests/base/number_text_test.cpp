@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers as text: no other library's taste, no locale's; read back by three libraries that are not ours, bit by bit.
+// Numbers as text: no other library's taste, no locale's; read back by three libraries
+// that are not ours, bit by bit.
 #include "base/number_text.hpp"
 
 #include <cmath>
@@ -52,15 +53,17 @@ std::vector<double> many_numbers() {
     std::mt19937_64 random(5);
     while (numbers.size() < 20'000)
         if (const double x = bits<double>(random()); std::isfinite(x)) numbers.push_back(x);
-    for (int i = 0; i < 2'000; ++i) numbers.push_back(double(random() % 2'000'000) / 1000.0);   // what people write
+    // what people write
+    for (int i = 0; i < 2'000; ++i) numbers.push_back(double(random() % 2'000'000) / 1000.0);
     return numbers;
 }
 
 TEST(NumberText, IsAsWritten) {
     const std::vector<std::pair<double, const char*>> expected{
-        {8.0, "8.0"},       {0.0, "0.0"},         {-0.0, "-0.0"},       {-3.0, "-3.0"},      {0.1, "0.1"},       {1e-9, "1e-09"},
-        {1e300, "1e+300"},  {1e15, "1e+15"},      {10000.0, "10000.0"}, {100000.0, "1e+05"}, {1234.5, "1234.5"}, {-2.5e-7, "-2.5e-07"},
-        {kInfinity, "inf"}, {-kInfinity, "-inf"}, {NAN, "nan"},         {-NAN, "nan"}};
+        {8.0, "8.0"},         {0.0, "0.0"},         {-0.0, "-0.0"},     {-3.0, "-3.0"},
+        {0.1, "0.1"},         {1e-9, "1e-09"},      {1e300, "1e+300"},  {1e15, "1e+15"},
+        {10000.0, "10000.0"}, {100000.0, "1e+05"},  {1234.5, "1234.5"}, {-2.5e-7, "-2.5e-07"},
+        {kInfinity, "inf"},   {-kInfinity, "-inf"}, {NAN, "nan"},       {-NAN, "nan"}};
     for (const auto& [value, text] : expected) EXPECT_EQ(number_text(value), text);
     EXPECT_EQ(number_text(0.1f), "0.1") << "as a double it would have 17 digits";
     EXPECT_EQ(number_text(16777216.0f), "16777216.0");
@@ -72,7 +75,8 @@ TEST(NumberText, ReadsBackBitByBit) {
         EXPECT_EQ(bits<std::uint64_t>(std::strtod(text.c_str(), nullptr)), bits<std::uint64_t>(x)) << text;
         const auto y = static_cast<float>(x);
         if (!std::isfinite(y)) continue;
-        EXPECT_EQ(bits<std::uint32_t>(std::strtof(number_text(y).c_str(), nullptr)), bits<std::uint32_t>(y)) << number_text(y);
+        EXPECT_EQ(bits<std::uint32_t>(std::strtof(number_text(y).c_str(), nullptr)), bits<std::uint32_t>(y))
+            << number_text(y);
     }
 }
 

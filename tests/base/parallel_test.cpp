@@ -61,7 +61,7 @@ TEST(RunParallel, ThrowsTheFirstFailureAndBeginsNothingElse) {
 }
 
 TEST(RunParallel, WorksInAFork) {
-    run_parallel(4, [](int) {});   // this process has threads, its fork has none of them
+    run_parallel(4, [](int) {});  // this process has threads, its fork has none of them
     const pid_t child = ::fork();
     if (child == 0) {
         std::atomic<int> n{0};
@@ -111,12 +111,15 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
     const std::thread::id caller = std::this_thread::get_id();
     double last = -1.0;
     std::atomic<int> n{0};
-    for_each_told(200, [&](std::string_view what, double done) {
-        EXPECT_EQ(what, "counting");
-        EXPECT_EQ(std::this_thread::get_id(), caller);
-        EXPECT_TRUE(done >= last && done <= 1.0) << done;
-        last = done;
-    }, "counting", [&](std::size_t) { ++n; });
+    for_each_told(
+        200,
+        [&](std::string_view what, double done) {
+            EXPECT_EQ(what, "counting");
+            EXPECT_EQ(std::this_thread::get_id(), caller);
+            EXPECT_TRUE(done >= last && done <= 1.0) << done;
+            last = done;
+        },
+        "counting", [&](std::size_t) { ++n; });
     EXPECT_EQ(n, 200);
     EXPECT_EQ(last, 1.0);
     n = 0;
@@ -138,7 +141,8 @@ TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     const CellNumbers cells = number_cells(keys);
     const ItemsOfCells items(cells);
     for (std::size_t i = 0; i < keys.size(); ++i) {
-        const auto expected = numbers.try_emplace(keys[i], static_cast<std::uint32_t>(numbers.size())).first->second;
+        const auto expected =
+            numbers.try_emplace(keys[i], static_cast<std::uint32_t>(numbers.size())).first->second;
         ASSERT_EQ(cells.of[i], expected) << "item " << i;
     }
     EXPECT_EQ(cells.n_cells, numbers.size());

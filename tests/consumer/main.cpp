@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The smallest user of the installed library: a table of rays, and the devices that could trace them.
+// The smallest user of the installed library: a table of rays, and the devices that could
+// trace them.
 #include <cstdio>
 
 #include <relidar/base/error.hpp>
@@ -9,7 +10,8 @@
 int main() {
     std::printf("%zu rays\n", relidar::make_rays(relidar::kitti360_grid()).size());
     try {
-        for (const relidar::DeviceInfo& device : relidar::list_devices()) std::printf("device %d: %s\n", device.index, device.name.c_str());
+        for (const relidar::DeviceInfo& device : relidar::list_devices())
+            std::printf("device %d: %s\n", device.index, device.name.c_str());
     } catch (const relidar::DeviceError& error) {
         std::printf("no device: %s\n", error.what());
     }

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one file.
+// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one
+// file.
 #include "harness.hpp"
 
 #include <cstdlib>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
+#include "base/codecs/feather.hpp"
 #include "changed_files.hpp"
 #include "log/readers/argoverse2/argoverse2_log.hpp"
-#include "base/codecs/feather.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -18,10 +19,12 @@ namespace fs = std::filesystem;
 std::vector<std::string> feather_seeds(const fs::path&) {
     const std::vector<std::int64_t> times{315966265259836000, 7, -1};
     std::vector<std::string> seeds;
-    for (const test::FeatherCodec codec : {test::FeatherCodec::none, test::FeatherCodec::lz4, test::FeatherCodec::zstd})
-        seeds.push_back(test::feather_bytes({test::number_column("a", times), test::half_column("b", {1.0f, -2.0f, 3.0f}),
-                                             test::text_column("c", {"up_lidar", "", "x"}), test::text_column("d", {"y", "y", "z"}, true)},
-                                            codec, 2));
+    for (const test::FeatherCodec codec :
+         {test::FeatherCodec::none, test::FeatherCodec::lz4, test::FeatherCodec::zstd})
+        seeds.push_back(test::feather_bytes(
+            {test::number_column("a", times), test::half_column("b", {1.0f, -2.0f, 3.0f}),
+             test::text_column("c", {"up_lidar", "", "x"}), test::text_column("d", {"y", "y", "z"}, true)},
+            codec, 2));
     return seeds;
 }
 
@@ -36,7 +39,7 @@ void read_feather(std::string_view input, const fs::path&) {
                 if (as == 1) table.integers(column);
                 if (as == 2) table.texts(column);
             } catch (const DataError& error) {
-                failure = error.what();   // the last one is looked at
+                failure = error.what();  // the last one is looked at
             }
         }
     }
@@ -49,8 +52,10 @@ struct Log {
     ChangedFiles files;
 
     explicit Log(const fs::path& folder)
-        : log((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"), {.sweeps = 2, .firings = 3, .codec = test::FeatherCodec::none}),
-          files({log.sweep(0), log.sweep(1), log.file("annotations.feather"), log.file("city_SE3_egovehicle.feather"),
+        : log((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz"),
+              {.sweeps = 2, .firings = 3, .codec = test::FeatherCodec::none}),
+          files({log.sweep(0), log.sweep(1), log.file("annotations.feather"),
+                 log.file("city_SE3_egovehicle.feather"),
                  log.file("calibration/egovehicle_SE3_sensor.feather")}) {}
 };
 

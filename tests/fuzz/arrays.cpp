@@ -21,8 +21,8 @@ namespace fs = std::filesystem;
 std::vector<NamedArray> some_arrays() {
     const float values[6] = {1.0f, -2.0f, 0.5f, 1e-20f, 3e38f, 0.0f};
     const std::int32_t counts[3] = {1, 2, -3};
-    return {make_array("a", {2, 3}, values, 6), make_array("count", {3}, counts, 3), make_array("none", {0, 4}, values, 0),
-            make_text_array("names", {"background", "mover-1"})};
+    return {make_array("a", {2, 3}, values, 6), make_array("count", {3}, counts, 3),
+            make_array("none", {0, 4}, values, 0), make_text_array("names", {"background", "mover-1"})};
 }
 
 Scene small_scene() { return make_background_scene(example_surfels(3)); }
@@ -58,7 +58,7 @@ std::vector<std::string> npy_seeds(const fs::path&) {
 std::vector<std::string> checkpoint_seeds(const fs::path& folder) {
     return written(folder, [](const fs::path& file) {
         auto arrays = some_arrays();
-        arrays.pop_back();   // safetensors has no texts
+        arrays.pop_back();  // safetensors has no texts
         write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, arrays});
     });
 }
@@ -75,14 +75,23 @@ std::vector<std::string> safetensors_seeds(const fs::path& folder) {
 
 std::vector<Harness> array_harnesses() {
     return {
-        {"npz", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { write_npz(file, some_arrays()); }); },
-         [](std::string_view input, const fs::path& folder) { read_as_file(input, folder, [](const fs::path& file) { read_npz(file); }); }},
-        {"npy", npy_seeds, [](std::string_view input, const fs::path&) { export_detail::parse_npy("a", bytes_of(input)); }},
+        {"npz",
+         [](const fs::path& folder) {
+             return written(folder, [](const fs::path& file) { write_npz(file, some_arrays()); });
+         },
+         [](std::string_view input, const fs::path& folder) {
+             read_as_file(input, folder, [](const fs::path& file) { read_npz(file); });
+         }},
+        {"npy", npy_seeds,
+         [](std::string_view input, const fs::path&) { export_detail::parse_npy("a", bytes_of(input)); }},
         {"safetensors", safetensors_seeds,
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); });
          }},
-        {"model", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { save_model(file, small_scene()); }); },
+        {"model",
+         [](const fs::path& folder) {
+             return written(folder, [](const fs::path& file) { save_model(file, small_scene()); });
+         },
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { load_model(file); });
          }},
@@ -90,7 +99,10 @@ std::vector<Harness> array_harnesses() {
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_checkpoint(file); });
          }},
-        {"ply", [](const fs::path& folder) { return written(folder, [](const fs::path& file) { write_surfel_ply(file, small_scene()); }); },
+        {"ply",
+         [](const fs::path& folder) {
+             return written(folder, [](const fs::path& file) { write_surfel_ply(file, small_scene()); });
+         },
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_surfel_ply(file, small_scene()); });
          }},

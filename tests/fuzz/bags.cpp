@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings of ROS: whole ones of each kind, and single messages. Seeds are written here, by the specifications.
+// Recordings of ROS: whole ones of each kind, and single messages. Seeds are written
+// here, by the specifications.
 #include "harness.hpp"
 
 #include <cmath>
@@ -51,7 +52,9 @@ public:
     }
     Draft& add_header(std::uint64_t stamp_ns, std::string_view frame) {
         if (is_ros1_) add(std::uint32_t(0));
-        return add(std::uint32_t(stamp_ns / kSecond_ns)).add(std::uint32_t(stamp_ns % kSecond_ns)).add_text(frame);
+        return add(std::uint32_t(stamp_ns / kSecond_ns))
+            .add(std::uint32_t(stamp_ns % kSecond_ns))
+            .add_text(frame);
     }
     std::string take() const { return is_ros1_ ? bytes_ : std::string("\0\1\0\0", 4) + bytes_; }
 
@@ -67,18 +70,28 @@ std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
         std::uint32_t offset;
         std::uint8_t type;
     };
-    constexpr Field kFields[] = {{"x", 0, 7}, {"y", 4, 7}, {"z", 8, 7}, {"intensity", 12, 2}, {"ring", 14, 4}, {"time", 16, 7}};
+    constexpr Field kFields[] = {{"x", 0, 7},          {"y", 4, 7},     {"z", 8, 7},
+                                 {"intensity", 12, 2}, {"ring", 14, 4}, {"time", 16, 7}};
     std::string points;
     for (int column = 0; column < 24; ++column)
         for (int ring = 0; ring < 4; ++ring) {
             const float azimuth = 3.14f - 0.2618f * float(column);
-            for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)}) append(points, v);
-            append(points, std::uint16_t(7)), append(points, std::uint16_t(ring)), append(points, 0.004f * float(column));
+            for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)})
+                append(points, v);
+            append(points, std::uint16_t(7)), append(points, std::uint16_t(ring)),
+                append(points, 0.004f * float(column));
         }
     Draft draft(is_ros1);
-    draft.add_header(stamp_ns, "lidar").add(std::uint32_t(1)).add(std::uint32_t(96)).add(std::uint32_t(std::size(kFields)));
-    for (const Field& field : kFields) draft.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
-    draft.add(std::uint8_t(0)).add(std::uint32_t(20)).add(std::uint32_t(points.size())).add(std::uint32_t(points.size()));
+    draft.add_header(stamp_ns, "lidar")
+        .add(std::uint32_t(1))
+        .add(std::uint32_t(96))
+        .add(std::uint32_t(std::size(kFields)));
+    for (const Field& field : kFields)
+        draft.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
+    draft.add(std::uint8_t(0))
+        .add(std::uint32_t(20))
+        .add(std::uint32_t(points.size()))
+        .add(std::uint32_t(points.size()));
     for (const char byte : points) draft.add(byte);
     return draft.add(std::uint8_t(1)).take();
 }
@@ -94,7 +107,8 @@ std::string transform(bool is_ros1, std::uint64_t stamp_ns, double x) {
 std::string packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
-        append(bytes, std::uint16_t(0xEEFF)), append(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
+        append(bytes, std::uint16_t(0xEEFF)),
+            append(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
         for (int l = 0; l < 32; ++l) append(bytes, std::uint16_t(2000)), append(bytes, std::uint8_t(9));
     }
     append(bytes, std::uint32_t(number * 50000)), append(bytes, std::uint16_t(0x2239));
@@ -118,7 +132,8 @@ struct SeedMessage {
     std::string bytes;
 };
 constexpr const char* kTopics[] = {"/points", "/tf", "/packets"};
-constexpr const char* kTypes[] = {"sensor_msgs/PointCloud2", "tf2_msgs/TFMessage", "velodyne_msgs/VelodyneScan"};
+constexpr const char* kTypes[] = {"sensor_msgs/PointCloud2", "tf2_msgs/TFMessage",
+                                  "velodyne_msgs/VelodyneScan"};
 
 std::vector<SeedMessage> seed_messages(bool is_ros1) {
     std::vector<SeedMessage> messages;
@@ -155,7 +170,8 @@ std::string mcap(const std::string& compression) {
     std::string packed = records;
     if (compression == "lz4") {
         packed.resize(LZ4F_compressFrameBound(records.size(), nullptr));
-        packed.resize(LZ4F_compressFrame(packed.data(), packed.size(), records.data(), records.size(), nullptr));
+        packed.resize(
+            LZ4F_compressFrame(packed.data(), packed.size(), records.data(), records.size(), nullptr));
     } else if (compression == "zstd") {
         packed.resize(ZSTD_compressBound(records.size()));
         packed.resize(ZSTD_compress(packed.data(), packed.size(), records.data(), records.size(), 3));
@@ -171,7 +187,8 @@ std::vector<std::string> mcap_seeds(const fs::path&) {
     return {mcap("no chunk"), mcap(""), mcap("lz4"), mcap("zstd")};
 }
 
-std::string ros1_record(const std::vector<std::pair<std::string, std::string>>& fields, std::string_view data) {
+std::string ros1_record(const std::vector<std::pair<std::string, std::string>>& fields,
+                        std::string_view data) {
     std::string header;
     for (const auto& [name, value] : fields) header += sized(name + "=" + value);
     return sized(header) + sized(data);
@@ -186,16 +203,21 @@ std::string four(std::uint32_t value) {
 std::vector<std::string> ros1_seeds(const fs::path&) {
     std::string records;
     for (std::uint32_t t = 0; t < 2; ++t) {
-        const std::string about = sized(std::string("topic=") + kTopics[t]) + sized(std::string("type=") + kTypes[t]);
+        const std::string about =
+            sized(std::string("topic=") + kTopics[t]) + sized(std::string("type=") + kTypes[t]);
         records += ros1_record({{"op", "\x07"}, {"conn", four(t)}, {"topic", kTopics[t]}}, about);
     }
     for (const SeedMessage& m : seed_messages(true)) {
-        const std::string time = four(std::uint32_t(m.time_ns / kSecond_ns)) + four(std::uint32_t(m.time_ns % kSecond_ns));
-        records += ros1_record({{"op", "\x02"}, {"conn", four(std::uint32_t(m.topic))}, {"time", time}}, m.bytes);
+        const std::string time =
+            four(std::uint32_t(m.time_ns / kSecond_ns)) + four(std::uint32_t(m.time_ns % kSecond_ns));
+        records +=
+            ros1_record({{"op", "\x02"}, {"conn", four(std::uint32_t(m.topic))}, {"time", time}}, m.bytes);
     }
     const std::string magic = "#ROSBAG V2.0\n";
-    return {magic + records,
-            magic + ros1_record({{"op", "\x05"}, {"compression", "none"}, {"size", four(std::uint32_t(records.size()))}}, records)};
+    return {magic + records, magic + ros1_record({{"op", "\x05"},
+                                                  {"compression", "none"},
+                                                  {"size", four(std::uint32_t(records.size()))}},
+                                                 records)};
 }
 
 std::vector<std::string> db3_seeds(const fs::path& folder) {
@@ -204,14 +226,16 @@ std::vector<std::string> db3_seeds(const fs::path& folder) {
     sqlite3* base = nullptr;
     sqlite3_open(file.c_str(), &base);
     sqlite3_exec(base,
-                 "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT,type TEXT,serialization_format TEXT,offered_qos_profiles TEXT);"
+                 "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT,type TEXT,serialization_format "
+                 "TEXT,offered_qos_profiles TEXT);"
                  "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER,timestamp INTEGER,data BLOB);"
                  "INSERT INTO topics VALUES (0,'/points','sensor_msgs/msg/PointCloud2','cdr','');"
                  "INSERT INTO topics VALUES (1,'/tf','tf2_msgs/msg/TFMessage','cdr','')",
                  nullptr, nullptr, nullptr);
     for (const SeedMessage& m : seed_messages(false)) {
         sqlite3_stmt* row = nullptr;
-        sqlite3_prepare_v2(base, "INSERT INTO messages(topic_id,timestamp,data) VALUES (?,?,?)", -1, &row, nullptr);
+        sqlite3_prepare_v2(base, "INSERT INTO messages(topic_id,timestamp,data) VALUES (?,?,?)", -1, &row,
+                           nullptr);
         sqlite3_bind_int(row, 1, m.topic);
         sqlite3_bind_int64(row, 2, std::int64_t(m.time_ns));
         sqlite3_bind_blob(row, 3, m.bytes.data(), int(m.bytes.size()), SQLITE_TRANSIENT);
@@ -229,15 +253,9 @@ void read_bag(std::string_view input, const fs::path& folder, Name name) {
     put(folder / name, input);
     load_sequence("rosbag:" + (folder / name).string(), {});
 }
-void read_mcap(std::string_view input, const fs::path& folder) {
-    read_bag(input, folder, "input.mcap");
-}
-void read_ros1(std::string_view input, const fs::path& folder) {
-    read_bag(input, folder, "input.bag");
-}
-void read_db3(std::string_view input, const fs::path& folder) {
-    read_bag(input, folder, "input.db3");
-}
+void read_mcap(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.mcap"); }
+void read_ros1(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.bag"); }
+void read_db3(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.db3"); }
 
 /// The first byte is the type, and whether it is of ROS 1.
 std::vector<std::string> message_seeds(const fs::path&) {
@@ -256,14 +274,23 @@ std::vector<std::string> message_seeds(const fs::path&) {
                             .add(std::uint8_t(1))
                             .take();
     Draft detections(false), objects(false);
-    detections.add_header(kStart_ns, "map").add(std::uint32_t(1)).add_header(kStart_ns, "map").add(std::uint32_t(0));
+    detections.add_header(kStart_ns, "map")
+        .add(std::uint32_t(1))
+        .add_header(kStart_ns, "map")
+        .add(std::uint32_t(0));
     for (const double v : {1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0, 4.0, 2.0, 1.5}) detections.add(v);
     detections.add_text("7");
     objects.add_header(kStart_ns, "map").add(std::uint32_t(1));
     for (int i = 0; i < 16; ++i) objects.add(std::uint8_t(i));
     objects.add(1.0f).add(std::uint32_t(1)).add(std::uint8_t(1)).add(1.0f);
     for (int i = 0; i < 7 + 36 + 2 * 42; ++i) objects.add(i == 6 ? 1.0 : 0.0);
-    objects.add(std::uint8_t(2)).add(std::uint8_t(0)).add(std::uint8_t(0)).add(std::uint32_t(0)).add(4.0).add(2.0).add(1.5);
+    objects.add(std::uint8_t(2))
+        .add(std::uint8_t(0))
+        .add(std::uint8_t(0))
+        .add(std::uint32_t(0))
+        .add(4.0)
+        .add(2.0)
+        .add(1.5);
     return {std::string(1, '\0') + cloud(false, kStart_ns),
             '\1' + cloud(true, kStart_ns),
             '\2' + transform(false, kStart_ns, 1.0),
@@ -285,17 +312,29 @@ void read_turns(const packets::PacketLog& log, const std::vector<packets::Packet
 }
 
 void read_message(std::string_view input, const fs::path&) {
-    static constexpr const char* kMessages[] = {"sensor_msgs/PointCloud2",     "tf2_msgs/TFMessage", "velodyne_msgs/VelodyneScan",
-                                                "livox_ros_driver2/CustomMsg", "nav_msgs/Odometry",  "geometry_msgs/PoseStamped",
-                                                "foxglove.PointCloud",         "foxglove.FrameTransforms",
-                                                "foxglove.SceneUpdate",        "vision_msgs/Detection3DArray",
-                                                "autoware_perception_msgs/TrackedObjects", "nebula_msgs/NebulaPackets",
-                                                "pandar_msgs/PandarScan", "ouster_ros/PacketMsg", "std_msgs/String"};
+    static constexpr const char* kMessages[] = {"sensor_msgs/PointCloud2",
+                                                "tf2_msgs/TFMessage",
+                                                "velodyne_msgs/VelodyneScan",
+                                                "livox_ros_driver2/CustomMsg",
+                                                "nav_msgs/Odometry",
+                                                "geometry_msgs/PoseStamped",
+                                                "foxglove.PointCloud",
+                                                "foxglove.FrameTransforms",
+                                                "foxglove.SceneUpdate",
+                                                "vision_msgs/Detection3DArray",
+                                                "autoware_perception_msgs/TrackedObjects",
+                                                "nebula_msgs/NebulaPackets",
+                                                "pandar_msgs/PandarScan",
+                                                "ouster_ros/PacketMsg",
+                                                "std_msgs/String"};
     if (input.empty()) return;
     const unsigned kind = static_cast<unsigned char>(input[0]);
     const std::size_t type = kind / 2 % std::size(kMessages);
     const std::string topic_type = kMessages[type];
-    const bag::Topic topic{"/t", topic_type, topic_type.starts_with("foxglove.") ? "protobuf" : kind % 2 ? "ros1" : "cdr"};
+    const bag::Topic topic{"/t", topic_type,
+                           topic_type.starts_with("foxglove.") ? "protobuf"
+                           : kind % 2                          ? "ros1"
+                                                               : "cdr"};
     const std::string_view bytes = input.substr(1);
     if (bag::use_of(topic) == bag::Use::cloud) {
         bag::table_of(bag::read_cloud(topic, bytes));
@@ -314,7 +353,8 @@ void read_message(std::string_view input, const fs::path&) {
     }
 }
 
-/// Metadata of an Ouster behind its length, then what its packets hold one after the other. Two beams, four columns a turn, two a packet.
+/// Metadata of an Ouster behind its length, then what its packets hold one after the
+/// other. Two beams, four columns a turn, two a packet.
 std::vector<std::string> ouster_seeds(const fs::path&) {
     struct Profile {
         const char* name;
@@ -322,16 +362,20 @@ std::vector<std::string> ouster_seeds(const fs::path&) {
         bool is_nested;
     };
     std::vector<std::string> seeds;
-    for (const Profile& profile : {Profile{"LEGACY", 12, false}, Profile{"RNG19_RFL8_SIG16_NIR16", 12, true},
-                                   Profile{"RNG19_RFL8_SIG16_NIR16_DUAL", 16, false}, Profile{"RNG15_RFL8_NIR8", 4, true}}) {
+    for (const Profile& profile :
+         {Profile{"LEGACY", 12, false}, Profile{"RNG19_RFL8_SIG16_NIR16", 12, true},
+          Profile{"RNG19_RFL8_SIG16_NIR16_DUAL", 16, false}, Profile{"RNG15_RFL8_NIR8", 4, true}}) {
         const bool is_legacy = std::string_view(profile.name) == "LEGACY";
-        const std::string layout = std::string(R"({"columns_per_frame": 4, "columns_per_packet": 2, "pixels_per_column": 2, )") +
-                                   R"("column_window": [0, 3], "udp_profile_lidar": ")" + profile.name + "\"}";
-        const std::string beams = std::string(R"("beam_altitude_angles": [-1, 1], "beam_azimuth_angles": [3, -3], )") +
-                                  R"("lidar_origin_to_beam_origin_mm": 15)";
-        std::string seed = sized(profile.is_nested ? "{\"beam_intrinsics\": {" + beams + "}, \"lidar_data_format\": " + layout +
-                                                         R"(, "config_params": {"lidar_mode": "4x10", "udp_port_lidar": 7502}})"
-                                                   : "{" + beams + ", \"data_format\": " + layout + R"(, "lidar_mode": "4x10"})");
+        const std::string layout =
+            std::string(R"({"columns_per_frame": 4, "columns_per_packet": 2, "pixels_per_column": 2, )") +
+            R"("column_window": [0, 3], "udp_profile_lidar": ")" + profile.name + "\"}";
+        const std::string beams =
+            std::string(R"("beam_altitude_angles": [-1, 1], "beam_azimuth_angles": [3, -3], )") +
+            R"("lidar_origin_to_beam_origin_mm": 15)";
+        std::string seed = sized(
+            profile.is_nested ? "{\"beam_intrinsics\": {" + beams + "}, \"lidar_data_format\": " + layout +
+                                    R"(, "config_params": {"lidar_mode": "4x10", "udp_port_lidar": 7502}})"
+                              : "{" + beams + ", \"data_format\": " + layout + R"(, "lidar_mode": "4x10"})");
         for (int column = 0; column < 24; ++column) {
             if (!is_legacy && column % 2 == 0) append(seed, std::uint32_t(1)), seed.append(28, '\0');
             append(seed, std::uint64_t(column) * 25000000), append(seed, std::uint16_t(column % 4));
@@ -353,8 +397,10 @@ void read_ousters(std::string_view input, const fs::path&) {
     calibration.ouster = packets::read_ouster_metadata(std::string(reader.sized()), "metadata");
     std::vector<packets::PacketView> views;
     while (reader.left() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
-        views.push_back({std::int64_t(views.size()) * 50000000, reader.take(calibration.ouster->packet_bytes)});
-    packets::format_of({calibration.ouster}, "/ouster/lidar_packets", views.empty() ? std::string_view() : views.front().bytes);
+        views.push_back(
+            {std::int64_t(views.size()) * 50000000, reader.take(calibration.ouster->packet_bytes)});
+    packets::format_of({calibration.ouster}, "/ouster/lidar_packets",
+                       views.empty() ? std::string_view() : views.front().bytes);
     packets::PacketLog log;
     log.add(views, 0, {}, calibration);
     read_turns(log, views);

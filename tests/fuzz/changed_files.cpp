@@ -21,7 +21,9 @@ void ChangedFiles::read(std::string_view input, const std::function<void(unsigne
         }
     } restore{*this};
     for (std::size_t at = 1; at + 3 <= input.size();) {
-        const auto byte = [&](std::size_t i) { return static_cast<std::size_t>(static_cast<unsigned char>(input[i])); };
+        const auto byte = [&](std::size_t i) {
+            return static_cast<std::size_t>(static_cast<unsigned char>(input[i]));
+        };
         const std::size_t file = byte(at) % files_.size(), length = byte(at + 1) + 256 * byte(at + 2);
         const std::string_view bytes = input.substr(at + 3, length);
         restore.changed.push_back(file);
@@ -31,13 +33,15 @@ void ChangedFiles::read(std::string_view input, const std::function<void(unsigne
     read(input.empty() ? 0u : static_cast<unsigned char>(input[0]));
 }
 
-std::vector<std::string> ChangedFiles::seeds(const std::vector<unsigned>& alone, const std::vector<unsigned>& with_a_file) const {
+std::vector<std::string> ChangedFiles::seeds(const std::vector<unsigned>& alone,
+                                             const std::vector<unsigned>& with_a_file) const {
     std::vector<std::string> seeds;
     for (const unsigned options : alone) seeds.emplace_back(1, static_cast<char>(options));
     for (std::size_t file = 0; file < files_.size(); ++file) {
         const std::string bytes = usual_[file].substr(0, 4096);
-        const std::string section =
-            std::string(1, static_cast<char>(file)) + static_cast<char>(bytes.size() % 256) + static_cast<char>(bytes.size() / 256) + bytes;
+        const std::string section = std::string(1, static_cast<char>(file)) +
+                                    static_cast<char>(bytes.size() % 256) +
+                                    static_cast<char>(bytes.size() / 256) + bytes;
         for (const unsigned options : with_a_file) seeds.push_back(static_cast<char>(options) + section);
     }
     return seeds;
@@ -58,7 +62,8 @@ void ChangedFiles::read_one(std::string_view input, const std::function<void()>&
 
 std::vector<std::string> ChangedFiles::seeds_of_one() const {
     std::vector<std::string> seeds;
-    for (std::size_t file = 0; file < files_.size(); ++file) seeds.push_back(static_cast<char>(file) + usual_[file]);
+    for (std::size_t file = 0; file < files_.size(); ++file)
+        seeds.push_back(static_cast<char>(file) + usual_[file]);
     return seeds;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A whole small KITTI drive, an odometry sequence of its scans, and a KITTI-360 of them: an input says what other bytes some files hold.
+// A whole small KITTI drive, an odometry sequence of its scans, and a KITTI-360 of them:
+// an input says what other bytes some files hold.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -11,18 +12,18 @@
 #include <relidar/log/dataset.hpp>
 
 #include "changed_files.hpp"
-#include "log/readers/kitti/kitti_360_folder.hpp"
-#include "log/readers/kitti/kitti_drive.hpp"
+#include "log/clouds/log_files.hpp"
 #include "log/readers/kitti/hdl64_rings.hpp"
 #include "log/readers/kitti/kitti_360.hpp"
-#include "log/clouds/log_files.hpp"
+#include "log/readers/kitti/kitti_360_folder.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar::fuzz {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;   // options
+constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;  // options
 
 /// A seventh of the points of a scan are left: a sweep takes milliseconds to read.
 void thin(const fs::path& scan) {
@@ -37,7 +38,8 @@ class Drive {
 public:
     explicit Drive(const fs::path& folder) : drive_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz")) {
         for (int frame = 0; frame < 3; ++frame) thin(drive_.scan(frame));
-        put(drive_.file("poses.txt"), "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
+        put(drive_.file("poses.txt"),
+            "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 2 0 1 0 0 0 0 1 0\n");
         for (int frame = 0; frame < 3; ++frame) {
             fs::create_directories(odometry() / "velodyne");
             put(odometry() / "velodyne" / fmt::format("{:06d}.bin", frame), contents(drive_.scan(frame)));
@@ -45,10 +47,12 @@ public:
         put(odometry() / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
         put(odometry() / "times.txt", "0.0e+00\n1.0e-01\n2.0e-01\n");
         put(odometry() / "poses.txt", contents(drive_.file("poses.txt")));
-        files_.emplace({drive_.file("velodyne_points/timestamps.txt"), drive_.file("velodyne_points/timestamps_start.txt"),
-                        drive_.file("velodyne_points/timestamps_end.txt"), drive_.file("oxts/data/0000000000.txt"),
-                        drive_.file("oxts/data/0000000001.txt"), drive_.calibration(), drive_.file("tracklet_labels.xml"),
-                        drive_.file("poses.txt"), drive_.scan(0), drive_.scan(2), odometry() / "calib.txt", odometry() / "times.txt",
+        files_.emplace({drive_.file("velodyne_points/timestamps.txt"),
+                        drive_.file("velodyne_points/timestamps_start.txt"),
+                        drive_.file("velodyne_points/timestamps_end.txt"),
+                        drive_.file("oxts/data/0000000000.txt"), drive_.file("oxts/data/0000000001.txt"),
+                        drive_.calibration(), drive_.file("tracklet_labels.xml"), drive_.file("poses.txt"),
+                        drive_.scan(0), drive_.scan(2), odometry() / "calib.txt", odometry() / "times.txt",
                         odometry() / "poses.txt", odometry() / "velodyne/000000.bin"});
     }
 
@@ -68,7 +72,8 @@ const Drive& drive_in(const fs::path& folder) {
     return drive;
 }
 
-/// Readers, each tried whatever the others say; of their failures the last one is looked at, a crash is one at once.
+/// Readers, each tried whatever the others say; of their failures the last one is looked
+/// at, a crash is one at once.
 void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
     for (const auto& read : readers) {
@@ -111,7 +116,8 @@ void read_odometry(const Drive& drive, unsigned options) {
     load_sequence("kitti_odometry:" + drive.odometry().string(), dataset);
 }
 
-void read_changed(std::string_view input, const fs::path& folder, void (*read)(const Drive& drive, unsigned options)) {
+void read_changed(std::string_view input, const fs::path& folder,
+                  void (*read)(const Drive& drive, unsigned options)) {
     const Drive& drive = drive_in(folder);
     drive.files().read(input, [&](unsigned options) { read(drive, options); });
 }
@@ -124,12 +130,17 @@ struct Kitti360 {
     test::Kitti360Folder folder;
     ChangedFiles files;
 
-    explicit Kitti360(const fs::path& at) : folder((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz_360"), 0), files(thinned(folder)) {}
+    explicit Kitti360(const fs::path& at)
+        : folder((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz_360"), 0), files(thinned(folder)) {}
 
     static std::vector<fs::path> thinned(const test::Kitti360Folder& folder) {
         for (int frame = 0; frame < 3; ++frame) thin(folder.scan(frame));
-        return {folder.raw() / "timestamps.txt", folder.poses(), folder.boxes(), folder.calibration("calib_cam_to_pose.txt"),
-                folder.calibration("calib_cam_to_velo.txt"), folder.scan(0)};
+        return {folder.raw() / "timestamps.txt",
+                folder.poses(),
+                folder.boxes(),
+                folder.calibration("calib_cam_to_pose.txt"),
+                folder.calibration("calib_cam_to_velo.txt"),
+                folder.scan(0)};
     }
 };
 
@@ -168,10 +179,14 @@ std::vector<std::string> kitti_360_seeds(const fs::path& folder) {
 std::vector<Harness> drive_harnesses() {
     return {
         // a piece of a scan is none
-        {"drive_texts", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
+        {"drive_texts", drive_seeds,
+         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
          false},
-        {"drive", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); }, false},
-        {"odometry", drive_seeds, [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
+        {"drive", drive_seeds,
+         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); },
+         false},
+        {"odometry", drive_seeds,
+         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
          false},
         {"kitti360_texts", kitti_360_seeds, read_kitti_360_texts, false},
         {"kitti360", kitti_360_seeds, read_kitti_360, false},

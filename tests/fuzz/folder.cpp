@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Plain folders. "points" reads one scan of points, its format by the input's first byte; "folder" the text files of a whole folder, parted
-// by lines of "=====": sequence.json, poses.txt, boxes.json; "exr" a scan as a range image, with rays of its own or of the log's sensor.
+// Plain folders. "points" reads one scan of points, its format by the input's first byte;
+// "folder" the text files of a whole folder, parted by lines of "=====": sequence.json,
+// poses.txt, boxes.json; "exr" a scan as a range image, with rays of its own or of the
+// log's sensor.
 #include "harness.hpp"
 
 #include <cmath>
@@ -101,7 +103,8 @@ void read_folder(std::string_view input, const fs::path& folder) {
 fs::path image_log_in(const fs::path& folder) {
     static const fs::path log = [&] {
         fs::create_directories(folder / "images/scans");
-        put(folder / "images/sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": {"columns": 16,
+        put(folder / "images/sequence.json",
+            R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": {"columns": 16,
             "beams": [{"elevation_deg": 3}, {"elevation_deg": 2}, {"elevation_deg": 1}, {"elevation_deg": 0}]}}]})");
         put(folder / "images/poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0");
         return folder / "images";
@@ -113,10 +116,19 @@ std::vector<std::string> exr_seeds(const fs::path& folder) {
     constexpr int kRows = 4, kColumns = 16;
     std::map<std::string, std::vector<float>> channels;
     for (int i = 0; i < kRows * kColumns; ++i) {
-        for (const auto& [name, value] : {std::pair("range", 1.0f + float(i)), {"median_range", 1.5f + float(i)}, {"intensity", 0.25f},
-                                          {"drop_prob", i % 3 == 0 ? 1.0f : 0.0f}, {"time", 0.001f * float(i)}, {"ring", float(i % 4)},
-                                          {"range_2", 2.5f + float(i)}, {"intensity_2", 0.125f}, {"direction.x", 0.6f},
-                                          {"direction.y", 0.8f}, {"direction.z", 0.0f}, {"origin.x", 0.1f}, {"origin.y", 0.0f},
+        for (const auto& [name, value] : {std::pair("range", 1.0f + float(i)),
+                                          {"median_range", 1.5f + float(i)},
+                                          {"intensity", 0.25f},
+                                          {"drop_prob", i % 3 == 0 ? 1.0f : 0.0f},
+                                          {"time", 0.001f * float(i)},
+                                          {"ring", float(i % 4)},
+                                          {"range_2", 2.5f + float(i)},
+                                          {"intensity_2", 0.125f},
+                                          {"direction.x", 0.6f},
+                                          {"direction.y", 0.8f},
+                                          {"direction.z", 0.0f},
+                                          {"origin.x", 0.1f},
+                                          {"origin.y", 0.0f},
                                           {"origin.z", 0.0f}})
             channels[name].push_back(value);
     }
@@ -126,7 +138,9 @@ std::vector<std::string> exr_seeds(const fs::path& folder) {
         seeds.push_back(contents(folder / "seed.exr"));
     };
     add({{"points_in", "sensor at each ray's firing time"}, {"sensor", "VLP-16"}});
-    std::erase_if(channels, [](const auto& channel) { return channel.first != "range" && channel.first != "intensity"; });
+    std::erase_if(channels, [](const auto& channel) {
+        return channel.first != "range" && channel.first != "intensity";
+    });
     add({});
     return seeds;
 }
@@ -140,7 +154,9 @@ void read_exr_scan(std::string_view input, const fs::path& folder) {
 }  // namespace
 
 std::vector<Harness> folder_harnesses() {
-    return {{"points", point_seeds, read_points}, {"folder", folder_seeds, read_folder, false}, {"exr", exr_seeds, read_exr_scan}};
+    return {{"points", point_seeds, read_points},
+            {"folder", folder_seeds, read_folder, false},
+            {"exr", exr_seeds, read_exr_scan}};
 }
 
 }  // namespace relidar::fuzz

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A parser under libFuzzer: seeds the program makes itself, and what is done with an input.
+// A parser under libFuzzer: seeds the program makes itself, and what is done with an
+// input.
 #pragma once
 
 #include <filesystem>
@@ -13,10 +14,11 @@ struct Harness {
     const char* name;
     /// Inputs to start from. @param folder for files that a writer of the program makes
     std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
-    /// Reads an input. What it throws must be a relidar::Error of usage or data, short enough for a terminal.
+    /// Reads an input. What it throws must be a relidar::Error of usage or data, short
+    /// enough for a terminal.
     /// @param folder kept from input to input
     void (*read)(std::string_view input, const std::filesystem::path& folder);
-    bool seeds_are_good = true;   ///< they are read without a complaint
+    bool seeds_are_good = true;  ///< they are read without a complaint
 };
 
 /// Harnesses of each file; main.cpp joins them.

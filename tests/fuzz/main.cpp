@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// libFuzzer's entry points. relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS...; with --seeds it writes seeds and ends; --list names
-// all.
+// libFuzzer's entry points. relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS...; with
+// --seeds it writes seeds and ends; --list names all.
 #include "harness.hpp"
 
 #include <atomic>
@@ -20,9 +20,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kLongestMessage = 1000;   // paths included: those of the harnesses are short
+constexpr std::size_t kLongestMessage = 1000;  // paths included: those of the harnesses are short
 
-constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;   // that an input may take, at one time
+constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;  // that an input may take, at one time
 
 std::atomic<long long> bytes_held{0}, most_bytes_held{0};
 
@@ -38,9 +38,9 @@ void on_free(const volatile void* bytes) {
 
 std::vector<Harness> all_harnesses() {
     std::vector<Harness> all = array_harnesses();
-    for (const auto& more : {text_harnesses(), drive_harnesses(), argoverse2_harnesses(), folder_harnesses(), nuscenes_harnesses(),
-                             sensor_harnesses(), stamped_harnesses(), waymo_harnesses(), run_harnesses(), request_harnesses(),
-                             bag_harnesses()})
+    for (const auto& more : {text_harnesses(), drive_harnesses(), argoverse2_harnesses(), folder_harnesses(),
+                             nuscenes_harnesses(), sensor_harnesses(), stamped_harnesses(), waymo_harnesses(),
+                             run_harnesses(), request_harnesses(), bag_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }
@@ -61,7 +61,8 @@ Harness chosen;
     fs::create_directories(folder);
     std::size_t n = 0;
     for (const std::string& seed : chosen.seeds(scratch_folder())) {
-        if (chosen.seeds_are_good) chosen.read(seed, scratch_folder());   // not caught: a seed that is refused teaches little
+        // not caught: a seed that is refused teaches little
+        if (chosen.seeds_are_good) chosen.read(seed, scratch_folder());
         put(folder / ("seed_" + std::to_string(n++)), seed);
     }
     std::exit(0);
@@ -81,7 +82,8 @@ void initialise(const std::vector<std::string>& arguments) {
         if (name == harness.name) chosen = harness;
     }
     if (!chosen.read) {
-        std::fprintf(stderr, "relidar_fuzz: --harness=%s: unknown, expected one that --list names\n", name.c_str());
+        std::fprintf(stderr, "relidar_fuzz: --harness=%s: unknown, expected one that --list names\n",
+                     name.c_str());
         std::exit(2);
     }
     if (!seeds.empty()) write_seeds(seeds);
@@ -90,18 +92,20 @@ void initialise(const std::vector<std::string>& arguments) {
 void check_memory(std::size_t n_input) {
     const long long most = kMostBytes + kMostBytesPerByte * static_cast<long long>(n_input);
     if (most_bytes_held <= most) return;
-    std::fprintf(stderr, "ERROR: an input of %zu bytes took %lld bytes, expected at most %lld\n", n_input, most_bytes_held.load(), most);
+    std::fprintf(stderr, "ERROR: an input of %zu bytes took %lld bytes, expected at most %lld\n", n_input,
+                 most_bytes_held.load(), most);
     std::abort();
 }
 
 void read(std::string_view input) {
     try {
         chosen.read(input, scratch_folder());
-    } catch (const Error& error) {   // anything else ends the process, and libFuzzer keeps the input
+    } catch (const Error& error) {  // anything else ends the process, and libFuzzer keeps the input
         const std::string message = error.what();
         const bool expected = error.code() == ExitCode::data || error.code() == ExitCode::usage;
         if (expected && message.size() <= kLongestMessage) return;
-        std::fprintf(stderr, "exit code %d, %zu characters: %.300s\n", static_cast<int>(error.code()), message.size(), message.c_str());
+        std::fprintf(stderr, "exit code %d, %zu characters: %.300s\n", static_cast<int>(error.code()),
+                     message.size(), message.c_str());
         std::abort();
     }
 }

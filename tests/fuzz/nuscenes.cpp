@@ -17,12 +17,13 @@ struct Folder {
     test::NuscenesFolder data;
     ChangedFiles files;
 
-    explicit Folder(const fs::path& at) : data((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz"), 6), files(changed(data)) {}
+    explicit Folder(const fs::path& at)
+        : data((::setenv("TEST_TMPDIR", at.c_str(), 1), "fuzz"), 6), files(changed(data)) {}
 
     static std::vector<fs::path> changed(const test::NuscenesFolder& data) {
         std::vector<fs::path> files;
-        for (const char* table : {"scene", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose", "sample_annotation",
-                                  "instance", "category"})
+        for (const char* table : {"scene", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose",
+                                  "sample_annotation", "instance", "category"})
             files.push_back(data.table(table));
         files.push_back(data.sweep(0));
         files.push_back(data.sweep(4));
@@ -48,8 +49,6 @@ void read(std::string_view input, const fs::path& scratch) {
 
 }  // namespace
 
-std::vector<Harness> nuscenes_harnesses() {
-    return {{"nuscenes", seeds_of, read}};
-}
+std::vector<Harness> nuscenes_harnesses() { return {{"nuscenes", seeds_of, read}}; }
 
 }  // namespace relidar::fuzz

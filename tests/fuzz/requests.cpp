@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What comes over a network: protobuf of `relidar serve`, wishes of the viewer's page, and what its server asks of the head of a request.
-// No device, no socket: decoding and all that is looked at before a scan is rendered. tools/dev/fuzz_view has the sockets.
+// What comes over a network: protobuf of `relidar serve`, wishes of the viewer's page,
+// and what its server asks of the head of a request. No device, no socket: decoding and
+// all that is looked at before a scan is rendered. tools/dev/fuzz_view has the sockets.
 #include "harness.hpp"
 
 #include <algorithm>
@@ -29,12 +30,15 @@ namespace {
 namespace fs = std::filesystem;
 
 std::vector<std::string> wish_seeds(const fs::path&) {
-    const std::string edits = R"({"copies": [{"of": "7", "at": [1, 2, 0, 90, 5]}], "moves": {"8": [1, 0, 0, 10]},
+    const std::string edits =
+        R"({"copies": [{"of": "7", "at": [1, 2, 0, 90, 5]}], "moves": {"8": [1, 0, 0, 10]},
         "removed": ["9"], "hidden": ["7"]})";
-    return {R"({"do": "scan", "id": 7, "time_s": 1.5, "place": [1, 2, 3, 10, 0, 0], "sensor": "VLP-16", "lidar": 0,
-        "weather": "fog=50,rain=2", "simulate": true, "real": false, "edits": )" + edits + "}",
-            R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n1\n"})",
-            R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
+    return {
+        R"({"do": "scan", "id": 7, "time_s": 1.5, "place": [1, 2, 3, 10, 0, 0], "sensor": "VLP-16", "lidar": 0,
+        "weather": "fog=50,rain=2", "simulate": true, "real": false, "edits": )" +
+            edits + "}",
+        R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n1\n"})",
+        R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
 }
 
 void read_wish(std::string_view input, const fs::path&) { (void)view::parse_request(std::string(input)); }
@@ -42,8 +46,10 @@ void read_wish(std::string_view input, const fs::path&) { (void)view::parse_requ
 #ifdef RELIDAR_FUZZ_VIEW
 
 std::vector<std::string> head_seeds(const fs::path&) {
-    return {"localhost:8080\nhttp://localhost:8080\na=1; relidar_8080=0123456789abcdef\ntoken=0123456789abcdef&b=2",
-            "[::1]:80\nhttp://[::1]\n\n", "127.0.0.1\n\n\n"};
+    return {
+        "localhost:8080\nhttp://localhost:8080\na=1; "
+        "relidar_8080=0123456789abcdef\ntoken=0123456789abcdef&b=2",
+        "[::1]:80\nhttp://[::1]\n\n", "127.0.0.1\n\n\n"};
 }
 
 /// Lines: Host, Origin, Cookie, query.
@@ -55,9 +61,11 @@ void read_head(std::string_view input, const fs::path&) {
     }
     (void)view::is_own_host(lines[0], "machine");
     (void)view::is_own_origin(lines[1], lines[0]);
-    const bool shown = view::shows_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
-    const bool there = (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
-    if (shown && !there) std::abort();   // nobody is let in who does not show it
+    const bool shown =
+        view::shows_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
+    const bool there =
+        (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
+    if (shown && !there) std::abort();  // nobody is let in who does not show it
 }
 
 #endif
@@ -91,7 +99,8 @@ Message message_of(std::string_view bytes) {
 
 void silence_protobuf() {
 #if GOOGLE_PROTOBUF_VERSION < 4022000
-    static const auto silenced = google::protobuf::SetLogHandler(nullptr);   // a line for each text that is no UTF-8
+    // a line for each text that is no UTF-8
+    static const auto silenced = google::protobuf::SetLogHandler(nullptr);
     (void)silenced;
 #endif
 }
@@ -100,7 +109,8 @@ void silence_protobuf() {
 void check_status(const grpc::Status& status) {
     if (status.ok()) return;
     const grpc::StatusCode code = status.error_code();
-    const bool of_client = code == grpc::StatusCode::INVALID_ARGUMENT || code == grpc::StatusCode::NOT_FOUND ||
+    const bool of_client = code == grpc::StatusCode::INVALID_ARGUMENT ||
+                           code == grpc::StatusCode::NOT_FOUND ||
                            status.error_message() == "no message of that kind";
     throw Error(of_client ? ExitCode::usage : ExitCode::bug, status.error_message());
 }
@@ -122,7 +132,8 @@ void read_call(std::string_view input, const fs::path& folder) {
             const auto request = message_of<v1::GetTracksRequest>(input);
             const std::size_t scene = reader.find_scene(request.scene());
             v1::GetTracksResponse answer;
-            serve::write_tracks(served.outlines[scene], reader.find_lidar(scene, request.lidar()), request.actors(), answer);
+            serve::write_tracks(served.outlines[scene], reader.find_lidar(scene, request.lidar()),
+                                request.actors(), answer);
         }
     });
     check_status(status);
@@ -134,7 +145,8 @@ void read_frame(std::string_view input, const fs::path& folder) {
     static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);
     static serve::SensorsimReader reader(served.outlines, scenes, serve::PoseOrder::translation_first);
     silence_protobuf();
-    check_status(serve::answered([&] { (void)reader.read(message_of<serve::sensorsim::LidarRenderRequest>(input)); }));
+    check_status(
+        serve::answered([&] { (void)reader.read(message_of<serve::sensorsim::LidarRenderRequest>(input)); }));
 }
 
 std::vector<std::string> frame_seeds(const fs::path&) {
@@ -179,10 +191,12 @@ std::vector<v1::SensorSpec> sensor_specs() {
     spinning.set_columns(16);
     spinning.set_period_s(0.1);
     auto& window = *specs[1].mutable_window();
-    window.set_rows(4), window.set_columns(4), window.set_left_rad(0.5), window.set_right_rad(-0.5), window.set_top_rad(0.2);
+    window.set_rows(4), window.set_columns(4), window.set_left_rad(0.5), window.set_right_rad(-0.5),
+        window.set_top_rad(0.2);
     window.set_bottom_rad(-0.2), window.set_period_s(0.1);
     auto& rosette = *specs[2].mutable_rosette();
-    rosette.set_rays(16), rosette.set_deflection_rad(0.2), rosette.set_first_hz(100), rosette.set_second_hz(-60), rosette.set_period_s(0.1);
+    rosette.set_rays(16), rosette.set_deflection_rad(0.2), rosette.set_first_hz(100),
+        rosette.set_second_hz(-60), rosette.set_period_s(0.1);
     const float directions[6] = {1.0f, 0.0f, 0.0f, 0.0f, 1.0f, 0.0f};
     specs[3].mutable_rays()->set_direction(directions, sizeof directions);
     return specs;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of a run beside its scene: where the log has looked, where its heads pointed, the ray-drop network, how
-// intensities scatter.
+// Files of a run beside its scene: where the log has looked, where its heads pointed, the
+// ray-drop network, how intensities scatter.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -74,14 +74,16 @@ std::vector<std::string> scatter_seeds(const fs::path& folder) {
 void read_scatter(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     const std::vector<IntensityScatter> scatter = run_detail::load_scatter(folder / "input", 1);
-    const RenderedIntensities image{2, 2, {0.1f, 0.2f, 0.3f, 0.4f}, {5.0f, 6.0f, 7.0f, 8.0f}, {0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0, 0, 0}};
+    const RenderedIntensities image{
+        2, 2, {0.1f, 0.2f, 0.3f, 0.4f}, {5.0f, 6.0f, 7.0f, 8.0f}, {0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0, 0, 0}};
     if (!scatter[0].empty()) draw_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);
 }
 
 }  // namespace
 
 std::vector<Harness> run_harnesses() {
-    return {{"coverage", coverage_seeds, read_coverage}, {"sweeps", sweeps_seeds, read_sweeps},
+    return {{"coverage", coverage_seeds, read_coverage},
+            {"sweeps", sweeps_seeds, read_sweeps},
             {"network", network_seeds, read_network},
             {"scatter", scatter_seeds, read_scatter}};
 }

@@ -33,9 +33,15 @@ const Sequences& sequences_in(const fs::path& scratch) {
     return sequences;
 }
 
-std::vector<std::string> boreas_seeds(const fs::path& scratch) { return sequences_in(scratch).of_boreas.seeds_of_one(); }
-std::vector<std::string> mulran_seeds(const fs::path& scratch) { return sequences_in(scratch).of_mulran.seeds_of_one(); }
-std::vector<std::string> once_seeds(const fs::path& scratch) { return sequences_in(scratch).of_once.seeds_of_one(); }
+std::vector<std::string> boreas_seeds(const fs::path& scratch) {
+    return sequences_in(scratch).of_boreas.seeds_of_one();
+}
+std::vector<std::string> mulran_seeds(const fs::path& scratch) {
+    return sequences_in(scratch).of_mulran.seeds_of_one();
+}
+std::vector<std::string> once_seeds(const fs::path& scratch) {
+    return sequences_in(scratch).of_once.seeds_of_one();
+}
 
 void read_boreas(std::string_view input, const fs::path& scratch) {
     const Sequences& in = sequences_in(scratch);
@@ -46,7 +52,7 @@ void read_mulran(std::string_view input, const fs::path& scratch) {
     const Sequences& in = sequences_in(scratch);
     in.of_mulran.read_one(input, [&] {
         DatasetOptions options;
-        options.frames = {1, 2};   // a scan has 65536 points
+        options.frames = {1, 2};  // a scan has 65536 points
         load_sequence("mulran:" + in.mulran.folder.string(), options);
     });
 }
@@ -59,7 +65,9 @@ void read_once(std::string_view input, const fs::path& scratch) {
 }  // namespace
 
 std::vector<Harness> stamped_harnesses() {
-    return {{"boreas", boreas_seeds, read_boreas}, {"mulran", mulran_seeds, read_mulran}, {"once", once_seeds, read_once}};
+    return {{"boreas", boreas_seeds, read_boreas},
+            {"mulran", mulran_seeds, read_mulran},
+            {"once", once_seeds, read_once}};
 }
 
 }  // namespace relidar::fuzz

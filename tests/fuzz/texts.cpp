@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text files: settings, scenes, streets, beam tables, trajectories. "toml" writes its text from tokens, so that it stays a TOML file more
-// often than not.
+// Text files: settings, scenes, streets, beam tables, trajectories. "toml" writes its
+// text from tokens, so that it stays a TOML file more often than not.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -35,7 +35,8 @@ void read_street(std::string_view input, const fs::path& folder) {
     load_sequence("synthetic:" + folder.string(), one);
 }
 
-/// Without sweeps: their file belongs to the sensor that an input changes. "sweeps" reads it.
+/// Without sweeps: their file belongs to the sensor that an input changes. "sweeps" reads
+/// it.
 Run run_without_sweeps(const fs::path& folder) {
     Run run = example_run(folder);
     for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
@@ -53,7 +54,7 @@ void read_scene(std::string_view input, const fs::path& folder) {
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
-    for (const Lidar& lidar : read.sequence.lidars)   // made where they are few
+    for (const Lidar& lidar : read.sequence.lidars)  // made where they are few
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);
 }
@@ -88,7 +89,8 @@ void read_track(std::string_view input, const fs::path& folder) {
 void read_entities(std::string_view input, const fs::path& folder) {
     put(folder / "s.xosc", input);
     for (const ScenarioEntity& entity : read_scenario(folder / "s.xosc"))
-        if (!entity.world_from_reference.pose.empty() && entity.world_from_reference.pose.size() < 100) box_track(entity, 0.0, {4, 2, 1.5});
+        if (!entity.world_from_reference.pose.empty() && entity.world_from_reference.pose.size() < 100)
+            box_track(entity, 0.0, {4, 2, 1.5});
 }
 
 /// TOML from tokens: a byte each.
@@ -170,28 +172,39 @@ std::vector<Harness> text_harnesses() {
         {"scenario",
          [](const fs::path&) {
              return std::vector<std::string>{
-                 "<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name=\"p\" value=\"3\"/></ParameterDeclarations><Entities>"
-                 "<ScenarioObject name=\"v\"><Vehicle><BoundingBox><Center x=\"1\" y=\"0\" z=\"1\"/><Dimensions width=\"2\" length=\"5\" "
-                 "height=\"2\"/></BoundingBox></Vehicle></ScenarioObject></Entities><Storyboard><Init><Actions/></Init><Story><Act>"
-                 "<ManeuverGroup><Actors><EntityRef entityRef=\"v\"/></Actors><Maneuver><Event><Action><PrivateAction><RoutingAction>"
-                 "<FollowTrajectoryAction><Trajectory><Shape><Polyline><Vertex time=\"0\"><Position><WorldPosition x=\"$p\" y=\"1\"/>"
-                 "</Position></Vertex><Vertex time=\"4\"><Position><WorldPosition x=\"8\" y=\"1\" h=\"1\"/></Position></Vertex></Polyline>"
+                 "<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name=\"p\" "
+                 "value=\"3\"/></ParameterDeclarations><Entities>"
+                 "<ScenarioObject name=\"v\"><Vehicle><BoundingBox><Center x=\"1\" y=\"0\" "
+                 "z=\"1\"/><Dimensions width=\"2\" length=\"5\" "
+                 "height=\"2\"/></BoundingBox></Vehicle></ScenarioObject></"
+                 "Entities><Storyboard><Init><Actions/></Init><Story><Act>"
+                 "<ManeuverGroup><Actors><EntityRef "
+                 "entityRef=\"v\"/></Actors><Maneuver><Event><Action><PrivateAction><RoutingAction>"
+                 "<FollowTrajectoryAction><Trajectory><Shape><Polyline><Vertex "
+                 "time=\"0\"><Position><WorldPosition x=\"$p\" y=\"1\"/>"
+                 "</Position></Vertex><Vertex time=\"4\"><Position><WorldPosition x=\"8\" y=\"1\" "
+                 "h=\"1\"/></Position></Vertex></Polyline>"
                  "</Shape></Trajectory><TimeReference>"
                  "<Timing domainAbsoluteRelative=\"relative\" scale=\"1\" offset=\"0\"/></TimeReference>"
-                 "</FollowTrajectoryAction></RoutingAction></PrivateAction></Action><StartTrigger><ConditionGroup><Condition delay=\"1\">"
-                 "<ByValueCondition><SimulationTimeCondition value=\"2\" rule=\"greaterThan\"/></ByValueCondition></Condition>"
-                 "</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story></Storyboard></OpenSCENARIO>"};
+                 "</FollowTrajectoryAction></RoutingAction></PrivateAction></"
+                 "Action><StartTrigger><ConditionGroup><Condition delay=\"1\">"
+                 "<ByValueCondition><SimulationTimeCondition value=\"2\" "
+                 "rule=\"greaterThan\"/></ByValueCondition></Condition>"
+                 "</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story></"
+                 "Storyboard></OpenSCENARIO>"};
          },
          read_entities},
         {"config",
          [](const fs::path&) {
-             return std::vector{to_toml(make_preset("quick")), std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")};
+             return std::vector{to_toml(make_preset("quick")),
+                                std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")};
          },
          read_config},
         {"street",
          [](const fs::path&) {
              return std::vector<std::string>{
-                 "seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = 8.0\nmoving_cars = true\n"};
+                 "seed = 5\nn_frames = 2\nrows = 8\ncolumns = 96\nrange_noise_m = 0.01\nspeed_mps = "
+                 "8.0\nmoving_cars = true\n"};
          },
          read_street},
         // a file is settings or a street
@@ -205,13 +218,15 @@ std::vector<Harness> text_harnesses() {
         {"sensor",
          [](const fs::path&) {
              return std::vector<std::string>{
-                 "elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,0.2,0.026\n-3,0.5,0,0.12,-0."
+                 "elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,"
+                 "0.2,0.026\n-3,0.5,0,0.12,-0."
                  "026\n"};
          },
          read_sensor},
         {"trajectory",
          [](const fs::path&) {
-             return std::vector<std::string>{"time_s,x,y,z,yaw_deg\n0,1,2,3,90\n0.1,1.5,2,3,91\n", "0,1,2,3,90,1,2\n1,1,2,3,90,1,2\n"};
+             return std::vector<std::string>{"time_s,x,y,z,yaw_deg\n0,1,2,3,90\n0.1,1.5,2,3,91\n",
+                                             "0,1,2,3,90,1,2\n1,1,2,3,90,1,2\n"};
          },
          read_track},
     };

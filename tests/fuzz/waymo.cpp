@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A segment of Waymo Open. Its CRCs and zlib streams would keep an input out of the parsers behind them, so the first byte of an input says
-// what the rest is: the file, the data of a record, or an unpacked matrix of TOP.
+// A segment of Waymo Open. Its CRCs and zlib streams would keep an input out of the
+// parsers behind them, so the first byte of an input says what the rest is: the file, the
+// data of a record, or an unpacked matrix of TOP.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -24,13 +25,16 @@ const test::WaymoSegment& segment_in(const fs::path& folder) {
 /// A matrix of eight columns: libFuzzer takes no long inputs.
 std::string small_matrix(int channels) {
     const int rows = test::WaymoSegment::kTopRows, columns = 8;
-    return test::waymo_unpacked_matrix(std::vector<float>(std::size_t(rows * columns * channels), 5.0f), {rows, columns, channels});
+    return test::waymo_unpacked_matrix(std::vector<float>(std::size_t(rows * columns * channels), 5.0f),
+                                       {rows, columns, channels});
 }
 
 /// A record with TOP alone. @param image, poses  unpacked matrices
-std::string record_with(const test::WaymoSegment& segment, const std::string& image, const std::string& poses) {
+std::string record_with(const test::WaymoSegment& segment, const std::string& image,
+                        const std::string& poses) {
     test::WaymoFrame frame = segment.frames[0];
-    frame.lasers = {test::waymo_laser(1, test::deflated(image), test::deflated(image), test::deflated(poses))};
+    frame.lasers = {
+        test::waymo_laser(1, test::deflated(image), test::deflated(image), test::deflated(poses))};
     return frame.encoded();
 }
 
@@ -53,7 +57,8 @@ void read_waymo(std::string_view input, const fs::path& folder) {
 std::vector<std::string> waymo_seeds(const fs::path& folder) {
     const std::string record = record_with(segment_in(folder), small_matrix(4), small_matrix(6));
     const auto seed = [](Part part, const std::string& bytes) { return static_cast<char>(part) + bytes; };
-    return {seed(kFile, test::tfrecord(record)), seed(kRecord, record), seed(kImage, small_matrix(4)), seed(kPixelPoses, small_matrix(6))};
+    return {seed(kFile, test::tfrecord(record)), seed(kRecord, record), seed(kImage, small_matrix(4)),
+            seed(kPixelPoses, small_matrix(6))};
 }
 
 }  // namespace

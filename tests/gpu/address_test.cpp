@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of different types cannot take each other's place in what a kernel is given, nor can kernels with other parameters. Most of it is
-// whether something compiles.
+// Arrays of different types cannot take each other's place in what a kernel is given, nor
+// can kernels with other parameters. Most of it is whether something compiles.
 #include <concepts>
 #include <type_traits>
 
 #include <relidar/gpu/stream.hpp>
 
 #include "../support/device.hpp"
-#include "gpu/kernel.hpp"
 #include "diff/shared/accel.h"
 #include "diff/shared/backward.h"
 #include "diff/shared/bvh_build.h"
 #include "diff/shared/densify.h"
-#include "gpu/shared/gpu.h"
 #include "diff/shared/loss.h"
 #include "diff/shared/optimizer.h"
 #include "diff/shared/refine.h"
+#include "gpu/kernel.hpp"
+#include "gpu/shared/gpu.h"
 #include "train/shared/train.h"
 
 namespace relidar {
@@ -23,7 +23,8 @@ namespace {
 
 static_assert(name_of_struct<shared::ImageLossParams>() == "ImageLossParams");
 static_assert(params_of_kernel("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
-static_assert(params_of_kernel("diff/loss/surfel_loss") != "ImageLossParams", "so Kernel<ImageLossParams> of it does not compile");
+static_assert(params_of_kernel("diff/loss/surfel_loss") != "ImageLossParams",
+              "so Kernel<ImageLossParams> of it does not compile");
 static_assert(params_of_kernel("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
@@ -39,18 +40,21 @@ static_assert(!FillParameters<Address<shared::RenderedRay>, int>, "0: nowhere is
 
 static_assert(!std::is_assignable_v<Address<float>&, Address<std::uint32_t>> &&
               !std::is_constructible_v<Address<float>, Address<std::uint32_t>>);
-static_assert(!std::is_constructible_v<Address<float>, std::uint64_t> && !std::is_convertible_v<Address<float>, std::uint64_t>);
+static_assert(!std::is_constructible_v<Address<float>, std::uint64_t> &&
+              !std::is_convertible_v<Address<float>, std::uint64_t>);
 static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
-static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> && std::is_standard_layout_v<Address<float>>);
+static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> &&
+              std::is_standard_layout_v<Address<float>>);
 
-/// Whether one member of a parameter struct takes what another one is given, so that nobody notices when they are swapped.
+/// Whether one member of a parameter struct takes what another one is given, so that
+/// nobody notices when they are swapped.
 template <class Struct, class A, class B>
 consteval bool take_each_other(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
-// Of each header of parameters two pointers to the same kind of number. That no struct has two of which this is not true is a rule of
-// tests/structure.
+// Of each header of parameters two pointers to the same kind of number. That no struct
+// has two of which this is not true is a rule of tests/structure.
 static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
 static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
 static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
@@ -75,14 +79,18 @@ static_assert(!take_each_other(&shared::SurfelPointers::log_scale, &shared::Surf
 static_assert(!take_each_other(&shared::ActivateVjpParams::d_records, &shared::ActivateVjpParams::d_view));
 static_assert(!take_each_other(&shared::TraceScene::pass_cap_count, &shared::TraceScene::visits));
 static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::CollectHitsParams::surfel));
-static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels), "gradients are arranged alike");
+static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
+              "gradients are arranged alike");
 
-// What an array holds is said where it is made; by address_as() or as() where one memory serves several purposes, and in no other way.
-static_assert(std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
+// What an array holds is said where it is made; by address_as() or as() where one memory
+// serves several purposes, and in no other way.
+static_assert(
+    std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&
               !std::is_convertible_v<Address<float, shared::LossTerms>, Address<float>> &&
               !std::is_constructible_v<Address<float, shared::LossTerms>, Address<float>>);
-static_assert(!std::is_constructible_v<Array<float, shared::LossTerms>, Array<float>>, "nor by way of a bare array");
+static_assert(!std::is_constructible_v<Array<float, shared::LossTerms>, Array<float>>,
+              "nor by way of a bare array");
 
 class AddressTest : public test::DeviceTest {};
 
@@ -97,7 +105,8 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";
     const Array<float, shared::LossTerms> terms(device(), 4, "test");
-    EXPECT_EQ(terms.address(1).as<shared::SsimStatistics>(), (terms.address_as<float, shared::SsimStatistics>(1)));
+    EXPECT_EQ(terms.address(1).as<shared::SsimStatistics>(),
+              (terms.address_as<float, shared::SsimStatistics>(1)));
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Devices, memory and submission: what is listed, copies of every size, fills, memory accounting, impossible requests.
+// Devices, memory and submission: what is listed, copies of every size, fills, memory
+// accounting, impossible requests.
 #include <algorithm>
 #include <numeric>
 
@@ -20,14 +21,16 @@ TEST_F(Gpu, EveryDeviceIsDescribed) {
     for (std::size_t i = 0; i < devices.size(); ++i) {
         EXPECT_EQ(devices[i].index, static_cast<int>(i));
         EXPECT_FALSE(devices[i].name.empty());
-        EXPECT_EQ(devices[i].ray_query, devices[i].why_not_ray_query.empty() && devices[i].why_not_usable.empty());
-        if (devices[i].driver.starts_with("SwiftShader"))   // its compiler ends the process
+        EXPECT_EQ(devices[i].ray_query,
+                  devices[i].why_not_ray_query.empty() && devices[i].why_not_usable.empty());
+        if (devices[i].driver.starts_with("SwiftShader"))  // its compiler ends the process
             EXPECT_FALSE(devices[i].software);
     }
 }
 
 TEST_F(Gpu, UploadsAndDownloadsAreEqual) {
-    for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(9) << 20}) {   // the last one passes the staging size
+    // the last one passes the staging size
+    for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(9) << 20}) {
         std::vector<std::uint32_t> values(n);
         std::iota(values.begin(), values.end(), 7u);
         const Array<std::uint32_t> array(device(), std::span<const std::uint32_t>(values), "test");
@@ -58,15 +61,16 @@ TEST_F(Gpu, GrowingKeepsWhatThereWas) {
 }
 
 TEST_F(Gpu, MemoryLimitIsKept) {
-    Device limited({.memory_limit_bytes = 8u << 20});   // without the layer that the other device may have
+    Device limited({.memory_limit_bytes = 8u << 20});  // without the layer that the other device may have
     Array<float> first(limited, 1 << 20, "the first half");
     try {
         first.reserve(limited, 2 << 20, "twice the first half");
         FAIL() << "4 MiB and 8 MiB do not fit into 8";
     } catch (const DeviceError& error) {
-        EXPECT_NE(
-            std::string(error.what()).find("twice the first half: found 4.0 MiB in use, expected to stay within the limit of 8.0 MiB"),
-            std::string::npos)
+        EXPECT_NE(std::string(error.what())
+                      .find("twice the first half: found 4.0 MiB in use, expected to stay within the limit "
+                            "of 8.0 MiB"),
+                  std::string::npos)
             << error.what();
     }
     EXPECT_EQ(first.size(), std::size_t(1) << 20) << "as before";
@@ -110,7 +114,8 @@ TEST_F(Gpu, TimesKeepTheLastLaunchesAndTheTotalsOfAll) {
 
 TEST_F(Gpu, CopiesAreOrderedAndKeepWhatLiesBehind) {
     const std::vector<std::uint32_t> zeros(1000, 0u);
-    const Array<std::uint32_t> from(device(), 1000, "test"), to(device(), std::span<const std::uint32_t>(zeros), "test");
+    const Array<std::uint32_t> from(device(), 1000, "test"),
+        to(device(), std::span<const std::uint32_t>(zeros), "test");
     Stream stream(device());
     stream.fill(from, 7u);
     stream.copy(from.buffer(), to.buffer(), 4 * 999);
@@ -127,7 +132,8 @@ TEST_F(Gpu, ImpossibleRequestsSayWhatWasAsked) {
         const Array<float> array(device(), std::size_t(1) << 44, "a test of the impossible");
         FAIL() << "expected DeviceError";
     } catch (const DeviceError& error) {
-        EXPECT_NE(std::string(error.what()).find("a test of the impossible"), std::string::npos) << error.what();
+        EXPECT_NE(std::string(error.what()).find("a test of the impossible"), std::string::npos)
+            << error.what();
     }
     EXPECT_THROW(Device({.index = 1000}), DeviceError);
 }
@@ -137,7 +143,8 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
         const auto& enabled = impl_of(d).extensions;
         return std::any_of(enabled.begin(), enabled.end(), [](const char* name) {
             const std::string text = name;
-            return text.find("acceleration_structure") != std::string::npos || text.find("ray_query") != std::string::npos ||
+            return text.find("acceleration_structure") != std::string::npos ||
+                   text.find("ray_query") != std::string::npos ||
                    text.find("deferred_host") != std::string::npos;
         });
     };
@@ -151,15 +158,16 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
         EXPECT_EQ(ray_query.traversal(), Traversal::ray_query);
         EXPECT_TRUE(has_ray_tracing(ray_query));
     } else {
-        EXPECT_THROW(Device({.index = device().info().index, .traversal = Traversal::ray_query}), DeviceError);
+        EXPECT_THROW(Device({.index = device().info().index, .traversal = Traversal::ray_query}),
+                     DeviceError);
     }
 }
 
 TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     subgroup.supportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
-    subgroup.supportedOperations = VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT |
-                                   VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
+    subgroup.supportedOperations = VK_SUBGROUP_FEATURE_VOTE_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT |
+                                   VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Memory that many arrays share: ranges of a block against a map of its bytes, more arrays than a driver allows allocations, what no
-// array can have.
+// Memory that many arrays share: ranges of a block against a map of its bytes, more
+// arrays than a driver allows allocations, what no array can have.
 #include <algorithm>
 #include <map>
 #include <random>
@@ -61,13 +61,14 @@ protected:
 };
 
 TEST_F(GpuMemory, MoreArraysThanAllocations) {
-    constexpr std::uint32_t kArrays = 5000;   // maxMemoryAllocationCount is 4096 on many drivers
+    constexpr std::uint32_t kArrays = 5000;  // maxMemoryAllocationCount is 4096 on many drivers
     const std::size_t blocks = n_blocks();
     const std::uint64_t held = device().allocated_bytes();
     {
         std::vector<Array<std::uint32_t>> arrays;
         Stream stream(device());
-        for (std::uint32_t i = 0; i < kArrays; ++i) stream.fill(arrays.emplace_back(device(), 1 + i % 1000, "one of many"), i);
+        for (std::uint32_t i = 0; i < kArrays; ++i)
+            stream.fill(arrays.emplace_back(device(), 1 + i % 1000, "one of many"), i);
         stream.finish();
         EXPECT_LE(n_blocks(), blocks + 2);
         for (std::uint32_t i = 0; i < kArrays; ++i)
@@ -79,7 +80,8 @@ TEST_F(GpuMemory, MoreArraysThanAllocations) {
 TEST_F(GpuMemory, EmptyBlocksAreGivenBack) {
     const std::size_t blocks = n_blocks();
     std::vector<Buffer> buffers;
-    for (int i = 0; i < 12; ++i) buffers.emplace_back(device(), gpu::MemoryPools::kBlockBytes / 3, "a third of a block");
+    for (int i = 0; i < 12; ++i)
+        buffers.emplace_back(device(), gpu::MemoryPools::kBlockBytes / 3, "a third of a block");
     EXPECT_GE(n_blocks(), blocks + 3);
     buffers.emplace_back(device(), gpu::MemoryPools::kBlockBytes * 2, "a block of its own");
     const std::size_t most = n_blocks();

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count, radix_scan, radix_scatter) against the standard
-// library: sizes around the borders of tiles and levels, counts known to the device alone, fewer keys than there is room for, strided
-// counts; nothing is written beyond the arrays.
+// Prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count,
+// radix_scan, radix_scatter) against the standard library: sizes around the borders of
+// tiles and levels, counts known to the device alone, fewer keys than there is room for,
+// strided counts; nothing is written beyond the arrays.
 #include <algorithm>
 #include <numeric>
 #include <optional>
@@ -32,10 +33,13 @@ protected:
 TEST_F(PrefixSums, OfEverySize) {
     Stream stream(device());
     PrefixSum prefix_sum(device());
-    for (const std::uint32_t n : {1u, 2u, 255u, 256u, 257u, 4095u, 4096u, 4097u, 200'000u, 4096u * 4096u + 1u}) {   // one to three levels
+    // one to three levels
+    for (const std::uint32_t n :
+         {1u, 2u, 255u, 256u, 257u, 4095u, 4096u, 4097u, 200'000u, 4096u * 4096u + 1u}) {
         const std::uint32_t stride = n < 1'000'000 ? 3 : 1;
         const Words counts = numbers(std::size_t(stride) * n + 1, 50);
-        const Array<std::uint32_t, shared::ScanCounts> in(device(), std::span<const std::uint32_t>(counts), "counts");
+        const Array<std::uint32_t, shared::ScanCounts> in(device(), std::span<const std::uint32_t>(counts),
+                                                          "counts");
         const Array<std::uint32_t, shared::ScanPrefix> out(device(), Words(n + 64, kGuard), "prefix");
         const Array<std::uint32_t, shared::ScanTotal> total(device(), Words(2, kGuard), "total");
         prefix_sum.reserve(device(), n);
@@ -57,7 +61,8 @@ TEST_F(PrefixSums, InPlace) {
     PrefixSum prefix_sum(device());
     prefix_sum.reserve(device(), n);
     Words counts = numbers(n, 9);
-    const Array<std::uint32_t, shared::ScanCounts> array(device(), std::span<const std::uint32_t>(counts), "counts");
+    const Array<std::uint32_t, shared::ScanCounts> array(device(), std::span<const std::uint32_t>(counts),
+                                                         "counts");
     prefix_sum.run(stream, {array.address()}, array.address().as<shared::ScanPrefix>(), n);
     stream.finish();
     std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
@@ -73,33 +78,44 @@ protected:
         return result;
     }
 
-    /// Sorts on the device by the low bits. @param n_keys  that the device alone knows of; of the rest nothing may be moved
+    /// Sorts on the device by the low bits. @param n_keys  that the device alone knows
+    /// of; of the rest nothing may be moved
     void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits,
                  std::optional<std::uint32_t> n_keys = {}) {
-        const auto capacity = static_cast<std::uint32_t>(keys.size()), n = std::min(n_keys.value_or(capacity), capacity);
+        const auto capacity = static_cast<std::uint32_t>(keys.size()),
+                   n = std::min(n_keys.value_or(capacity), capacity);
         Words words;
         for (const std::uint64_t key : keys)
-            for (std::uint32_t w = 0; w < key_words; ++w) words.push_back(static_cast<std::uint32_t>(key >> 32 * w));
+            for (std::uint32_t w = 0; w < key_words; ++w)
+                words.push_back(static_cast<std::uint32_t>(key >> 32 * w));
         const Array<std::uint32_t, shared::SortCount> count(device(), Words{n_keys.value_or(0)}, "count");
-        const Array<std::uint32_t, shared::SortKeys> first(device(), std::span<const std::uint32_t>(words), "keys"),
+        const Array<std::uint32_t, shared::SortKeys> first(device(), std::span<const std::uint32_t>(words),
+                                                           "keys"),
             second(device(), Words(words.size(), kGuard), "keys");
         const Array<std::uint32_t, shared::SortOrder> first_order(device(), Words(capacity, kGuard), "order"),
             second_order(device(), Words(capacity, kGuard), "order");
         const RadixSort sort(device(), capacity, key_words);
         Stream stream(device());
-        const SortSet result = sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
-                                        key_bits, n_keys ? count.address() : Address<std::uint32_t, shared::SortCount>());
+        const SortSet result = sort.run(
+            stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
+            key_bits, n_keys ? count.address() : Address<std::uint32_t, shared::SortCount>());
         stream.finish();
 
-        const std::uint64_t mask = key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
+        const std::uint64_t mask =
+            key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
         Words order(n), sorted;
         std::iota(order.begin(), order.end(), 0u);
-        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return (keys[a] & mask) < (keys[b] & mask); });
-        for (const std::uint32_t i : order) sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));
+        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
+            return (keys[a] & mask) < (keys[b] & mask);
+        });
+        for (const std::uint32_t i : order)
+            sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));
         const bool swapped = RadixSort::passes(key_bits) % 2 == 1;
         EXPECT_EQ(result.keys, (swapped ? second : first).address());
-        Words actual = (swapped ? second : first).download(), actual_order = (swapped ? second_order : first_order).download();
-        const std::string what = std::to_string(n) + " of " + std::to_string(capacity) + " keys of " + std::to_string(key_bits) + " bits";
+        Words actual = (swapped ? second : first).download(),
+              actual_order = (swapped ? second_order : first_order).download();
+        const std::string what = std::to_string(n) + " of " + std::to_string(capacity) + " keys of " +
+                                 std::to_string(key_bits) + " bits";
         EXPECT_TRUE(std::equal(sorted.begin(), sorted.end(), actual.begin())) << what;
         EXPECT_TRUE(std::equal(order.begin(), order.end(), actual_order.begin())) << what;
         EXPECT_EQ(Words(actual_order.begin() + n, actual_order.end()), Words(capacity - n, kGuard)) << what;
@@ -114,7 +130,8 @@ TEST_F(Sort, EqualsStableSort) {
 }
 
 TEST_F(Sort, AsManyAsTheDeviceKnowsOf) {
-    for (const auto& [n, capacity] : {std::pair{0u, 10u}, {1u, 5000u}, {4096u, 30'000u}, {12'345u, 30'000u}, {20'000u, 12'345u}})
+    for (const auto& [n, capacity] :
+         {std::pair{0u, 10u}, {1u, 5000u}, {4096u, 30'000u}, {12'345u, 30'000u}, {20'000u, 12'345u}})
         compare(numbers(capacity), 1, 20, n);
     compare(numbers(9000), 2, 48, 5000);
 }
@@ -129,7 +146,7 @@ TEST_F(Sort, KeepsTheOrderOfEqualKeys) {
 
 TEST_F(Sort, SortedAndReversedKeys) {
     std::vector<std::uint64_t> keys(10'000);
-    std::iota(keys.begin(), keys.end(), 0xffff'0000ull);   // the carry crosses the words
+    std::iota(keys.begin(), keys.end(), 0xffff'0000ull);  // the carry crosses the words
     compare(keys, 2, 40);
     std::reverse(keys.begin(), keys.end());
     compare(keys, 2, 40);

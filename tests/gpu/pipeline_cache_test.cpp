@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The file of compiled pipelines: written when a device closes, found by the next one, ignored where it is damaged or of another
-// driver, and no error where it cannot be written.
+// The file of compiled pipelines: written when a device closes, found by the next one,
+// ignored where it is damaged or of another driver, and no error where it cannot be
+// written.
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -29,7 +30,8 @@ std::string contents(const fs::path& path) {
 /// With the hash that its driver's bytes have now (FNV-1a, behind magic and size).
 std::string rehashed(std::string bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
-    for (std::size_t i = 24; i < bytes.size(); ++i) hash = (hash ^ static_cast<unsigned char>(bytes[i])) * 0x100000001b3u;
+    for (std::size_t i = 24; i < bytes.size(); ++i)
+        hash = (hash ^ static_cast<unsigned char>(bytes[i])) * 0x100000001b3u;
     std::memcpy(bytes.data() + 16, &hash, 8);
     return bytes;
 }
@@ -51,7 +53,8 @@ protected:
         ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "made" / "for it").c_str(), 1);
     }
     void TearDown() override {
-        for (const auto& [name, value] : before_) value.empty() ? ::unsetenv(name) : ::setenv(name, value.c_str(), 1);
+        for (const auto& [name, value] : before_)
+            value.empty() ? ::unsetenv(name) : ::setenv(name, value.c_str(), 1);
         fs::remove_all(folder);
         DeviceTest::TearDown();
     }
@@ -109,9 +112,10 @@ TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
     };
     ASSERT_EQ(rehashed(good), good);
     constexpr std::size_t kVendor = 24 + 8, kUuid = 24 + 16;
-    for (const std::string& bad : {std::string(), std::string("garbage"), std::string(1000, '\xff'), good.substr(0, 20),
-                                   good.substr(0, good.size() - 1), good + "x", good.substr(24), changed(0), changed(8), changed(16),
-                                   changed(24), rehashed(changed(kVendor)), rehashed(changed(kUuid)), changed(good.size() - 1)}) {
+    for (const std::string& bad :
+         {std::string(), std::string("garbage"), std::string(1000, '\xff'), good.substr(0, 20),
+          good.substr(0, good.size() - 1), good + "x", good.substr(24), changed(0), changed(8), changed(16),
+          changed(24), rehashed(changed(kVendor)), rehashed(changed(kUuid)), changed(good.size() - 1)}) {
         put(path, bad);
         EXPECT_EQ(open().read_bytes, 0u) << bad.size() << " bytes";
         EXPECT_EQ(contents(path).size(), good.size()) << "written anew";
@@ -120,7 +124,7 @@ TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
 
 TEST_F(PipelineCacheFile, UnwritableFoldersAreNoError) {
     put(folder / "a file", "x");
-    ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "a file").c_str(), 1);   // permissions would not stop root
+    ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "a file").c_str(), 1);  // permissions would not stop root
     EXPECT_EQ(open().read_bytes, 0u);
     EXPECT_EQ(contents(folder / "a file"), "x");
     ::setenv("RELIDAR_PIPELINE_CACHE", "/proc/relidar", 1);
@@ -141,13 +145,18 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
     EXPECT_TRUE(open().path.empty());
 }
 
-/// Kernels that are alike have one pipeline of their device, also one after the other; those that differ in anything have their own.
+/// Kernels that are alike have one pipeline of their device, also one after the other;
+/// those that differ in anything have their own.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(from_environment());
     const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
-    const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}}, of_32{{ConstantId::WORKGROUP_SIZE, 32}};
-    const auto pipeline_of = [&](const std::vector<Constant>& constants, Subgroups subgroups = Subgroups::any) {
-        return Kernel<shared::ListTouchedParams>(opened, "scene/list_touched", constants, subgroups).impl().pipeline();
+    const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}},
+        of_32{{ConstantId::WORKGROUP_SIZE, 32}};
+    const auto pipeline_of = [&](const std::vector<Constant>& constants,
+                                 Subgroups subgroups = Subgroups::any) {
+        return Kernel<shared::ListTouchedParams>(opened, "scene/list_touched", constants, subgroups)
+            .impl()
+            .pipeline();
     };
     const VkPipeline first = pipeline_of(of_64);
     EXPECT_NE(first, VK_NULL_HANDLE);
@@ -158,13 +167,15 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     EXPECT_EQ(n_made(), 3u);
     std::vector<VkPipeline> of_threads(8);
     std::vector<std::thread> threads;
-    for (VkPipeline& found : of_threads) threads.emplace_back([&] { found = pipeline_of({{ConstantId::WORKGROUP_SIZE, 128}}); });
+    for (VkPipeline& found : of_threads)
+        threads.emplace_back([&] { found = pipeline_of({{ConstantId::WORKGROUP_SIZE, 128}}); });
     for (std::thread& thread : threads) thread.join();
     for (const VkPipeline found : of_threads) EXPECT_EQ(found, of_threads[0]);
     EXPECT_EQ(n_made(), 4u);
 }
 
-/// As on a GPU: by other threads, from the making of the kernel on. Kernels may go before their pipelines are there, and never be run.
+/// As on a GPU: by other threads, from the making of the kernel on. Kernels may go before
+/// their pipelines are there, and never be run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     Device opened(from_environment());
     impl_of(opened).compiles_ahead = true;
@@ -178,7 +189,8 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     EXPECT_EQ(impl_of(opened).pipelines.by_key.size(), 3u);
     EXPECT_NE(used->impl().pipeline(), VK_NULL_HANDLE);
     EXPECT_EQ(used->impl().pipeline(), alike->impl().pipeline());
-    for (const auto& [key, made] : impl_of(opened).pipelines.by_key) EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
+    for (const auto& [key, made] : impl_of(opened).pipelines.by_key)
+        EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
 }
 
 }  // namespace

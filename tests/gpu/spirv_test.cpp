@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is done to every module of the library when it is loaded: nothing else changes, and spirv-val, where there is one, accepts the
-// result.
+// What is done to every module of the library when it is loaded: nothing else changes,
+// and spirv-val, where there is one, accepts the result.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -36,9 +36,11 @@ std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     return result;
 }
 
-/// Section of a module in which an instruction stands (SPIR-V specification, 2.4); 7 for the rest.
+/// Section of a module in which an instruction stands (SPIR-V specification, 2.4); 7 for
+/// the rest.
 int section(const Words& instruction) {
-    static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4}, {15, 5}, {16, 6}, {331, 6}};
+    static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4},
+                                                          {15, 5}, {16, 6}, {331, 6}};
     const auto found = sections.find(instruction[0] & 0xffffu);
     return found == sections.end() ? 7 : found->second;
 }
@@ -51,7 +53,8 @@ std::string text_of(const Words& extension) {
 
 TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const std::vector<Words> before = instructions(kernel.words), after = instructions(gpu::with_read_only_parameters(kernel.words));
+        const std::vector<Words> before = instructions(kernel.words),
+                                 after = instructions(gpu::with_read_only_parameters(kernel.words));
         std::vector<Words> added;
         std::size_t k = 0;
         for (const Words& instruction : after) {
@@ -60,15 +63,16 @@ TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
         }
         EXPECT_EQ(k, before.size()) << kernel.name << ": an instruction is missing";
         ASSERT_EQ(added.size(), 1u) << kernel.name;
-        EXPECT_EQ(added[0][0], 4u << 16 | 72u) << kernel.name;   // OpMemberDecorate
+        EXPECT_EQ(added[0][0], 4u << 16 | 72u) << kernel.name;  // OpMemberDecorate
         EXPECT_EQ(added[0][2], 0u) << kernel.name;
-        EXPECT_EQ(added[0][3], 24u) << kernel.name;              // NonWritable
+        EXPECT_EQ(added[0][3], 24u) << kernel.name;  // NonWritable
     }
 }
 
 TEST(SpirvModes, AreAllThatIsAddedToAModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        for (const gpu::ExecutionMode& mode : {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {
+        for (const gpu::ExecutionMode& mode :
+             {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {
             const std::vector<Words> before = instructions(kernel.words),
                                      after = instructions(gpu::with_execution_mode(kernel.words, mode));
             ASSERT_FALSE(after.empty()) << kernel.name;
@@ -81,7 +85,9 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
                 const std::uint32_t opcode = instruction[0] & 0xffffu;
                 if (opcode == kOpEntryPoint) entry = instruction;
                 if (opcode == kOpExtension && text_of(instruction) == mode.extension) ++n_extensions;
-                else if (opcode == kOpExecutionMode && instruction == Words{3u << 16 | kOpExecutionMode, entry.at(2), mode.mode}) ++n_modes;
+                else if (opcode == kOpExecutionMode &&
+                         instruction == Words{3u << 16 | kOpExecutionMode, entry.at(2), mode.mode})
+                    ++n_modes;
                 else rest.push_back(instruction);
             }
             EXPECT_EQ(n_extensions, 1) << kernel.name;
@@ -90,16 +96,27 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         }
 }
 
-/// Loads from the block of parameters, before and after the first branch of the entry point; those of other functions count as after.
+/// Loads from the block of parameters, before and after the first branch of the entry
+/// point; those of other functions count as after.
 std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
-    enum : std::uint32_t { name = 5, type_pointer = 32, function = 54, call = 57, load = 61, chain = 65, loop_merge = 246, merge = 247 };
+    enum : std::uint32_t {
+        name = 5,
+        type_pointer = 32,
+        function = 54,
+        call = 57,
+        load = 61,
+        chain = 65,
+        loop_merge = 246,
+        merge = 247
+    };
     std::uint32_t block = 0, pointer = 0, entry = 0;
     std::set<std::uint32_t> addresses, places;
     bool at_start = false;
     std::pair<int, int> n{0, 0};
     for (const Words& i : instructions(words)) {
         const std::uint32_t opcode = i[0] & 0xffffu;
-        if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock") block = i[1];
+        if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
+            block = i[1];
         if (opcode == kOpEntryPoint) entry = i[2];
         if (opcode == type_pointer && i[3] == block) pointer = i[1];
         if (opcode == function) at_start = i[2] == entry;
@@ -111,7 +128,8 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     return n;
 }
 
-/// What is indexed by a value that the device alone knows stays where it is; nothing else does.
+/// What is indexed by a value that the device alone knows stays where it is; nothing else
+/// does.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -124,13 +142,16 @@ TEST(SpirvParameters, AreReadWhereAModuleBegins) {
 }
 
 void write_module(const fs::path& file, std::span<const std::uint32_t> words) {
-    std::ofstream(file, std::ios::binary).write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
+    std::ofstream(file, std::ios::binary)
+        .write(reinterpret_cast<const char*>(words.data()), std::streamsize(4 * words.size()));
 }
 
 void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& change) {
     if (std::system("command -v spirv-val > /dev/null") != 0) GTEST_SKIP() << "no spirv-val";
-    const fs::path file = fs::temp_directory_path() / ("relidar-modules-" + std::to_string(::getpid()) + ".spv");
-    const std::string command = "spirv-val --target-env vulkan1.3 --scalar-block-layout " + file.string() + " 2>&1";
+    const fs::path file =
+        fs::temp_directory_path() / ("relidar-modules-" + std::to_string(::getpid()) + ".spv");
+    const std::string command =
+        "spirv-val --target-env vulkan1.3 --scalar-block-layout " + file.string() + " 2>&1";
     const auto complaint = [&](std::span<const std::uint32_t> words) {
         write_module(file, words);
         std::string text;
@@ -147,18 +168,25 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
 }
 
 TEST(SpirvModes, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow); });
+    expect_valid([](std::span<const std::uint32_t> words) {
+        return gpu::with_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+    });
 }
 
 TEST(SpirvParameters, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_parameters_first(gpu::with_read_only_parameters(words)); });
+    expect_valid([](std::span<const std::uint32_t> words) {
+        return gpu::with_parameters_first(gpu::with_read_only_parameters(words));
+    });
 }
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_parameters_first(gpu::with_indices_by_lane(words)); });
+    expect_valid([](std::span<const std::uint32_t> words) {
+        return gpu::with_parameters_first(gpu::with_indices_by_lane(words));
+    });
 }
 
-/// Every index into an array is a sum. The places of parameters have no index that is not constant.
+/// Every index into an array is a sum. The places of parameters have no index that is not
+/// constant.
 TEST(SpirvLanes, AreInEveryIndex) {
     enum : std::uint32_t { name = 5, type_pointer = 32, load = 61, chain = 65, add = 128, storage = 5349 };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -167,7 +195,8 @@ TEST(SpirvLanes, AreInEveryIndex) {
         int n_indices = 0;
         for (const Words& i : instructions(gpu::with_indices_by_lane(kernel.words))) {
             const std::uint32_t opcode = i[0] & 0xffffu;
-            if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock") block = i[1];
+            if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
+                block = i[1];
             if (opcode == type_pointer && i[2] == storage) addresses.insert(i[1]);
             if (opcode == type_pointer && i[2] == storage && i[3] == block) block_pointer = i[1];
             if (opcode == load && i[1] == block_pointer) parameters.insert(i[2]);
@@ -184,25 +213,33 @@ TEST(SpirvLanes, AreInEveryIndex) {
 std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
-    for (const std::uint32_t id : gpu::constant_ids(words)) constants[id] = id == id_of(ConstantId::CHUNK) ? 16u : 1u;
+    for (const std::uint32_t id : gpu::constant_ids(words))
+        constants[id] = id == id_of(ConstantId::CHUNK) ? 16u : 1u;
     constants.erase(id_of(ConstantId::WORKGROUP_SIZE));
     return constants;
 }
 
 TEST(SpirvBranches, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_branches_taken(words, {}); });
-    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_branches_taken(words, other_constants(words)); });
+    expect_valid([](std::span<const std::uint32_t> words) {
+        return gpu::with_branches_taken(words, other_constants(words));
+    });
 }
 
-/// What spirv-opt makes of a module when it is given the constants and removes what they rule out.
-std::string optimised(std::span<const std::uint32_t> words, const std::map<std::uint32_t, std::uint32_t>& constants) {
-    const fs::path file = fs::temp_directory_path() / ("relidar-branches-" + std::to_string(::getpid()) + ".spv");
+/// What spirv-opt makes of a module when it is given the constants and removes what they
+/// rule out.
+std::string optimised(std::span<const std::uint32_t> words,
+                      const std::map<std::uint32_t, std::uint32_t>& constants) {
+    const fs::path file =
+        fs::temp_directory_path() / ("relidar-branches-" + std::to_string(::getpid()) + ".spv");
     write_module(file, words);
     std::string values;
-    for (const auto& [id, value] : constants) values += std::to_string(id) + ":" + std::to_string(value) + " ";
-    const std::string command = "spirv-opt --set-spec-const-default-value='" + values + "' --freeze-spec-const " +
-                                "--fold-spec-const-op-composite --eliminate-dead-branches --eliminate-dead-functions " +
-                                "--eliminate-dead-const --compact-ids " + file.string() + " -o " + file.string() + ".out";
+    for (const auto& [id, value] : constants)
+        values += std::to_string(id) + ":" + std::to_string(value) + " ";
+    const std::string command =
+        "spirv-opt --set-spec-const-default-value='" + values + "' --freeze-spec-const " +
+        "--fold-spec-const-op-composite --eliminate-dead-branches --eliminate-dead-functions " +
+        "--eliminate-dead-const --compact-ids " + file.string() + " -o " + file.string() + ".out";
     EXPECT_EQ(std::system(command.c_str()), 0) << command;
     std::ifstream in(file.string() + ".out", std::ios::binary);
     const std::string result((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
@@ -211,7 +248,8 @@ std::string optimised(std::span<const std::uint32_t> words, const std::map<std::
     return result;
 }
 
-/// spirv-opt takes the branches that are left and removes what nothing reaches: then a kernel is the same whether ours were taken or not.
+/// spirv-opt takes the branches that are left and removes what nothing reaches: then a
+/// kernel is the same whether ours were taken or not.
 TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;

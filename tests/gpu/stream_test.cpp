@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What one submission can carry, values that come back with it, and the copy that is measured (gpu/copy).
+// What one submission can carry, values that come back with it, and the copy that is
+// measured (gpu/copy).
 #include <map>
 #include <numeric>
 #include <optional>
@@ -12,8 +13,8 @@
 #include "gpu/forced.hpp"
 #include "gpu/kernel.hpp"
 #include "gpu/prefix_sum.hpp"
-#include "gpu/stream.hpp"
 #include "gpu/shared/gpu.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
@@ -22,9 +23,11 @@ using Words = std::vector<std::uint32_t>;
 
 class StreamTest : public test::DeviceTest {};
 
-/// Each launch has its own parameters: launch i copies word i, as the sum of that one word (gpu/scan_write).
+/// Each launch has its own parameters: launch i copies word i, as the sum of that one
+/// word (gpu/scan_write).
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
-    constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;   // more than slots: memory is used again
+    // more than slots: memory is used again
+    constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;
     const Array<std::uint32_t, shared::ScanCounts> words(device(), kWords, "words");
     const Array<std::uint32_t, shared::ScanPrefix> prefix(device(), 1, "prefix");
     std::vector<Array<std::uint32_t, shared::ScanTotal>> sums;
@@ -60,20 +63,23 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
-/// gpu/copy, by which a device's memory is measured, copies what it is asked to and nothing beyond.
+/// gpu/copy, by which a device's memory is measured, copies what it is asked to and
+/// nothing beyond.
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);
-    for (std::uint32_t i = 0; i < kAll; ++i) values[i] = glm::vec4(float(i)) + glm::vec4(0.0f, 0.25f, 0.5f, 0.75f);
+    for (std::uint32_t i = 0; i < kAll; ++i)
+        values[i] = glm::vec4(float(i)) + glm::vec4(0.0f, 0.25f, 0.5f, 0.75f);
     const Array<glm::vec4, shared::CopySource> from(device(), values, "source");
-    const Array<glm::vec4, shared::CopyTarget> to(device(), std::vector<glm::vec4>(kAll, glm::vec4(-1.0f)), "target");
+    const Array<glm::vec4, shared::CopyTarget> to(device(), std::vector<glm::vec4>(kAll, glm::vec4(-1.0f)),
+                                                  "target");
     const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 256u}});
     Stream stream(device());
     run(stream, copy, kCopied, {.from = from.address(), .to = to.address(), .n = kCopied});
     stream.finish();
     for (std::uint32_t i = kCopied; i < kAll; ++i) values[i] = glm::vec4(-1.0f);
     EXPECT_EQ(to.download(), values);
-    EXPECT_GT(copy_bytes_per_s(device()).value_or(0.0), 1e8);   // no memory is slower
+    EXPECT_GT(copy_bytes_per_s(device()).value_or(0.0), 1e8);  // no memory is slower
 }
 
 TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
@@ -85,11 +91,11 @@ TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
         EXPECT_FALSE(readbacks.back().pending());
         stream.fill(array, i);
         readbacks.back().record(stream, array.buffer(), 396, 4);
-        stream.fill(array, 77u);   // after the copy
+        stream.fill(array, 77u);  // after the copy
         EXPECT_TRUE(readbacks.back().pending());
         stream.submit();
     }
-    for (std::uint32_t i = 8; i-- > 0;) {   // the last one first
+    for (std::uint32_t i = 8; i-- > 0;) {  // the last one first
         const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait(stream));
         EXPECT_EQ(Words(values, values + 99), Words(99, i));
         EXPECT_FALSE(readbacks[i].pending());
@@ -127,7 +133,7 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
 /// The validation layer's own tracking of hazards is the judge: it sees fills and copies.
 class StreamHazards : public StreamTest {
 protected:
-    std::optional<Device> hazards;   ///< a device that looks for them
+    std::optional<Device> hazards;  ///< a device that looks for them
 
     void SetUp() override {
         StreamTest::SetUp();
@@ -164,7 +170,7 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     {
         const Concurrent scope(stream);
         stream.fill(a, 5u);
-        stream.fill(a, 6u);   // planted: twice the same array
+        stream.fill(a, 6u);  // planted: twice the same array
         EXPECT_THROW(stream.submit(), Error) << "in an open scope";
     }
     stream.finish();
@@ -184,7 +190,7 @@ TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
         stream.fill(arrays[0], 1u);
         strands.choose(1);
         {
-            const Concurrent scope(stream);   // one step
+            const Concurrent scope(stream);  // one step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
@@ -198,18 +204,20 @@ TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
     copy(stream, 5, 0);
     stream.finish();
     EXPECT_EQ(validation_messages(watched), 0u);
-    for (const auto& [array, value] : std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
+    for (const auto& [array, value] :
+         std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
         EXPECT_EQ(arrays[array].download(), Words(100, value)) << array;
     EXPECT_EQ(arrays[3].download(50), Words(50, 7u));
     if (device().info().timestamps) {
         EXPECT_EQ(stream.times().milliseconds.at("fill").size(), 1u) << "three side by side";
-        EXPECT_EQ(stream.times().milliseconds.at("copy").size(), 3u) << "two side by side, one beside a write, one alone";
+        EXPECT_EQ(stream.times().milliseconds.at("copy").size(), 3u)
+            << "two side by side, one beside a write, one alone";
     }
     {
         Strands strands(stream, 2);
         stream.fill(arrays[0], 5u);
         strands.choose(1);
-        stream.fill(arrays[0], 6u);   // planted: what the other one writes
+        stream.fill(arrays[0], 6u);  // planted: what the other one writes
     }
     stream.finish();
     EXPECT_GT(validation_messages(watched), 0u) << "no barrier between strands";

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the compilers of real cards make of the program's kernels, without a card: Mesa's AMD driver compiles for the family that
-// RADV_FORCE_FAMILY names and runs nothing (docs/gpu.md). One ctest entry a family. Skipped where that driver is not installed.
+// What the compilers of real cards make of the program's kernels, without a card: Mesa's
+// AMD driver compiles for the family that RADV_FORCE_FAMILY names and runs nothing
+// (docs/gpu.md). One ctest entry a family. Skipped where that driver is not installed.
 #include <cstdlib>
 #include <set>
 #include <string>
@@ -23,16 +24,19 @@ std::string family() {
     return text ? text : "";
 }
 
-/// Waves that a kernel must leave room for. Exceptions: GCN (vega) has 64 registers a lane at four waves, RDNA2 128 and RDNA3 192, and what
-/// traces needs 84 to 128; the sums of hits with harmonics along the ray hold 64 of them in registers, or they would be read and written a
-/// hit.
+/// Waves that a kernel must leave room for. Exceptions: GCN (vega) has 64 registers a
+/// lane at four waves, RDNA2 128 and RDNA3 192, and what traces needs 84 to 128; the sums
+/// of hits with harmonics along the ray hold 64 of them in registers, or they would be
+/// read and written a hit.
 int least_waves(const PipelineStatistics& p) {
     const bool gcn = family().starts_with("vega");
-    const bool sums_harmonics = p.kernel.starts_with("diff/backward/gather@") && p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
+    const bool sums_harmonics = p.kernel.starts_with("diff/backward/gather@") &&
+                                p.constants.find("SH_PER_SURFEL=0") != std::string::npos;
     return (gcn ? 2 : 4) - (sums_harmonics ? 1 : 0);
 }
 
-/// Waves of 64 lanes that a SIMD holds at a time. On RDNA the driver counts halves of 32 lanes.
+/// Waves of 64 lanes that a SIMD holds at a time. On RDNA the driver counts halves of 32
+/// lanes.
 double waves_of_64(const PipelineStatistics& p) {
     const double waves = p.values.at("Subgroups per SIMD");
     return family().starts_with("vega") ? waves : waves / 2.0;
@@ -41,7 +45,7 @@ double waves_of_64(const PipelineStatistics& p) {
 class GpuCompilers : public ::testing::Test {
 protected:
     static std::vector<PipelineStatistics> pipelines_;
-    static std::set<std::string> suffixes_;   ///< of the variants that the devices opened would choose
+    static std::set<std::string> suffixes_;  ///< of the variants that the devices opened would choose
 
     static void compile(Traversal traversal) {
         Device device({.traversal = traversal, .compile_only = true});
@@ -56,7 +60,7 @@ protected:
         try {
             devices = list_devices();
         } catch (const DeviceError&) {
-            return;   // no such driver
+            return;  // no such driver
         }
         if (devices.empty() || devices[0].name.find("Null hardware") == std::string::npos) return;
         compile(Traversal::software);
@@ -84,13 +88,17 @@ TEST_F(GpuCompilers, EveryKernelOfTheBuildIsCompiled) {
     for (const PipelineStatistics& p : pipelines_) compiled.insert(p.kernel);
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::string text(kernel.name);
-        if (text.starts_with("diff/traversal/collect_hits") || text.find("@brute_force") != std::string::npos) continue;   // of the tests
-        if (text == "gpu/copy") continue;   // of `relidar-dev bench`
-        if (text == "diff/accel/model_radii" && !suffixes_.count("@ray_query")) continue;   // of ray query alone
-        const bool other = (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
-                           (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
-                           (text.ends_with("_atomics") && !suffixes_.count("_atomics")) ||
-                           (text.ends_with("_swap") && !suffixes_.count("_swap"));
+        // of the tests
+        if (text.starts_with("diff/traversal/collect_hits") || text.find("@brute_force") != std::string::npos)
+            continue;
+        if (text == "gpu/copy") continue;  // of `relidar-dev bench`
+        // of ray query alone
+        if (text == "diff/accel/model_radii" && !suffixes_.count("@ray_query")) continue;
+        const bool other =
+            (text.find("@software_bvh") != std::string::npos && !suffixes_.count("@software_bvh")) ||
+            (text.find("@ray_query") != std::string::npos && !suffixes_.count("@ray_query")) ||
+            (text.ends_with("_atomics") && !suffixes_.count("_atomics")) ||
+            (text.ends_with("_swap") && !suffixes_.count("_swap"));
         if (other) continue;
         EXPECT_TRUE(compiled.count(text)) << text << " is made by nothing that compile_pipelines() makes";
     }
@@ -114,8 +122,10 @@ TEST_F(GpuCompilers, WavesHideLatency) {
 
 TEST_F(GpuCompilers, SharedMemoryFitsTheSmallestDevices) {
     for (const PipelineStatistics& p : pipelines_) {
-        // Mesa keeps the stack of a ray query in shared memory: 64 B a lane that are not the kernel's.
-        const double of_query = p.kernel.find("@ray_query") != std::string::npos ? 64.0 * p.workgroup_size : 0.0;
+        // Mesa keeps the stack of a ray query in shared memory: 64 B a lane that are not
+        // the kernel's.
+        const double of_query =
+            p.kernel.find("@ray_query") != std::string::npos ? 64.0 * p.workgroup_size : 0.0;
         EXPECT_LE(p.values.at("LDS size") - of_query, 32768.0) << name(p);
     }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a random scene, its rays, dL/d(rendered), and what the double reference makes of them: image and gradients. The Python test
-// renders and differentiates the same scene through numpy and compares.
+// Writes a random scene, its rays, dL/d(rendered), and what the double reference makes of
+// them: image and gradients. The Python test renders and differentiates the same scene
+// through numpy and compares.
 //   gradient_fixture OUT.npz ray|surfel
 #include <cstdio>
 #include <string>
@@ -82,7 +83,8 @@ void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAn
     }
     for (std::size_t i = 0; i < placed.scene.instances.size(); ++i) {
         table.add("instance/model", placed.scene.instances[i].model);
-        const glm::dmat4 rows = glm::transpose(to_matrix(placed.world_from_instance[i].world_from_model));  // GLM holds columns
+        // GLM holds columns
+        const glm::dmat4 rows = glm::transpose(to_matrix(placed.world_from_instance[i].world_from_model));
         table.add("instance/pose", &rows[0][0], 16);
     }
     table.add("view_origin", scene.view_origin, 3);
@@ -91,12 +93,16 @@ void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAn
 void write_fixture(const std::string& path, ShDirection direction) {
     reference::Settings settings;
     settings.image.sh_direction = direction;
-    const test::RandomSceneOptions options{
-        .seed = 31, .actor_instances = direction == ShDirection::ray ? 2 : 1, .rays = 60};  // those of DeviceGradient
+    const test::RandomSceneOptions options{// those of DeviceGradient
+                                           .seed = 31,
+                                           .actor_instances = direction == ShDirection::ray ? 2 : 1,
+                                           .rays = 60};
     const test::RandomScene scene = test::make_random_scene(options, settings);
     settings.view_origin = scene.view_origin;
-    const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
-    const std::vector<reference::PixelGradient> upstream = test::random_upstream(scene.rays.size(), options.seed);
+    const test::SceneAndPoses placed =
+        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    const std::vector<reference::PixelGradient> upstream =
+        test::random_upstream(scene.rays.size(), options.seed);
     const reference::BruteForce hits(scene.world, settings.image, reference::Precision::double_record);
 
     Table table;
@@ -107,7 +113,8 @@ void write_fixture(const std::string& path, ShDirection direction) {
         table.add("ray/direction", scene.rays[i].direction, 3);
         add_upstream(table, upstream[i]);
         add_pixel(table, reference::render(scene.world, hits, settings, scene.rays[i], kChunk));
-        const reference::RayGradient d_ray = reference::backward(scene.world, hits, settings, scene.rays[i], kChunk, upstream[i], expected);
+        const reference::RayGradient d_ray =
+            reference::backward(scene.world, hits, settings, scene.rays[i], kChunk, upstream[i], expected);
         table.add("gradient/ray_origin", d_ray.origin, 3);
         table.add("gradient/ray_direction", d_ray.direction, 3);
     }
@@ -127,6 +134,7 @@ int main(int n_arguments, char** arguments) {
         std::fprintf(stderr, "usage: gradient_fixture OUT.npz ray|surfel\n");
         return 2;
     }
-    relidar::write_fixture(arguments[1], arguments[2] == std::string("surfel") ? relidar::ShDirection::surfel : relidar::ShDirection::ray);
+    relidar::write_fixture(arguments[1], arguments[2] == std::string("surfel") ? relidar::ShDirection::surfel
+                                                                               : relidar::ShDirection::ray);
     return 0;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exhaustive traversal, the judge of all other providers (docs/architecture.md section 6): each surfel of each instance goes
-// through the canonical function (M1, M2), the survivors are sorted by key.
+// Exhaustive traversal, the judge of all other providers (docs/architecture.md section
+// 6): each surfel of each instance goes through the canonical function (M1, M2), the
+// survivors are sorted by key.
 #include <algorithm>
 #include <stdexcept>
 
@@ -43,10 +44,12 @@ void BruteForce::collect(const Ray& ray, const HitKey& after, std::vector<Hit>& 
         if (precision_ == Precision::float_record) {
             const LocalRay<float> still = to_model(rows_[i], glm::vec3(ray.origin), glm::vec3(ray.direction));
             const LocalRay<float> local = follow(still, p.world_from_model, p.motion, ray.time_s);
-            for (std::uint32_t s = p.first; s < p.first + p.count; ++s) offer(float_hit(float_records_[s], local, model_), i, s);
+            for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
+                offer(float_hit(float_records_[s], local, model_), i, s);
         } else {
             const LocalRay<double> local = to_model(p.at(ray.time_s), ray);
-            for (std::uint32_t s = p.first; s < p.first + p.count; ++s) offer(double_hit(double_records_[s], local, model_), i, s);
+            for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
+                offer(double_hit(double_records_[s], local, model_), i, s);
         }
     }
 }

@@ -12,10 +12,11 @@ struct Point {
     glm::dvec3 position_m;
 };
 
-std::vector<Point> points(const std::vector<ChamferRay>& rays, double ChamferRay::* range) {
+std::vector<Point> points(const std::vector<ChamferRay>& rays, double ChamferRay::*range) {
     std::vector<Point> result;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        if (rays[i].*range > 0.0) result.push_back({i, rays[i].origin_m + rays[i].*range * rays[i].direction});
+        if (rays[i].*range > 0.0)
+            result.push_back({i, rays[i].origin_m + rays[i].*range * rays[i].direction});
     return result;
 }
 
@@ -30,7 +31,8 @@ const Point& nearest(const Point& query, const std::vector<Point>& cloud) {
 }  // namespace
 
 double chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated) {
-    const std::vector<Point> simulated = points(rays, &ChamferRay::simulated_m), measured = points(rays, &ChamferRay::measured_m);
+    const std::vector<Point> simulated = points(rays, &ChamferRay::simulated_m),
+                             measured = points(rays, &ChamferRay::measured_m);
     std::vector<double> d(rays.size());
     double sum = 0.0;
     const double n = double(std::min(simulated.size(), measured.size()));

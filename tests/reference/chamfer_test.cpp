@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer distance of the oracle against numbers by hand and central differences (Eq. 11).
+// Chamfer distance of the oracle against numbers by hand and central differences (Eq.
+// 11).
 #include <gtest/gtest.h>
 
 #include <random>
@@ -13,8 +14,10 @@ namespace {
 TEST(ReferenceChamfer, HandComputed) {
     const glm::dvec3 x(1, 0, 0), y(0, 1, 0);
     std::vector<double> d;
-    EXPECT_NEAR(chamfer_loss({{{}, x, 11.0, 10.0}, {{0, 0, 5}, y, 0.0, 7.0}}, &d), 1.0 + 1.0 + (121.0 + 49.0 + 25.0), 1e-12);
-    EXPECT_NEAR(d[0], 2.0 + 2.0 + 2.0 * 11.0, 1e-12) << "as query, found by its own pixel, and found by the other";
+    EXPECT_NEAR(chamfer_loss({{{}, x, 11.0, 10.0}, {{0, 0, 5}, y, 0.0, 7.0}}, &d),
+                1.0 + 1.0 + (121.0 + 49.0 + 25.0), 1e-12);
+    EXPECT_NEAR(d[0], 2.0 + 2.0 + 2.0 * 11.0, 1e-12)
+        << "as query, found by its own pixel, and found by the other";
     EXPECT_EQ(d[1], 0.0);
     EXPECT_EQ(chamfer_loss({{{}, x, 11.0, 0.0}}, &d), 0.0) << "nothing measured";
     EXPECT_EQ(chamfer_loss({{{}, x, 0.0, 3.0}}, &d), 0.0) << "nothing simulated";
@@ -39,7 +42,8 @@ TEST(ReferenceChamfer, DerivativesAgreeWithDifferences) {
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (rays[i].simulated_m > 0.0)
             table.add_row("range",
-                          test::central_differences(&rays[i].simulated_m, 1, [&] { return std::vector<double>{chamfer_loss(rays)}; }),
+                          test::central_differences(&rays[i].simulated_m, 1,
+                                                    [&] { return std::vector<double>{chamfer_loss(rays)}; }),
                           {d[i]});
     table.print("Chamfer");
     EXPECT_LE(table.worst_error(), test::kReferenceGradient);

@@ -29,7 +29,8 @@ glm::dvec3 point_of(const DensifiedSurfel& s, const glm::dvec2& z, double z_w) {
     const double w = q.x, x = q.y, y = q.z, k = q.w;
     const glm::dvec3 a_u(w * w + x * x - y * y - k * k, 2.0 * (x * y + w * k), 2.0 * (x * k - w * y));
     const glm::dvec3 a_v(2.0 * (x * y - w * k), w * w - x * x + y * y - k * k, 2.0 * (y * k + w * x));
-    return s.mean + z.x * s.scale.x * a_u + z.y * s.scale.y * a_v + z_w * s.scale_w.value_or(0.0) * glm::cross(a_u, a_v);
+    return s.mean + z.x * s.scale.x * a_u + z.y * s.scale.y * a_v +
+           z_w * s.scale_w.value_or(0.0) * glm::cross(a_u, a_v);
 }
 
 Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules& rules, std::uint32_t item) {
@@ -42,7 +43,8 @@ Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules&
     if (rules.half_size.x > 0.0) {
         bool outside[2];
         for (std::uint32_t draw = 0; draw < 2; ++draw) {
-            const glm::dvec3 p = glm::abs(point_of(s, random_normal2(rules.key, item, draw), random_normal2(rules.key, item, 4 + draw).x));
+            const glm::dvec3 p = glm::abs(point_of(s, random_normal2(rules.key, item, draw),
+                                                   random_normal2(rules.key, item, 4 + draw).x));
             outside[draw] = p.x > rules.half_size.x || p.y > rules.half_size.y || p.z > rules.half_size.z;
         }
         if (outside[0] && outside[1]) return Fate::outside;
@@ -51,14 +53,16 @@ Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules&
     return splits ? Fate::split : grows ? Fate::clone : Fate::keep;
 }
 
-std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new, std::uint32_t phase) {
+std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
+                                     std::uint32_t phase) {
     std::vector<std::uint64_t> cumulative;
     std::uint64_t total = 0;
     for (const std::uint32_t w : weight) cumulative.push_back(total += w);
     std::vector<std::uint32_t> copies(weight.size(), 0);
     for (std::uint64_t j = 0; j < n_new; ++j) {
-        const auto owner =
-            std::find_if(cumulative.begin(), cumulative.end(), [&](std::uint64_t c) { return c * n_new + phase >= (j + 1) * total; });
+        const auto owner = std::find_if(cumulative.begin(), cumulative.end(), [&](std::uint64_t c) {
+            return c * n_new + phase >= (j + 1) * total;
+        });
         ++copies.at(std::size_t(owner - cumulative.begin()));
     }
     return copies;
@@ -68,7 +72,7 @@ SharedSurfel share(double opacity, int n) {
     const double shared = 1.0 - std::pow(1.0 - opacity, 1.0 / n);
     double sum = 0.0;
     for (int i = 1; i <= n; ++i) {
-        double binomial = 1.0;   // i - 1 over k
+        double binomial = 1.0;  // i - 1 over k
         for (int k = 0; k < i; ++k) {
             sum += binomial * (k % 2 ? -1.0 : 1.0) * std::pow(shared, k + 1) / (k + 1);
             binomial *= double(i - 1 - k) / (k + 1);

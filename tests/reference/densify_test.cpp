@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The reference of densification against what it is to achieve: shared surfels blend to the opacity and integral of the one they
-// replace; random numbers are normal; copies are handed out fairly.
+// The reference of densification against what it is to achieve: shared surfels blend to
+// the opacity and integral of the one they replace; random numbers are normal; copies are
+// handed out fairly.
 #include <cmath>
 #include <numeric>
 
@@ -28,7 +29,8 @@ TEST(Sharing, KeepsOpacityAndIntegral) {
         for (const int n : {1, 2, 3, 8, 15}) {
             const SharedSurfel s = share(opacity, n);
             EXPECT_NEAR(1.0 - std::pow(1.0 - s.opacity, n), opacity, 1e-12);
-            EXPECT_NEAR(blended(s.opacity, s.scale_factor, n) / blended(opacity, 1.0, 1), 1.0, 1e-5) << opacity << " among " << n;
+            EXPECT_NEAR(blended(s.opacity, s.scale_factor, n) / blended(opacity, 1.0, 1), 1.0, 1e-5)
+                << opacity << " among " << n;
             EXPECT_LE(s.scale_factor, 1.0 + 1e-12);
         }
 }
@@ -56,7 +58,8 @@ TEST(Copies, AreExpectedNumbersRounded) {
     for (const std::uint32_t n_new : {0u, 1u, 100u, 499u, 3000u}) {
         const std::vector<std::uint32_t> copies = copies_of(weight, n_new, total / 3);
         EXPECT_EQ(std::accumulate(copies.begin(), copies.end(), 0u), n_new);
-        for (std::size_t i = 0; i < copies.size(); ++i) EXPECT_LT(std::abs(double(copies[i]) - double(weight[i]) * n_new / total), 1.0);
+        for (std::size_t i = 0; i < copies.size(); ++i)
+            EXPECT_LT(std::abs(double(copies[i]) - double(weight[i]) * n_new / total), 1.0);
     }
 }
 

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal by Embree: a two-level scene of proxy triangle pairs (M3). The filter callback sees every triangle along the ray, asks
-// the canonical function (M1, M2) and keeps the nearest `chunk` keys. Embree's own t only shortens the ray, with a margin of twice the
-// largest proxy: canonical and Embree hit lie on one ray in one proxy, so their t cannot differ by more than its diameter.
-// A model that moves is not in the top scene: its own scene is asked with the ray in the model's frame at the ray's time.
+// Traversal by Embree: a two-level scene of proxy triangle pairs (M3). The filter
+// callback sees every triangle along the ray, asks the canonical function (M1, M2) and
+// keeps the nearest `chunk` keys. Embree's own t only shortens the ray, with a margin of
+// twice the largest proxy: canonical and Embree hit lie on one ray in one proxy, so their
+// t cannot differ by more than its diameter. A model that moves is not in the top scene:
+// its own scene is asked with the ray in the model's frame at the ray's time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -10,8 +12,8 @@
 #endif
 
 #include <algorithm>
-#include <cstddef>
 #include <cmath>
+#include <cstddef>
 #include <limits>
 #include <stdexcept>
 #include <string>
@@ -27,7 +29,7 @@ using Context = RTCRayQueryContext;
 using Context = RTCIntersectContext;
 #endif
 
-constexpr double kMaxHalfSize = 1e5;   // metres: keeps Embree's vertices far below its limit of 1.8e18
+constexpr double kMaxHalfSize = 1e5;  // metres: keeps Embree's vertices far below its limit of 1.8e18
 
 template <typename Handle, void (*release)(Handle)>
 struct Released {
@@ -46,7 +48,8 @@ using Geometry = Released<RTCGeometry, rtcReleaseGeometry>;
 
 void check(RTCDevice device, const char* what) {
     const RTCError error = rtcGetDeviceError(device);
-    if (error != RTC_ERROR_NONE) throw std::runtime_error(std::string(what) + ": Embree error " + std::to_string(int(error)));
+    if (error != RTC_ERROR_NONE)
+        throw std::runtime_error(std::string(what) + ": Embree error " + std::to_string(int(error)));
 }
 
 bool all_finite(const FloatRecord& r) {
@@ -55,7 +58,8 @@ bool all_finite(const FloatRecord& r) {
     return std::all_of(values, values + 13, [](float x) { return std::isfinite(x); });
 }
 
-/// The four corners of a surfel's proxy, in the order of the loop (-,-) (+,-) (+,+) (-,+).
+/// The four corners of a surfel's proxy, in the order of the loop (-,-) (+,-) (+,+)
+/// (-,+).
 struct Quad {
     glm::dvec3 corner[4];
     double radius;
@@ -80,14 +84,15 @@ struct EmbreeFilter::State {
 
     State(const World& world, const ImageModel& image_model, const ProxyMargin& margin);
     ModelScene build_model(const World& world, const Placement& placement, const ProxyMargin& margin);
-    void fill(RTCGeometry mesh, const World& world, const std::vector<std::uint32_t>& ids, const ProxyMargin& margin);
+    void fill(RTCGeometry mesh, const World& world, const std::vector<std::uint32_t>& ids,
+              const ProxyMargin& margin);
     void place(std::uint32_t instance, RTCScene model_scene, const Pose& world_from_model);
 
     ImageModel model;
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
     std::vector<Placement> instances;
-    std::vector<ModelScene> models;   // one an instance: simple, and instances of one model are few in tests
+    std::vector<ModelScene> models;  // one an instance: simple, and instances of one model are few in tests
     double t_margin = 1e-3;
     Device device{rtcNewDevice("threads=1,set_affinity=0")};
     SceneHandle top{rtcNewScene(device.handle)};
@@ -100,15 +105,16 @@ struct Query {
     Context context;
     const FloatRecord* records;
     const ImageModel* model;
-    const std::vector<std::uint32_t>* const* ids;   // [instance]
-    const LocalRay<float>* local;                   // [instance]
+    const std::vector<std::uint32_t>* const* ids;  // [instance]
+    const LocalRay<float>* local;                  // [instance]
     HitKey after;
     std::size_t chunk;
     double t_margin;
     std::vector<Hit>* hits;
-    std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;   // the instance whose own scene is asked
+    std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;  // the instance whose own scene is asked
 
-    /// Inserts a candidate into the sorted buffer, if it is a hit, new, and among the nearest.
+    /// Inserts a candidate into the sorted buffer, if it is a hit, new, and among the
+    /// nearest.
     void offer(std::uint32_t instance, std::uint32_t triangle) {
         const std::uint32_t surfel = (*ids[instance])[triangle / 2];
         const auto hit = float_hit(records[surfel], local[instance], *model);
@@ -116,24 +122,28 @@ struct Query {
         const Hit key{double(hit->t), instance, surfel};
         if (!(after < key)) return;
         const auto at = std::lower_bound(hits->begin(), hits->end(), key);
-        if (at != hits->end() && *at == key) return;   // the other triangle of the same surfel
+        if (at != hits->end() && *at == key) return;  // the other triangle of the same surfel
         hits->insert(at, key);
         if (hits->size() > chunk) hits->pop_back();
     }
-    bool may_shorten(double t_embree) const { return hits->size() == chunk && t_embree > hits->back().t + t_margin; }
+    bool may_shorten(double t_embree) const {
+        return hits->size() == chunk && t_embree > hits->back().t + t_margin;
+    }
 };
 
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     if (args->valid[0] != -1) return;
     Query& query = *reinterpret_cast<Query*>(args->context);
     const std::uint32_t instance = RTCHitN_instID(args->hit, args->N, 0, 0);
-    query.offer(instance == RTC_INVALID_GEOMETRY_ID ? query.moving : instance, RTCHitN_primID(args->hit, args->N, 0));
+    query.offer(instance == RTC_INVALID_GEOMETRY_ID ? query.moving : instance,
+                RTCHitN_primID(args->hit, args->N, 0));
     args->valid[0] = query.may_shorten(RTCRayN_tfar(args->ray, args->N, 0)) ? -1 : 0;
 }
 
 }  // namespace
 
-EmbreeFilter::State::State(const World& world, const ImageModel& image_model, const ProxyMargin& margin) : model(image_model) {
+EmbreeFilter::State::State(const World& world, const ImageModel& image_model, const ProxyMargin& margin)
+    : model(image_model) {
     for (const Surfel& s : world.surfels) records.push_back(make_float_record(s));
     rtcSetSceneFlags(top.handle, RTC_SCENE_FLAG_ROBUST);
     for (std::uint32_t i = 0; i < world.instances.size(); ++i) {
@@ -141,13 +151,15 @@ EmbreeFilter::State::State(const World& world, const ImageModel& image_model, co
         rows.push_back(model_from_world_rows(p.world_from_model));
         instances.push_back(p);
         models.push_back(build_model(world, p, margin));
-        if (!models.back().ids.empty() && p.motion.is_none()) place(i, models.back().scene.handle, p.world_from_model);
+        if (!models.back().ids.empty() && p.motion.is_none())
+            place(i, models.back().scene.handle, p.world_from_model);
     }
     rtcCommitScene(top.handle);
     check(device.handle, "EmbreeFilter");
 }
 
-EmbreeFilter::State::ModelScene EmbreeFilter::State::build_model(const World& world, const Placement& placement,
+EmbreeFilter::State::ModelScene EmbreeFilter::State::build_model(const World& world,
+                                                                 const Placement& placement,
                                                                  const ProxyMargin& margin) {
     ModelScene result{SceneHandle(rtcNewScene(device.handle)), {}};
     for (std::uint32_t s = placement.first; s < placement.first + placement.count; ++s)
@@ -163,14 +175,16 @@ EmbreeFilter::State::ModelScene EmbreeFilter::State::build_model(const World& wo
     return result;
 }
 
-void EmbreeFilter::State::fill(RTCGeometry mesh, const World& world, const std::vector<std::uint32_t>& ids, const ProxyMargin& margin) {
+void EmbreeFilter::State::fill(RTCGeometry mesh, const World& world, const std::vector<std::uint32_t>& ids,
+                               const ProxyMargin& margin) {
     const auto new_buffer = [&](RTCBufferType type, RTCFormat format, std::size_t count) {
         void* data = rtcSetNewGeometryBuffer(mesh, type, 0, format, 12, count);
         check(device.handle, "EmbreeFilter: buffer");
         return data;
     };
     auto* vertex = static_cast<float*>(new_buffer(RTC_BUFFER_TYPE_VERTEX, RTC_FORMAT_FLOAT3, 4 * ids.size()));
-    auto* index = static_cast<std::uint32_t*>(new_buffer(RTC_BUFFER_TYPE_INDEX, RTC_FORMAT_UINT3, 2 * ids.size()));
+    auto* index =
+        static_cast<std::uint32_t*>(new_buffer(RTC_BUFFER_TYPE_INDEX, RTC_FORMAT_UINT3, 2 * ids.size()));
     for (std::uint32_t i = 0; i < ids.size(); ++i) {
         const Quad quad = make_proxy(world.surfels[ids[i]], model, margin);
         t_margin = std::max(t_margin, 2.0 * quad.radius + 1e-3);
@@ -200,7 +214,8 @@ namespace {
 void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query) {
     RTCRayHit target{};
     target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
-    target.ray.dir_x = ray.direction.x, target.ray.dir_y = ray.direction.y, target.ray.dir_z = ray.direction.z;
+    target.ray.dir_x = ray.direction.x, target.ray.dir_y = ray.direction.y,
+    target.ray.dir_z = ray.direction.z;
     target.ray.tnear = near;
     target.ray.tfar = std::numeric_limits<float>::infinity();
     target.ray.mask = ~0u;
@@ -225,13 +240,16 @@ void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std
     std::vector<LocalRay<float>> local;
     std::vector<const std::vector<std::uint32_t>*> ids;
     const glm::vec3 origin(ray.origin), direction(ray.direction);
-    const double t_margin = state_->t_margin / glm::length(ray.direction);   // t counts lengths of the direction
+    // t counts lengths of the direction
+    const double t_margin = state_->t_margin / glm::length(ray.direction);
     for (std::size_t i = 0; i < state_->rows.size(); ++i) {
         const Placement& p = state_->instances[i];
-        local.push_back(follow(to_model(state_->rows[i], origin, direction), p.world_from_model, p.motion, ray.time_s));
+        local.push_back(
+            follow(to_model(state_->rows[i], origin, direction), p.world_from_model, p.motion, ray.time_s));
         ids.push_back(&state_->models[i].ids);
     }
-    Query query{{}, state_->records.data(), &state_->model, ids.data(), local.data(), after, std::size_t(chunk), t_margin, &hits};
+    Query query{{},    state_->records.data(), &state_->model, ids.data(), local.data(),
+                after, std::size_t(chunk),     t_margin,       &hits};
     const float near = float(std::max(0.0, after.t - t_margin));
     search(state_->top.handle, {origin, direction}, near, query);
     for (std::uint32_t i = 0; i < local.size(); ++i) {

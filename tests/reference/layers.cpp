@@ -9,7 +9,8 @@ namespace {
 
 int ring(int x, int n) { return ((x % n) + n) % n; }
 
-/// Calls visit(image, out, in, row, column, tap, source row, source column) for each product of a convolution.
+/// Calls visit(image, out, in, row, column, tap, source row, source column) for each
+/// product of a convolution.
 template <class Visit>
 void for_products(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
     const int reach = taps == 1 ? 0 : 1, side = 2 * reach + 1;
@@ -25,7 +26,9 @@ void for_products(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
                     }
 }
 
-std::size_t weight_index(int o, int i, int tap, int n_in, int taps) { return (std::size_t(o) * n_in + i) * taps + tap; }
+std::size_t weight_index(int o, int i, int tap, int n_in, int taps) {
+    return (std::size_t(o) * n_in + i) * taps + tap;
+}
 
 /// Calls visit(channel, index) for each value.
 template <class Visit>
@@ -38,14 +41,17 @@ void for_values(const ImageBatch& images, Visit&& visit) {
 /// Weights of the entries of a line of n_small from which entry `at` of n_large is mixed.
 std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
     const double place = (at + 0.5) * n_small / n_large - 0.5, left = std::floor(place), share = place - left;
-    const auto entry = [&](int k) { return std::size_t(circular ? ring(k, n_small) : std::clamp(k, 0, n_small - 1)); };
+    const auto entry = [&](int k) {
+        return std::size_t(circular ? ring(k, n_small) : std::clamp(k, 0, n_small - 1));
+    };
     std::vector<double> weights(std::size_t(n_small), 0.0);
     weights[entry(int(left))] += 1.0 - share;
     weights[entry(int(left) + 1)] += share;
     return weights;
 }
 
-/// Calls visit(large row, large column, small row, small column, weight) for each weight that is not zero.
+/// Calls visit(large row, large column, small row, small column, weight) for each weight
+/// that is not zero.
 template <class Visit>
 void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&& visit) {
     std::vector<std::vector<double>> of_row, of_column;
@@ -56,7 +62,8 @@ void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&&
             if (of_row[std::size_t(y)][std::size_t(v)] == 0.0) continue;
             for (int x = 0; x < columns; ++x)
                 for (int u = 0; u < small_columns; ++u) {
-                    const double weight = of_row[std::size_t(y)][std::size_t(v)] * of_column[std::size_t(x)][std::size_t(u)];
+                    const double weight =
+                        of_row[std::size_t(y)][std::size_t(v)] * of_column[std::size_t(x)][std::size_t(u)];
                     if (weight != 0.0) visit(y, x, v, u, weight);
                 }
         }
@@ -64,10 +71,14 @@ void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&&
 
 /// A head of one image: what each pixel takes from each (softmax).
 struct Head {
-    int image, query, key, value, to, size;   ///< first channels
+    int image, query, key, value, to, size;  ///< first channels
 
     Head(int at, int channels, int heads, int image_at)
-        : image(image_at), query(at * (channels / heads)), key(channels + query), value(2 * channels + query), to(query),
+        : image(image_at),
+          query(at * (channels / heads)),
+          key(channels + query),
+          value(2 * channels + query),
+          to(query),
           size(channels / heads) {}
     double scale() const { return 1.0 / std::sqrt(double(size)); }
     static double get(const ImageBatch& images, int image, int channel, std::size_t pixel) {
@@ -77,7 +88,8 @@ struct Head {
         std::vector<double> p(qkv.pixels());
         for (std::size_t giver = 0; giver < p.size(); ++giver) {
             double score = 0.0;
-            for (int c = 0; c < size; ++c) score += get(qkv, image, query + c, taker) * get(qkv, image, key + c, giver);
+            for (int c = 0; c < size; ++c)
+                score += get(qkv, image, query + c, taker) * get(qkv, image, key + c, giver);
             p[giver] = score * scale();
         }
         const double largest = *std::max_element(p.begin(), p.end());
@@ -90,28 +102,36 @@ struct Head {
 
 }  // namespace
 
-ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights, const std::vector<double>& bias, int n_out, int taps) {
+ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
+                    const std::vector<double>& bias, int n_out, int taps) {
     ImageBatch to(from.n, n_out, from.rows, from.columns);
     if (!bias.empty()) for_values(to, [&](int c, std::size_t i) { to.values[i] = bias[std::size_t(c)]; });
-    for_products(to, from.channels, taps, [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
-        to.at(image, o, y, x) += weights[weight_index(o, i, tap, from.channels, taps)] * from.at(image, i, source_y, source_x);
-    });
+    for_products(to, from.channels, taps,
+                 [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
+                     to.at(image, o, y, x) += weights[weight_index(o, i, tap, from.channels, taps)] *
+                                              from.at(image, i, source_y, source_x);
+                 });
     return to;
 }
 
-ImageBatch convolve_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in, int taps) {
+ImageBatch convolve_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in,
+                              int taps) {
     ImageBatch d_from(d_to.n, n_in, d_to.rows, d_to.columns);
-    for_products(d_to, n_in, taps, [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
-        d_from.at(image, i, source_y, source_x) += weights[weight_index(o, i, tap, n_in, taps)] * d_to.at(image, o, y, x);
-    });
+    for_products(d_to, n_in, taps,
+                 [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
+                     d_from.at(image, i, source_y, source_x) +=
+                         weights[weight_index(o, i, tap, n_in, taps)] * d_to.at(image, o, y, x);
+                 });
     return d_from;
 }
 
 std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps) {
     std::vector<double> d(std::size_t(d_to.channels) * from.channels * taps, 0.0);
-    for_products(d_to, from.channels, taps, [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
-        d[weight_index(o, i, tap, from.channels, taps)] += d_to.at(image, o, y, x) * from.at(image, i, source_y, source_x);
-    });
+    for_products(d_to, from.channels, taps,
+                 [&](int image, int o, int i, int y, int x, int tap, int source_y, int source_x) {
+                     d[weight_index(o, i, tap, from.channels, taps)] +=
+                         d_to.at(image, o, y, x) * from.at(image, i, source_y, source_x);
+                 });
     return d;
 }
 
@@ -137,7 +157,8 @@ ImageBatch normalise(const ImageBatch& from, const Moments& moments, const NormL
     for_values(from, [&](int channel, std::size_t i) {
         const auto c = std::size_t(channel);
         const double x = (from.values[i] - moments.mean[c]) / std::sqrt(moments.variance[c] + layer.epsilon);
-        to.values[i] = std::max(layer.gamma[c] * x + layer.beta[c], 0.0) * (layer.gate.empty() ? 1.0 : layer.gate[i]);
+        to.values[i] =
+            std::max(layer.gamma[c] * x + layer.beta[c], 0.0) * (layer.gate.empty() ? 1.0 : layer.gate[i]);
     });
     return to;
 }
@@ -174,8 +195,9 @@ ImageBatch pool(const ImageBatch& from) {
         for (int c = 0; c < to.channels; ++c)
             for (int y = 0; y < to.rows; ++y)
                 for (int x = 0; x < to.columns; ++x)
-                    to.at(image, c, y, x) = std::max({from.at(image, c, 2 * y, 2 * x), from.at(image, c, 2 * y, 2 * x + 1),
-                                                      from.at(image, c, 2 * y + 1, 2 * x), from.at(image, c, 2 * y + 1, 2 * x + 1)});
+                    to.at(image, c, y, x) = std::max(
+                        {from.at(image, c, 2 * y, 2 * x), from.at(image, c, 2 * y, 2 * x + 1),
+                         from.at(image, c, 2 * y + 1, 2 * x), from.at(image, c, 2 * y + 1, 2 * x + 1)});
     return to;
 }
 
@@ -187,7 +209,8 @@ ImageBatch pool_vjp(const ImageBatch& from, const ImageBatch& d_to) {
             for (int y = 0; y < d_to.rows; ++y)
                 for (int x = 0; x < d_to.columns; ++x)
                     for (int k = 0; k < 4; ++k) {
-                        if (from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) != largest.at(image, c, y, x)) continue;
+                        if (from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) != largest.at(image, c, y, x))
+                            continue;
                         d_from.at(image, c, 2 * y + k / 2, 2 * x + k % 2) += d_to.at(image, c, y, x);
                         break;
                     }
@@ -207,7 +230,8 @@ ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns) {
     ImageBatch d_from(d_to.n, d_to.channels, rows, columns);
     for_mixed(d_to.rows, d_to.columns, rows, columns, [&](int y, int x, int v, int u, double weight) {
         for (int image = 0; image < d_to.n; ++image)
-            for (int c = 0; c < d_to.channels; ++c) d_from.at(image, c, v, u) += weight * d_to.at(image, c, y, x);
+            for (int c = 0; c < d_to.channels; ++c)
+                d_from.at(image, c, v, u) += weight * d_to.at(image, c, y, x);
     });
     return d_from;
 }
@@ -231,7 +255,9 @@ ImageBatch attend(const ImageBatch& qkv, int heads) {
 ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) {
     const int channels = qkv.channels / 3;
     ImageBatch d(qkv.n, qkv.channels, qkv.rows, qkv.columns);
-    const auto add = [&](int image, int channel, std::size_t pixel, double x) { d.values[d.index(image, channel, 0, 0) + pixel] += x; };
+    const auto add = [&](int image, int channel, std::size_t pixel, double x) {
+        d.values[d.index(image, channel, 0, 0) + pixel] += x;
+    };
     for (int job = 0; job < qkv.n * heads; ++job) {
         const Head head(job % heads, channels, heads, job / heads);
         for (std::size_t taker = 0; taker < qkv.pixels(); ++taker) {
@@ -249,8 +275,10 @@ ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) 
             for (std::size_t giver = 0; giver < shares.size(); ++giver) {
                 const double d_score = shares[giver] * (d_share[giver] - mean) * head.scale();
                 for (int c = 0; c < head.size; ++c) {
-                    add(head.image, head.query + c, taker, d_score * Head::get(qkv, head.image, head.key + c, giver));
-                    add(head.image, head.key + c, giver, d_score * Head::get(qkv, head.image, head.query + c, taker));
+                    add(head.image, head.query + c, taker,
+                        d_score * Head::get(qkv, head.image, head.key + c, giver));
+                    add(head.image, head.key + c, giver,
+                        d_score * Head::get(qkv, head.image, head.query + c, taker));
                 }
             }
         }
@@ -260,14 +288,16 @@ ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) 
 
 DropEntropy drop_entropy(const std::vector<double>& logit, const std::vector<double>& target) {
     DropEntropy result;
-    const double known = double(std::count_if(target.begin(), target.end(), [](double t) { return t >= 0.0; }));
+    const double known =
+        double(std::count_if(target.begin(), target.end(), [](double t) { return t >= 0.0; }));
     for (std::size_t i = 0; i < logit.size(); ++i) {
         const double p = 1.0 / (1.0 + std::exp(-logit[i]));
         result.probability.push_back(p);
         result.d_logit.push_back(target[i] >= 0.0 ? (p - target[i]) / known : 0.0);
         if (target[i] < 0.0) continue;
         // -log p = log(1 + exp(-x)), in the form that does not overflow for the sign of x
-        const double log_p = logit[i] < 0.0 ? logit[i] - std::log1p(std::exp(logit[i])) : -std::log1p(std::exp(-logit[i]));
+        const double log_p =
+            logit[i] < 0.0 ? logit[i] - std::log1p(std::exp(logit[i])) : -std::log1p(std::exp(-logit[i]));
         result.mean -= (target[i] * log_p + (1.0 - target[i]) * (log_p - logit[i])) / known;
         result.accuracy += ((p > 0.5) == (target[i] > 0.5) ? 1.0 : 0.0) / known;
     }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The double layers: values that can be worked out by hand, and each derivative against central differences of the layer itself.
+// The double layers: values that can be worked out by hand, and each derivative against
+// central differences of the layer itself.
 #include <cmath>
 #include <functional>
 #include <random>
@@ -32,9 +33,10 @@ double dot(const std::vector<double>& a, const std::vector<double>& b) {
     return sum;
 }
 
-/// `actual` against the differences of <asked, value()> by each of `x`, which value() reads.
-void expect_derivative(std::vector<double>& x, const std::vector<double>& actual, const std::vector<double>& asked,
-                       const std::function<std::vector<double>()>& value) {
+/// `actual` against the differences of <asked, value()> by each of `x`, which value()
+/// reads.
+void expect_derivative(std::vector<double>& x, const std::vector<double>& actual,
+                       const std::vector<double>& asked, const std::function<std::vector<double>()>& value) {
     ASSERT_EQ(x.size(), actual.size());
     double largest = 0.0;
     for (std::size_t i = 0; i < x.size(); ++i) {
@@ -55,7 +57,8 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
     from.at(0, 0, 0, 0) = 1.0;
     const std::vector<double> weights{1, 2, 3, 4, 5, 6, 7, 8, 9};
     const ImageBatch to = convolve(from, weights, {0.5}, 1, 9);
-    // what lies one column on sees it by its left tap; one before is the last column; nothing above, nothing two rows below
+    // what lies one column on sees it by its left tap; one before is the last column;
+    // nothing above, nothing two rows below
     const std::vector<double> expected{5.5, 4.5, 0.5, 6.5, 2.5, 1.5, 0.5, 3.5, 0.5, 0.5, 0.5, 0.5};
     EXPECT_EQ(to.values, expected);
 }
@@ -63,14 +66,15 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
 TEST(LayersReference, UpsamplingByHand) {
     ImageBatch from(1, 1, 1, 2);
     from.values = {0.0, 4.0};
-    const ImageBatch to = upsample(from, 2, 4);   // centres at -1/4, 1/4, 3/4, 5/4: 1/4 of the last column, then of the next
+    // centres at -1/4, 1/4, 3/4, 5/4: 1/4 of the last column, then of the next
+    const ImageBatch to = upsample(from, 2, 4);
     const std::vector<double> expected{1.0, 1.0, 3.0, 3.0, 1.0, 1.0, 3.0, 3.0};
     for (std::size_t i = 0; i < 8; ++i) EXPECT_DOUBLE_EQ(to.values[i], expected[i]) << i;
 }
 
 TEST(LayersReference, EvenAttentionIsTheMean) {
     ImageBatch qkv(1, 3, 1, 4);
-    qkv.values = {0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 10};   // queries are zero: every score is
+    qkv.values = {0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 10};  // queries are zero: every score is
     for (const double x : attend(qkv, 1).values) EXPECT_DOUBLE_EQ(x, 7.0);
 }
 
@@ -80,14 +84,16 @@ TEST(LayersReference, ConvolutionDerivatives) {
         std::vector<double> weights = random_values(std::size_t(2 * 3 * taps), 2);
         const ImageBatch asked = random_images(2, 2, 2, 5, 3);
         const auto value = [&] { return convolve(from, weights, {}, 2, taps).values; };
-        expect_derivative(from.values, convolve_input_vjp(asked, weights, 3, taps).values, asked.values, value);
+        expect_derivative(from.values, convolve_input_vjp(asked, weights, 3, taps).values, asked.values,
+                          value);
         expect_derivative(weights, convolve_weights_vjp(from, asked, taps), asked.values, value);
     }
 }
 
 TEST(LayersReference, NormalisationDerivatives) {
     ImageBatch from = random_images(2, 3, 2, 5, 4);
-    NormLayer layer{random_values(3, 5), random_values(3, 6), std::vector<double>(from.values.size(), 1.5), 1e-2};
+    NormLayer layer{random_values(3, 5), random_values(3, 6), std::vector<double>(from.values.size(), 1.5),
+                    1e-2};
     for (std::size_t i = 0; i < layer.gate.size(); i += 3) layer.gate[i] = 0.0;
     const ImageBatch asked = random_images(2, 3, 2, 5, 7);
     const auto value = [&] { return normalise(from, moments_of(from), layer).values; };
@@ -100,23 +106,30 @@ TEST(LayersReference, NormalisationDerivatives) {
 TEST(LayersReference, ResamplingDerivatives) {
     ImageBatch from = random_images(2, 2, 3, 5, 8);
     const ImageBatch small = random_images(2, 2, 1, 2, 9), large = random_images(2, 2, 7, 11, 10);
-    expect_derivative(from.values, pool_vjp(from, small).values, small.values, [&] { return pool(from).values; });
-    expect_derivative(from.values, upsample_vjp(large, 3, 5).values, large.values, [&] { return upsample(from, 7, 11).values; });
+    expect_derivative(from.values, pool_vjp(from, small).values, small.values,
+                      [&] { return pool(from).values; });
+    expect_derivative(from.values, upsample_vjp(large, 3, 5).values, large.values,
+                      [&] { return upsample(from, 7, 11).values; });
 }
 
 TEST(LayersReference, AttentionDerivative) {
     ImageBatch qkv = random_images(2, 12, 2, 3, 11);
     const ImageBatch asked = random_images(2, 4, 2, 3, 12);
-    expect_derivative(qkv.values, attend_vjp(qkv, 2, asked).values, asked.values, [&] { return attend(qkv, 2).values; });
+    expect_derivative(qkv.values, attend_vjp(qkv, 2, asked).values, asked.values,
+                      [&] { return attend(qkv, 2).values; });
 }
 
 TEST(LayersReference, EntropyDerivative) {
     std::vector<double> logit{-3.0, -0.5, 0.2, 4.0, 900.0, -900.0};
     const std::vector<double> target{1.0, 0.0, -1.0, 1.0, 0.0, 0.0}, one{1.0};
     const DropEntropy entropy = drop_entropy(logit, target);
-    EXPECT_NEAR(entropy.mean, (std::log1p(std::exp(3.0)) + std::log1p(std::exp(-0.5)) + std::log1p(std::exp(-4.0)) + 900.0) / 5.0, 1e-12);
+    EXPECT_NEAR(
+        entropy.mean,
+        (std::log1p(std::exp(3.0)) + std::log1p(std::exp(-0.5)) + std::log1p(std::exp(-4.0)) + 900.0) / 5.0,
+        1e-12);
     EXPECT_NEAR(entropy.accuracy, 3.0 / 5.0, 1e-12);
-    expect_derivative(logit, entropy.d_logit, one, [&] { return std::vector<double>{drop_entropy(logit, target).mean}; });
+    expect_derivative(logit, entropy.d_logit, one,
+                      [&] { return std::vector<double>{drop_entropy(logit, target).mean}; });
 }
 
 }  // namespace

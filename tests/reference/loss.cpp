@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loss terms of the oracle (docs/method.md section 5; M6). The cross-entropy is written with softplus, so that extreme logits
-// neither overflow nor lose their derivative: with x = drop - hit, ln(1 + e^x) - y x, derivative beta - y.
+// Loss terms of the oracle (docs/method.md section 5; M6). The cross-entropy is written
+// with softplus, so that extreme logits neither overflow nor lose their derivative: with
+// x = drop - hit, ln(1 + e^x) - y x, derivative beta - y.
 #include "loss.hpp"
 
 #include <algorithm>
@@ -15,11 +16,14 @@ double softplus(double x) { return std::max(x, 0.0) + std::log1p(std::exp(-std::
 
 }  // namespace
 
-double drop_probability(double hit_logit, double drop_logit) { return 1.0 / (1.0 + std::exp(hit_logit - drop_logit)); }
+double drop_probability(double hit_logit, double drop_logit) {
+    return 1.0 / (1.0 + std::exp(hit_logit - drop_logit));
+}
 
-LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, const LossWeights& weights, DepthKind kind,
-                        std::vector<PixelGradient>* d_pixels) {
-    if (pixels.size() != targets.size()) throw std::logic_error("evaluate_loss: pixels and targets differ in length");
+LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets,
+                        const LossWeights& weights, DepthKind kind, std::vector<PixelGradient>* d_pixels) {
+    if (pixels.size() != targets.size())
+        throw std::logic_error("evaluate_loss: pixels and targets differ in length");
     std::vector<PixelGradient> d(pixels.size());
     double n_returned = 0.0;
     for (const Target& target : targets) n_returned += target.range_m > 0.0 ? 1.0 : 0.0;
@@ -37,16 +41,21 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
         }
         if (returned) {
             const double residual = p.intensity - targets[i].intensity, delta = weights.intensity_delta;
-            const double within = std::min(std::abs(residual), delta);   // where the loss is squared; the rest is linear
-            terms.intensity += (std::abs(residual) - within + (delta > 0.0 ? within * within / (2.0 * delta) : 0.0)) / n_returned;
-            d[i].intensity = weights.intensity * sign(residual) * (within < delta ? within / delta : 1.0) / n_returned;
+            // where the loss is squared; the rest is linear
+            const double within = std::min(std::abs(residual), delta);
+            terms.intensity +=
+                (std::abs(residual) - within + (delta > 0.0 ? within * within / (2.0 * delta) : 0.0)) /
+                n_returned;
+            d[i].intensity =
+                weights.intensity * sign(residual) * (within < delta ? within / delta : 1.0) / n_returned;
         }
         const double x = p.drop_logit - p.hit_logit, y = returned ? 0.0 : 1.0;
         terms.drop += (softplus(x) - y * x) / n_rays;
         d[i].drop_logit = weights.drop * (drop_probability(p.hit_logit, p.drop_logit) - y) / n_rays;
         d[i].hit_logit = -d[i].drop_logit;
     }
-    terms.total = weights.depth * terms.depth + weights.intensity * terms.intensity + weights.drop * terms.drop;
+    terms.total =
+        weights.depth * terms.depth + weights.intensity * terms.intensity + weights.drop * terms.drop;
     if (d_pixels != nullptr) *d_pixels = std::move(d);
     return terms;
 }

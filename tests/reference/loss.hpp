@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The per-ray loss terms of docs/method.md section 5 in double, with their derivatives with respect to the rendered values:
-// L1 of depth, L1 or Huber of intensity on returned rays, cross-entropy of the ray-drop probability beta = softmax(hit, drop) (M6).
+// The per-ray loss terms of docs/method.md section 5 in double, with their derivatives
+// with respect to the rendered values:
+// L1 of depth, L1 or Huber of intensity on returned rays, cross-entropy of the ray-drop
+// probability beta = softmax(hit, drop) (M6).
 #pragma once
 
 #include <vector>
@@ -13,30 +15,33 @@ struct LossWeights {
     double depth = 0.1;
     double intensity = 0.1;
     double drop = 0.01;
-    double intensity_delta = 0.0;   ///< of the Huber loss; 0: L1
+    double intensity_delta = 0.0;  ///< of the Huber loss; 0: L1
 };
 
 /// What the depth term compares with the measured range.
-enum class DepthKind { blended, normalised };   ///< D, or D / W (the term is left out where W = 0)
+enum class DepthKind { blended, normalised };  ///< D, or D / W (the term is left out where W = 0)
 
 /// Measured ray.
 struct Target {
-    double range_m = 0.0;      ///< 0 = dropped
+    double range_m = 0.0;  ///< 0 = dropped
     double intensity = 0.0;
 };
 
 struct LossTerms {
-    double depth = 0.0;       ///< mean |depth - range| over returned rays, metres
-    double intensity = 0.0;   ///< mean |intensity - measured| over returned rays, or their Huber loss
-    double drop = 0.0;        ///< mean -[y ln beta + (1 - y) ln(1 - beta)] over all rays, y = 1 where dropped
-    double total = 0.0;       ///< weighted sum
+    double depth = 0.0;      ///< mean |depth - range| over returned rays, metres
+    double intensity = 0.0;  ///< mean |intensity - measured| over returned rays, or their Huber loss
+    double drop = 0.0;       ///< mean -[y ln beta + (1 - y) ln(1 - beta)] over all rays, y = 1 where dropped
+    double total = 0.0;      ///< weighted sum
 };
 
-/// @param d_pixels  if given, receives d(total)/d(pixel) [n]; the derivative of |x| at 0 is 0
-LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, const LossWeights& weights, DepthKind kind,
+/// @param d_pixels  if given, receives d(total)/d(pixel) [n]; the derivative of |x| at 0
+/// is 0
+LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets,
+                        const LossWeights& weights, DepthKind kind,
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
-/// Mean -ln(floor + (1 - floor) S) over returned rays, S the pixel's likelihood (M12). @param d_pixels [n] as above
+/// Mean -ln(floor + (1 - floor) S) over returned rays, S the pixel's likelihood (M12).
+/// @param d_pixels [n] as above
 double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
                        std::vector<PixelGradient>* d_pixels = nullptr);
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loss terms against hand-computed numbers and their derivatives against central differences (docs/method.md section 5, M6).
+// Loss terms against hand-computed numbers and their derivatives against central
+// differences (docs/method.md section 5, M6).
 #include <gtest/gtest.h>
 
 #include <random>
@@ -17,7 +18,8 @@ Pixel pixel(double depth, double weight, double intensity, double hit, double dr
 }
 
 TEST(ReferenceLoss, HandComputed) {
-    const std::vector<Pixel> pixels{pixel(9, 0.9, 0.4, 1, 1), pixel(5, 0.5, 0.2, 0, 0), pixel(3, 1.0, 0.7, -1, 2)};
+    const std::vector<Pixel> pixels{pixel(9, 0.9, 0.4, 1, 1), pixel(5, 0.5, 0.2, 0, 0),
+                                    pixel(3, 1.0, 0.7, -1, 2)};
     const std::vector<Target> targets{{10.5, 0.5}, {8, 0.1}, {0, 0}};
     const LossTerms blended = evaluate_loss(pixels, targets, {}, DepthKind::blended);
     EXPECT_NEAR(blended.depth, (1.5 + 3.0) / 2, 1e-12);
@@ -33,7 +35,8 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
     std::vector<Pixel> pixels;
     std::vector<Target> targets;
     for (int i = 0; i < 20; ++i) {
-        pixels.push_back(pixel(10 * uniform(random), uniform(random), uniform(random), 4 * uniform(random) - 2, 4 * uniform(random) - 2));
+        pixels.push_back(pixel(10 * uniform(random), uniform(random), uniform(random),
+                               4 * uniform(random) - 2, 4 * uniform(random) - 2));
         targets.push_back({i % 3 == 0 ? 0.0 : 10 * uniform(random), uniform(random)});
     }
     for (const DepthKind kind : {DepthKind::blended, DepthKind::normalised}) {
@@ -41,13 +44,18 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
         std::vector<PixelGradient> d;
         evaluate_loss(pixels, targets, weights, kind, &d);
         test::GradientTable table;
-        const auto total = [&] { return std::vector<double>{evaluate_loss(pixels, targets, weights, kind).total}; };
+        const auto total = [&] {
+            return std::vector<double>{evaluate_loss(pixels, targets, weights, kind).total};
+        };
         for (std::size_t i = 0; i < pixels.size(); ++i) {
             table.add_row("depth", test::central_differences(&pixels[i].depth, 1, total), {d[i].depth});
             table.add_row("weight", test::central_differences(&pixels[i].weight, 1, total), {d[i].weight});
-            table.add_row("intensity", test::central_differences(&pixels[i].intensity, 1, total), {d[i].intensity});
-            table.add_row("hit_logit", test::central_differences(&pixels[i].hit_logit, 1, total), {d[i].hit_logit});
-            table.add_row("drop_logit", test::central_differences(&pixels[i].drop_logit, 1, total), {d[i].drop_logit});
+            table.add_row("intensity", test::central_differences(&pixels[i].intensity, 1, total),
+                          {d[i].intensity});
+            table.add_row("hit_logit", test::central_differences(&pixels[i].hit_logit, 1, total),
+                          {d[i].hit_logit});
+            table.add_row("drop_logit", test::central_differences(&pixels[i].drop_logit, 1, total),
+                          {d[i].drop_logit});
         }
         table.print(kind == DepthKind::blended ? "loss on D" : "loss on D / W");
         EXPECT_LE(table.worst_error(), test::kReferenceGradient);
@@ -56,7 +64,8 @@ TEST(ReferenceLoss, DerivativesAgreeWithDifferences) {
 
 TEST(ReferenceLoss, HuberIsSquaredUpToDelta) {
     const auto of = [](double error) {
-        return evaluate_loss({pixel(1, 1, 0.5 + error, 0, 0)}, {{1, 0.5}}, {0, 1, 0, 0.2}, DepthKind::blended).intensity;
+        return evaluate_loss({pixel(1, 1, 0.5 + error, 0, 0)}, {{1, 0.5}}, {0, 1, 0, 0.2}, DepthKind::blended)
+            .intensity;
     };
     EXPECT_NEAR(of(0.1), 0.025, 1e-15);
     EXPECT_NEAR(of(-0.2), 0.1, 1e-15) << "where both parts meet";
@@ -65,30 +74,36 @@ TEST(ReferenceLoss, HuberIsSquaredUpToDelta) {
 
 TEST(ReferenceLoss, Likelihood) {
     std::vector<Pixel> pixels(4);
-    pixels[0].likelihood = 1.0, pixels[1].likelihood = 0.25, pixels[2].likelihood = 0.0, pixels[3].likelihood = 0.5;
+    pixels[0].likelihood = 1.0, pixels[1].likelihood = 0.25, pixels[2].likelihood = 0.0,
+    pixels[3].likelihood = 0.5;
     const std::vector<Target> targets{{17, 0}, {2.5, 0}, {3, 0}, {0, 0}};
-    EXPECT_NEAR(likelihood_loss(pixels, targets, 0.01), -(std::log(0.01 + 0.99 * 0.25) + std::log(0.01)) / 3, 1e-12)
+    EXPECT_NEAR(likelihood_loss(pixels, targets, 0.01), -(std::log(0.01 + 0.99 * 0.25) + std::log(0.01)) / 3,
+                1e-12)
         << "0 where the hits explain all of it, bounded where nothing does, nothing of a dropped ray";
     std::vector<PixelGradient> d;
     likelihood_loss(pixels, targets, 0.01, &d);
     test::GradientTable table;
     const auto total = [&] { return std::vector<double>{likelihood_loss(pixels, targets, 0.01)}; };
     for (std::size_t i = 0; i < pixels.size(); ++i)
-        table.add_row("likelihood", test::central_differences(&pixels[i].likelihood, 1, total), {d[i].likelihood});
+        table.add_row("likelihood", test::central_differences(&pixels[i].likelihood, 1, total),
+                      {d[i].likelihood});
     EXPECT_LE(table.worst_error(), test::kReferenceGradient);
 }
 
 TEST(ReferenceLoss, ExtremeAndDegenerateInputsStayFinite) {
-    const std::vector<Pixel> pixels{pixel(0, 0, 0, 1e4, -1e4), pixel(0, 0, 0, -1e4, 1e4), pixel(5, 1, 0, 0, 0)};
+    const std::vector<Pixel> pixels{pixel(0, 0, 0, 1e4, -1e4), pixel(0, 0, 0, -1e4, 1e4),
+                                    pixel(5, 1, 0, 0, 0)};
     const std::vector<Target> targets{{0, 0}, {4, 0.2}, {5, 0}};
     std::vector<PixelGradient> d;
     const LossTerms terms = evaluate_loss(pixels, targets, {1, 1, 1}, DepthKind::normalised, &d);
     EXPECT_NEAR(terms.drop, (2e4 + 2e4 + std::log(2.0)) / 3, 1e-6);
     EXPECT_EQ(d[1].depth, 0.0) << "W = 0: no normalised depth";
     EXPECT_EQ(d[2].depth, 0.0) << "|x| at 0";
-    for (const PixelGradient& g : d) EXPECT_TRUE(std::isfinite(g.depth + g.weight + g.intensity + g.hit_logit + g.drop_logit));
+    for (const PixelGradient& g : d)
+        EXPECT_TRUE(std::isfinite(g.depth + g.weight + g.intensity + g.hit_logit + g.drop_logit));
     std::vector<PixelGradient> none;
-    const LossTerms nothing_returned = evaluate_loss({pixel(1, 1, 1, 0, 0)}, {{0, 0}}, {}, DepthKind::blended, &none);
+    const LossTerms nothing_returned =
+        evaluate_loss({pixel(1, 1, 1, 0, 0)}, {{0, 0}}, {}, DepthKind::blended, &none);
     EXPECT_EQ(nothing_returned.depth, 0.0);
     EXPECT_EQ(none[0].depth, 0.0);
 }

@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The oracle against an image rendered by the official implementation on a GPU (../shared/bench, street(100000) under rays("kitti")):
-// M1-M5 with SH along the ray. Two kinds of outliers are known: it loses a hit at a chunk boundary on 36 of its 67,980 rays (here ray
-// 4505, 16 hits), and where two t agree to 1e-6 m its single precision may swap them, which leaves depth alone and moves the channels
-// (here rays 48280, 48705, 64090). Skipped where RELIDAR_SHARED (default: ../shared beside the repository) does not hold the file.
+// The oracle against an image rendered by the official implementation on a GPU
+// (../shared/bench, street(100000) under rays("kitti")): M1-M5 with SH along the ray. Two
+// kinds of outliers are known: it loses a hit at a chunk boundary on 36 of its 67,980
+// rays (here ray 4505, 16 hits), and where two t agree to 1e-6 m its single precision may
+// swap them, which leaves depth alone and moves the channels (here rays 48280, 48705,
+// 64090). Skipped where RELIDAR_SHARED (default: ../shared beside the repository) does
+// not hold the file.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -12,8 +15,8 @@
 #include <filesystem>
 
 #include <relidar/base/arrays.hpp>
-#include "scene/benchmark_street.hpp"
 #include <relidar/scene/scene.hpp>
+#include "scene/benchmark_street.hpp"
 
 #include "../support/surfels.hpp"
 #include "../support/tolerances.hpp"
@@ -34,8 +37,9 @@ struct PeerImage {
     explicit PeerImage(const std::filesystem::path& path) {
         for (const NamedArray& array : read_npz(path)) {
             const std::pair<const char*, std::vector<float>*> wanted[] = {
-                {"dirs", &directions},       {"depth", &depth},   {"intensity", &intensity}, {"hit_logit", &hit_logit},
-                {"drop_logit", &drop_logit}, {"weight", &weight}, {"T", &transmittance}};
+                {"dirs", &directions},     {"depth", &depth},           {"intensity", &intensity},
+                {"hit_logit", &hit_logit}, {"drop_logit", &drop_logit}, {"weight", &weight},
+                {"T", &transmittance}};
             for (const auto& [name, values] : wanted)
                 if (array.name == name) *values = array.as_float();
         }
@@ -50,13 +54,15 @@ struct Differences {
     void add(const Pixel& p, const PeerImage& peer, std::size_t i) {
         const double depth_error = std::abs(p.depth - double(peer.depth[i]));
         double channel_error = 0.0;
-        for (const auto& [mine, theirs] : {std::pair{p.intensity, peer.intensity[i]}, std::pair{p.hit_logit, peer.hit_logit[i]},
-                                           std::pair{p.drop_logit, peer.drop_logit[i]}, std::pair{p.weight, peer.weight[i]},
-                                           std::pair{p.transmittance, peer.transmittance[i]}})
+        for (const auto& [mine, theirs] :
+             {std::pair{p.intensity, peer.intensity[i]}, std::pair{p.hit_logit, peer.hit_logit[i]},
+              std::pair{p.drop_logit, peer.drop_logit[i]}, std::pair{p.weight, peer.weight[i]},
+              std::pair{p.transmittance, peer.transmittance[i]}})
             channel_error = std::max(channel_error, std::abs(mine - double(theirs)));
         if (depth_error > test::kPeerDepth_m || channel_error > test::kPeerChannel) {
             ++outliers;
-            std::printf("  ray %zu: depth differs by %.3e m, channels by %.3e\n", i, depth_error, channel_error);
+            std::printf("  ray %zu: depth differs by %.3e m, channels by %.3e\n", i, depth_error,
+                        channel_error);
             return;
         }
         depth_m = std::max(depth_m, depth_error);
@@ -77,11 +83,12 @@ protected:
         const std::vector<Ray> rays = test::to_reference(test::to_world_rays(make_benchmark_rays("kitti")));
         Differences differences;
         for (std::size_t i = 17; i < rays.size(); i += stride) {
-            for (int axis = 0; axis < 3; ++axis) EXPECT_EQ(float(rays[i].direction[axis]), peer.directions[3 * i + std::size_t(axis)]);
+            for (int axis = 0; axis < 3; ++axis)
+                EXPECT_EQ(float(rays[i].direction[axis]), peer.directions[3 * i + std::size_t(axis)]);
             differences.add(render(world, provider, Settings{}, rays[i], 16), peer, i);
         }
-        std::printf("  largest difference: depth %.3e m, channels %.3e, outliers %d\n", differences.depth_m, differences.channel,
-                    differences.outliers);
+        std::printf("  largest difference: depth %.3e m, channels %.3e, outliers %d\n", differences.depth_m,
+                    differences.channel, differences.outliers);
         return differences;
     }
 
@@ -92,13 +99,13 @@ protected:
 
 TEST_F(PeerImageTest, DoubleBruteForceOn200Rays) {
     const Differences d = compare(BruteForce(world, {}, Precision::double_record), PeerImage(path), 339);
-    EXPECT_LE(d.outliers, 1);   // none was seen
+    EXPECT_LE(d.outliers, 1);  // none was seen
     EXPECT_GT(d.depth_m, 0.0) << "nothing was compared";
 }
 
 TEST_F(PeerImageTest, EmbreeOn4000Rays) {
     const Differences d = compare(EmbreeFilter(world, {}), PeerImage(path), 17);
-    EXPECT_LE(d.outliers, 8);   // about 2 lost hits and some swaps are expected
+    EXPECT_LE(d.outliers, 8);  // about 2 lost hits and some swaps are expected
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward half of the oracle: shading of a hit (M1, M2, SH) and blending nearest first (M4, M5), in chunks as a GPU does it and
-// over the complete list. The two differ only in how hits are fetched.
+// Forward half of the oracle: shading of a hit (M1, M2, SH) and blending nearest first
+// (M4, M5), in chunks as a GPU does it and over the complete list. The two differ only in
+// how hits are fetched.
 #include "render.hpp"
 
 #include <algorithm>
@@ -18,7 +19,7 @@ public:
     bool add(const ShadedHit& s) {
         const double next = pixel_.transmittance * (1.0 - s.alpha);
         if (next < transmittance_min_) return false;
-        const double w = s.alpha * pixel_.transmittance;   // M4
+        const double w = s.alpha * pixel_.transmittance;  // M4
         pixel_.depth += w * s.t;
         pixel_.weight += w;
         pixel_.intensity += w * s.value[0];
@@ -29,9 +30,10 @@ public:
             pixel_.median_depth = s.t;
             pixel_.instance = s.hit.instance;
         }
-        for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);   // M10, pair by pair
+        // M10, pair by pair
+        for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);
         blended_.emplace_back(w, s.t);
-        pixel_.likelihood += w * range_kernel(settings_, ray_, s.t).value;   // M12
+        pixel_.likelihood += w * range_kernel(settings_, ray_, s.t).value;  // M12
         pixel_.normal += w * s.normal;
         pixel_.transmittance = next;
         pixel_.hits += 1;
@@ -51,14 +53,15 @@ private:
     double transmittance_min_;
     double drop_sum_ = 0.0;
     Pixel pixel_;
-    std::vector<std::pair<double, double>> blended_;   // w, t
+    std::vector<std::pair<double, double>> blended_;  // w, t
 };
 
 }  // namespace
 
 double inner_product(const PixelGradient& g, const Pixel& p) {
-    return g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit + g.drop_logit * p.drop_logit +
-           glm::dot(g.normal, p.normal) + g.distortion * p.distortion + g.likelihood * p.likelihood;
+    return g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit +
+           g.drop_logit * p.drop_logit + glm::dot(g.normal, p.normal) + g.distortion * p.distortion +
+           g.likelihood * p.likelihood;
 }
 
 RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t) {
@@ -75,7 +78,7 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     const LocalRay<double> local = to_model(pose, ray);
     ShadedHit s{};
     s.hit = hit;
-    const PlaneHit<double> met = meet(make_record(surfel), local);   // M1, M2 or M9
+    const PlaneHit<double> met = meet(make_record(surfel), local);  // M1, M2 or M9
     s.t = met.t, s.u = met.u, s.v = met.v, s.w = met.w;
     s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v + s.w * s.w));
     const glm::dvec3 normal = a.rotation[2];
@@ -84,8 +87,11 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     const double alpha_max = double(settings.image.alpha_max);
     s.alpha_clamped = a.opacity * s.gauss > alpha_max;
     s.alpha = s.alpha_clamped ? alpha_max : a.opacity * s.gauss;
-    const glm::dvec3 view = to_model(world.instances[hit.instance].world_from_model, {settings.view_origin, glm::dvec3(0.0)}).origin;
-    const glm::dvec3 direction = settings.image.sh_direction == ShDirection::ray ? local.direction : glm::normalize(a.mean - view);
+    const glm::dvec3 view =
+        to_model(world.instances[hit.instance].world_from_model, {settings.view_origin, glm::dvec3(0.0)})
+            .origin;
+    const glm::dvec3 direction =
+        settings.image.sh_direction == ShDirection::ray ? local.direction : glm::normalize(a.mean - view);
     s.value = sh_values(surfel, direction, settings.image.sh_degree);
     s.raw_intensity = s.value[0];
     s.intensity_clamped = s.raw_intensity < 0.0;
@@ -94,8 +100,8 @@ ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, co
     return s;
 }
 
-Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
-             std::vector<ShadedHit>* blended) {
+Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
+             int chunk, std::vector<ShadedHit>* blended) {
     Blend blend(settings, ray);
     std::vector<Hit> hits;
     HitKey after;
@@ -111,8 +117,8 @@ Pixel render(const World& world, const HitProvider& provider, const Settings& se
     return blend.finish();
 }
 
-Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
-                         std::vector<ShadedHit>* blended) {
+Pixel render_all_at_once(const World& world, const HitProvider& provider, const Settings& settings,
+                         const Ray& ray, std::vector<ShadedHit>* blended) {
     Blend blend(settings, ray);
     std::vector<Hit> hits;
     provider.next_hits(ray, HitKey{}, std::numeric_limits<int>::max(), hits);

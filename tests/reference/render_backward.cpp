@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward half of the oracle. M7 turns dL/d(pixel) into dL/d(alpha), dL/d(t) and dL/d(channels) of each blended hit; M8 carries
-// these through the ray-plane intersection to the surfel's parameters, the ray, the view origin and the instance's pose.
+// Backward half of the oracle. M7 turns dL/d(pixel) into dL/d(alpha), dL/d(t) and
+// dL/d(channels) of each blended hit; M8 carries these through the ray-plane intersection
+// to the surfel's parameters, the ray, the view origin and the instance's pose.
 #include "render.hpp"
 
 namespace relidar::reference {
@@ -9,9 +10,9 @@ namespace {
 /// Upstream of one hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;   // direct part g_D w; what flows through u, v is added with the geometry
+    double t = 0.0;  // direct part g_D w; what flows through u, v is added with the geometry
     glm::dvec3 value{0.0};
-    glm::dvec3 normal{0.0};   // world
+    glm::dvec3 normal{0.0};  // world
 };
 
 /// Gradients of a hit's geometry in the model's frame.
@@ -19,10 +20,11 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Distortion, blended normal and likelihood (M10-M12), pair by pair the first: dL/dw_i is what a unit of weight is worth, and alpha_i
-/// makes w_i from T_i while it takes the same share of every weight behind.
-void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels, const PixelGradient& g,
-                  std::vector<HitGradient>& result) {
+/// Distortion, blended normal and likelihood (M10-M12), pair by pair the first: dL/dw_i
+/// is what a unit of weight is worth, and alpha_i makes w_i from T_i while it takes the
+/// same share of every weight behind.
+void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels,
+                  const PixelGradient& g, std::vector<HitGradient>& result) {
     std::vector<double> transmittance, w, d_w(hits.size(), 0.0);
     for (const ShadedHit& s : hits) {
         transmittance.push_back(w.empty() ? 1.0 : transmittance.back() * (1.0 - hits[w.size() - 1].alpha));
@@ -33,21 +35,26 @@ void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKer
         result[i].t += g.likelihood * w[i] * kernels[i].slope;
         for (std::size_t j = 0; j < hits.size(); ++j) {
             d_w[i] += g.distortion * w[j] * std::abs(hits[i].t - hits[j].t);
-            result[i].t += g.distortion * w[i] * w[j] * (hits[i].t > hits[j].t ? 1.0 : hits[i].t < hits[j].t ? -1.0 : 0.0);
+            result[i].t += g.distortion * w[i] * w[j] *
+                           (hits[i].t > hits[j].t   ? 1.0
+                            : hits[i].t < hits[j].t ? -1.0
+                                                    : 0.0);
         }
     }
     for (std::size_t i = 0; i < hits.size(); ++i) {
         result[i].alpha += transmittance[i] * d_w[i];
-        for (std::size_t k = i + 1; k < hits.size(); ++k) result[i].alpha -= w[k] * d_w[k] / (1.0 - hits[i].alpha);
+        for (std::size_t k = i + 1; k < hits.size(); ++k)
+            result[i].alpha -= w[k] * d_w[k] / (1.0 - hits[i].alpha);
     }
 }
 
 /// M7, front to back: needs the final pixel, the running sums and T before each hit.
-std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels, const Pixel& pixel,
+std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits,
+                                       const std::vector<RangeKernel>& kernels, const Pixel& pixel,
                                        const PixelGradient& g) {
     std::vector<HitGradient> result(hits.size());
     double transmittance = 1.0;
-    Pixel sum;   // C_{<=i}: without any background
+    Pixel sum;  // C_{<=i}: without any background
     sum.drop_logit = 0.0;
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
@@ -57,8 +64,11 @@ std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const
         sum.intensity += w * s.value[0];
         sum.hit_logit += w * s.value[1];
         sum.drop_logit += w * s.value[2];
-        const auto slope = [&](double c, double total, double so_far) { return transmittance * c - (total - so_far) / (1.0 - s.alpha); };
-        result[i].alpha = g.depth * slope(s.t, pixel.depth, sum.depth) + g.weight * slope(1.0, pixel.weight, sum.weight) +
+        const auto slope = [&](double c, double total, double so_far) {
+            return transmittance * c - (total - so_far) / (1.0 - s.alpha);
+        };
+        result[i].alpha = g.depth * slope(s.t, pixel.depth, sum.depth) +
+                          g.weight * slope(1.0, pixel.weight, sum.weight) +
                           g.intensity * slope(s.value[0], pixel.intensity, sum.intensity) +
                           g.hit_logit * slope(s.value[1], pixel.hit_logit, sum.hit_logit) +
                           g.drop_logit * slope(s.value[2], pixel.drop_logit, sum.drop_logit);
@@ -74,8 +84,9 @@ std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const
 }
 
 /// Channels: to the SH coefficients and to the direction they are evaluated in.
-void value_backward(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray, const glm::dvec3& view,
-                    const glm::dvec3& d_value, Surfel& d_surfel, LocalGradient& d_local) {
+void value_backward(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray,
+                    const glm::dvec3& view, const glm::dvec3& d_value, Surfel& d_surfel,
+                    LocalGradient& d_local) {
     const bool along_ray = settings.image.sh_direction == ShDirection::ray;
     const glm::dvec3 to_mean = surfel.mean - view;
     const glm::dvec3 direction = along_ray ? ray.direction : glm::normalize(to_mean);
@@ -91,20 +102,24 @@ void value_backward(const Surfel& surfel, const Settings& settings, const LocalR
     if (along_ray) {
         d_local.direction += d_direction;
     } else {
-        const glm::dvec3 d_to_mean = (d_direction - direction * glm::dot(direction, d_direction)) / glm::length(to_mean);
+        const glm::dvec3 d_to_mean =
+            (d_direction - direction * glm::dot(direction, d_direction)) / glm::length(to_mean);
         d_surfel.mean += d_to_mean;
         d_local.view -= d_to_mean;
     }
 }
 
-/// Opacity and geometry of a 3D Gaussian (M9) by its precision matrix M = R diag(1 / s^2) R^T: with q = mean - origin
+/// Opacity and geometry of a 3D Gaussian (M9) by its precision matrix M = R diag(1 / s^2)
+/// R^T: with q = mean - origin
 ///   t = d.Mq / d.Md,  p = t d - q,  alpha = sigma exp(-p.Mp / 2),  d.Mp = 0
-void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g, Surfel& d_surfel,
-                       LocalGradient& d_local) {
+void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
+                       const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
-    const glm::dvec3 scale(a.scale, *a.scale_w), inverse2 = 1.0 / (scale * scale), d = ray.direction, q = a.mean - ray.origin;
-    const glm::dmat3 diagonal(glm::dvec3(inverse2.x, 0, 0), glm::dvec3(0, inverse2.y, 0), glm::dvec3(0, 0, inverse2.z));
+    const glm::dvec3 scale(a.scale, *a.scale_w), inverse2 = 1.0 / (scale * scale), d = ray.direction,
+                                                 q = a.mean - ray.origin;
+    const glm::dmat3 diagonal(glm::dvec3(inverse2.x, 0, 0), glm::dvec3(0, inverse2.y, 0),
+                              glm::dvec3(0, 0, inverse2.z));
     const glm::dmat3 precision = a.rotation * diagonal * glm::transpose(a.rotation);
     const glm::dvec3 p = s.t * d - q;
     const double d_r2 = -0.5 * g.alpha * a.opacity * s.gauss, e = g.t / glm::dot(d, precision * d);
@@ -112,29 +127,34 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += precision * (2.0 * d_r2 * s.t * p + e * (q - 2.0 * s.t * d));
-    const glm::dmat3 d_precision = d_r2 * glm::outerProduct(p, p) - 0.5 * e * (glm::outerProduct(d, p) + glm::outerProduct(p, d));
+    const glm::dmat3 d_precision =
+        d_r2 * glm::outerProduct(p, p) - 0.5 * e * (glm::outerProduct(d, p) + glm::outerProduct(p, d));
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, 2.0 * d_precision * a.rotation * diagonal);
-    const auto d_log_scale = [&](int k) { return -2.0 * inverse2[k] * glm::dot(a.rotation[k], d_precision * a.rotation[k]); };
+    const auto d_log_scale = [&](int k) {
+        return -2.0 * inverse2[k] * glm::dot(a.rotation[k], d_precision * a.rotation[k]);
+    };
     d_surfel.log_scale += glm::dvec2(d_log_scale(0), d_log_scale(1));
     *d_surfel.log_scale_w += d_log_scale(2);
 }
 
-/// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
+/// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q
+/// with q = mean - origin, t = n.q / n.d.
 /// @param d_normal  dL/d(normal), model frame, beside what flows through t
-void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s, const HitGradient& g,
-                       const glm::dvec3& d_normal, Surfel& d_surfel, LocalGradient& d_local) {
+void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
+                       const HitGradient& g, const glm::dvec3& d_normal, Surfel& d_surfel,
+                       LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
     const double d_v = -g.alpha * a.opacity * s.gauss * s.v;
-    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);   // u falls as 1 / s_u
+    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);  // u falls as 1 / s_u
 
     const glm::dvec3 normal = a.rotation[2];
     const double facing = glm::dot(normal, ray.direction);
     const glm::dvec3 p = s.t * ray.direction - (a.mean - ray.origin);
     const glm::dvec3 d_p = a.rotation[0] * (d_u / a.scale.x) + a.rotation[1] * (d_v / a.scale.y);
-    const double d_t = g.t + glm::dot(ray.direction, d_p);      // p moves by d
-    const glm::dvec3 d_q = normal * (d_t / facing) - d_p;       // dt/dmean = n / (n.d)
+    const double d_t = g.t + glm::dot(ray.direction, d_p);  // p moves by d
+    const glm::dvec3 d_q = normal * (d_t / facing) - d_p;   // dt/dmean = n / (n.d)
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
@@ -143,10 +163,12 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 
-/// From the model's frame to the world: x_m = R^T (x_w - translation), and R -> exp([w]x) R turns x_m by -R^T (w cross ...).
-/// A model that moves is changed in its own axes, alike for all rays: PoseGradient says how.
-void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin, const LocalGradient& d_local,
-                   PoseGradient& d_pose, RayGradient& d_ray, glm::dvec3& d_view) {
+/// From the model's frame to the world: x_m = R^T (x_w - translation), and R -> exp([w]x)
+/// R turns x_m by -R^T (w cross ...). A model that moves is changed in its own axes,
+/// alike for all rays: PoseGradient says how.
+void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin,
+                   const LocalGradient& d_local, PoseGradient& d_pose, RayGradient& d_ray,
+                   glm::dvec3& d_view) {
     const Pose pose = placed.at(ray.time_s), &viewed = placed.world_from_model;
     const glm::dvec3 origin = pose.rotation * d_local.origin, direction = pose.rotation * d_local.direction,
                      view = viewed.rotation * d_local.view;
@@ -154,22 +176,22 @@ void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& vi
     d_ray.direction += direction;
     d_view += view;
     d_pose.translation -= placed.unturned(ray.time_s) * origin + view;
-    d_pose.rotation -=
-        placed.unturned(ray.time_s) * (glm::cross(ray.origin - pose.translation, origin) + glm::cross(ray.direction, direction)) +
-        glm::cross(view_origin - viewed.translation, view);
+    d_pose.rotation -= placed.unturned(ray.time_s) * (glm::cross(ray.origin - pose.translation, origin) +
+                                                      glm::cross(ray.direction, direction)) +
+                       glm::cross(view_origin - viewed.translation, view);
 }
 
 }  // namespace
 
 Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
-        surfels[i].rotation = glm::dvec4(0.0);   // Surfel's default is the identity rotation
+        surfels[i].rotation = glm::dvec4(0.0);  // Surfel's default is the identity rotation
         if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
     }
 }
 
-RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray, int chunk,
-                     const PixelGradient& d_pixel, Gradients& gradients) {
+RayGradient backward(const World& world, const HitProvider& provider, const Settings& settings,
+                     const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients) {
     std::vector<ShadedHit> hits;
     const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
     std::vector<RangeKernel> kernels;
@@ -182,7 +204,8 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         const Placement& placed = world.instances[s.hit.instance];
         const Pose pose = placed.at(ray.time_s);
         const LocalRay<double> local = to_model(pose, ray);
-        const glm::dvec3 view = to_model(placed.world_from_model, {settings.view_origin, glm::dvec3(0.0)}).origin;
+        const glm::dvec3 view =
+            to_model(placed.world_from_model, {settings.view_origin, glm::dvec3(0.0)}).origin;
         Surfel& d_surfel = gradients.surfels[s.hit.surfel];
         LocalGradient d_local;
         glm::dvec3 d_value = d_hits[i].value;
@@ -191,12 +214,14 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         if (surfel.log_scale_w) {
             gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
         } else {
-            const glm::dvec3 d_normal = s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
+            const glm::dvec3 d_normal =
+                s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
             geometry_backward(surfel, local, s, d_hits[i], d_normal, d_surfel, d_local);
-            gradients.instances[s.hit.instance].rotation +=   // n turns with the model
+            gradients.instances[s.hit.instance].rotation +=  // n turns with the model
                 placed.unturned(ray.time_s) * glm::cross(s.normal, d_hits[i].normal);
         }
-        pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray, gradients.view_origin);
+        pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray,
+                      gradients.view_origin);
     }
     return d_ray;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// S as a function of the window's raw moments E[x], E[xx], E[xy], as the equation is written; double has the digits for it.
+// S as a function of the window's raw moments E[x], E[xx], E[xy], as the equation is
+// written; double has the digits for it.
 #include "ssim.hpp"
 
 #include <cmath>
@@ -24,7 +25,8 @@ std::vector<Neighbour> window(const Image& image, int row, int column) {
             if (r < 0 || r >= image.rows || at < 0 || at >= image.columns) continue;
             const std::size_t pixel = std::size_t(r) * std::size_t(image.columns) + std::size_t(at);
             if (!image.known[pixel]) continue;
-            const double weight = std::exp(-((r - row) * (r - row) + (c - column) * (c - column)) / (2.0 * 1.5 * 1.5));
+            const double weight =
+                std::exp(-((r - row) * (r - row) + (c - column) * (c - column)) / (2.0 * 1.5 * 1.5));
             result.push_back({pixel, weight});
             sum += weight;
         }
@@ -33,17 +35,21 @@ std::vector<Neighbour> window(const Image& image, int row, int column) {
 }
 
 /// S of one window; adds scale * dS/dx.
-double similarity(const Image& image, const std::vector<Neighbour>& neighbours, double scale, std::vector<double>& d_x) {
+double similarity(const Image& image, const std::vector<Neighbour>& neighbours, double scale,
+                  std::vector<double>& d_x) {
     double ex = 0, ey = 0, exx = 0, eyy = 0, exy = 0;
     for (const auto& [q, w] : neighbours) {
         const double x = image.x[q], y = image.y[q];
         ex += w * x, ey += w * y, exx += w * x * x, eyy += w * y * y, exy += w * x * y;
     }
     const double c1 = 0.01 * 0.01, c2 = 0.03 * 0.03;
-    const double a1 = 2 * ex * ey + c1, a2 = 2 * (exy - ex * ey) + c2, b1 = ex * ex + ey * ey + c1, b2 = exx - ex * ex + eyy - ey * ey + c2;
+    const double a1 = 2 * ex * ey + c1, a2 = 2 * (exy - ex * ey) + c2, b1 = ex * ex + ey * ey + c1,
+                 b2 = exx - ex * ex + eyy - ey * ey + c2;
     const double s = a1 * a2 / (b1 * b2);
-    const double d_ex = 2 * ey * (a2 - a1) / (b1 * b2) - 2 * ex * s * (1 / b1 - 1 / b2), d_exx = -s / b2, d_exy = 2 * a1 / (b1 * b2);
-    for (const auto& [q, w] : neighbours) d_x[q] += scale * w * (d_ex + 2 * image.x[q] * d_exx + image.y[q] * d_exy);
+    const double d_ex = 2 * ey * (a2 - a1) / (b1 * b2) - 2 * ex * s * (1 / b1 - 1 / b2), d_exx = -s / b2,
+                 d_exy = 2 * a1 / (b1 * b2);
+    for (const auto& [q, w] : neighbours)
+        d_x[q] += scale * w * (d_ex + 2 * image.x[q] * d_exx + image.y[q] * d_exy);
     return s;
 }
 

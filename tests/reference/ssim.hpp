@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of two intensity images (Wang et al. 2004) over a window of 11 x 11 pixels, Gaussian of 1.5 pixels, normalised
-// over the known pixels it holds (docs/method.md section 5), in double, with its derivative.
+// Structural similarity of two intensity images (Wang et al. 2004) over a window of 11 x
+// 11 pixels, Gaussian of 1.5 pixels, normalised over the known pixels it holds
+// (docs/method.md section 5), in double, with its derivative.
 #pragma once
 
 #include <vector>
@@ -10,10 +11,10 @@ namespace relidar::reference {
 struct Image {
     int rows = 0;
     int columns = 0;
-    bool circular = false;       ///< the first column follows the last one
-    std::vector<double> x;       ///< [rows,columns] rendered
-    std::vector<double> y;       ///< [rows,columns] measured
-    std::vector<bool> known;     ///< [rows,columns] others take no part
+    bool circular = false;    ///< the first column follows the last one
+    std::vector<double> x;    ///< [rows,columns] rendered
+    std::vector<double> y;    ///< [rows,columns] measured
+    std::vector<bool> known;  ///< [rows,columns] others take no part
 };
 
 /// @param d_x  if given, receives the derivative by x [rows,columns]

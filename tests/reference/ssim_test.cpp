@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of the oracle: against scipy's separable correlation, against central differences, and in cases known by hand.
+// Structural similarity of the oracle: against scipy's separable correlation, against
+// central differences, and in cases known by hand.
 #include <gtest/gtest.h>
 
 #include <random>
@@ -21,8 +22,8 @@ Image waves(bool circular) {
     return image;
 }
 
-/// 1 - S averaged where known, with scipy.ndimage.correlate1d over columns ("wrap" or "constant") and rows ("constant"), moments
-/// divided by the same filter of the mask.
+/// 1 - S averaged where known, with scipy.ndimage.correlate1d over columns ("wrap" or
+/// "constant") and rows ("constant"), moments divided by the same filter of the mask.
 TEST(ReferenceSsim, AgreesWithScipy) {
     EXPECT_NEAR(ssim_loss(waves(true)), 0.0632199605965267, 1e-12);
     EXPECT_NEAR(ssim_loss(waves(false)), 0.06353378196252815, 1e-12);
@@ -36,7 +37,8 @@ TEST(ReferenceSsim, KnownCases) {
     EXPECT_EQ(ssim_loss(image), 0.0) << "nothing known";
     image.known[20] = true;
     image.x[20] = 0.2, image.y[20] = 0.6;
-    EXPECT_NEAR(ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12) << "one pixel: its luminance alone";
+    EXPECT_NEAR(ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12)
+        << "one pixel: its luminance alone";
 }
 
 TEST(ReferenceSsim, DerivativesAgreeWithDifferences) {
@@ -46,7 +48,10 @@ TEST(ReferenceSsim, DerivativesAgreeWithDifferences) {
         ssim_loss(image, &d);
         test::GradientTable table;
         for (std::size_t i = 0; i < image.x.size(); ++i)
-            table.add_row("x", test::central_differences(&image.x[i], 1, [&] { return std::vector<double>{ssim_loss(image)}; }), {d[i]});
+            table.add_row("x",
+                          test::central_differences(&image.x[i], 1,
+                                                    [&] { return std::vector<double>{ssim_loss(image)}; }),
+                          {d[i]});
         table.print("structural similarity");
         EXPECT_LE(table.worst_error(), test::kReferenceGradient);
         EXPECT_EQ(table.groups().at("x").missing_rows(), 0u);

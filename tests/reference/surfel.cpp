@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The oracle's surfel: activations, spherical harmonics with their gradients, records and the canonical intersection
-// (docs/method.md section 2, M1 and M2). Plain formulas; speed does not matter here.
+// The oracle's surfel: activations, spherical harmonics with their gradients, records and
+// the canonical intersection (docs/method.md section 2, M1 and M2). Plain formulas; speed
+// does not matter here.
 #include "surfel.hpp"
 
 #include <glm/gtc/quaternion.hpp>
@@ -8,26 +9,28 @@
 namespace relidar::reference {
 namespace {
 
-// Normalisation of the real spherical harmonics, from their definition (3D Gaussian splatting prints the decimals).
+// Normalisation of the real spherical harmonics, from their definition (3D Gaussian
+// splatting prints the decimals).
 const double kC0 = std::sqrt(1.0 / (4.0 * kPi));
 const double kC1 = std::sqrt(3.0 / (4.0 * kPi));
-const double kC2xy = std::sqrt(15.0 / (4.0 * kPi));      // m = +-1 and -2
-const double kC2zz = std::sqrt(5.0 / (16.0 * kPi));      // m = 0
-const double kC2xx = std::sqrt(15.0 / (16.0 * kPi));     // m = 2
-const double kC3a = std::sqrt(35.0 / (32.0 * kPi));      // m = +-3
-const double kC3b = std::sqrt(105.0 / (4.0 * kPi));      // m = -2
-const double kC3c = std::sqrt(21.0 / (32.0 * kPi));      // m = +-1
-const double kC3d = std::sqrt(7.0 / (16.0 * kPi));       // m = 0
-const double kC3e = std::sqrt(105.0 / (16.0 * kPi));     // m = 2
+const double kC2xy = std::sqrt(15.0 / (4.0 * kPi));   // m = +-1 and -2
+const double kC2zz = std::sqrt(5.0 / (16.0 * kPi));   // m = 0
+const double kC2xx = std::sqrt(15.0 / (16.0 * kPi));  // m = 2
+const double kC3a = std::sqrt(35.0 / (32.0 * kPi));   // m = +-3
+const double kC3b = std::sqrt(105.0 / (4.0 * kPi));   // m = -2
+const double kC3c = std::sqrt(21.0 / (32.0 * kPi));   // m = +-1
+const double kC3d = std::sqrt(7.0 / (16.0 * kPi));    // m = 0
+const double kC3e = std::sqrt(105.0 / (16.0 * kPi));  // m = 2
 
 }  // namespace
 
 glm::dmat3 rotation_matrix(const glm::dvec4& quaternion) {
     const glm::dvec4 q = quaternion / glm::length(quaternion);
     const double w = q[0], x = q[1], y = q[2], z = q[3];
-    return {glm::dvec3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),     // column a_u
-            glm::dvec3(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),     // column a_v
-            glm::dvec3(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))};    // column normal
+    return {glm::dvec3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),  // column a_u
+            glm::dvec3(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),  // column a_v
+            // column normal
+            glm::dvec3(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))};
 }
 
 glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation) {
@@ -35,17 +38,22 @@ glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d
     const glm::dvec4 q = quaternion / length;
     const double w = q[0], x = q[1], y = q[2], z = q[3];
     const auto g = [&](int row, int column) { return d_rotation[column][row]; };
-    const glm::dvec4 d_unit(
-        2 * (z * (g(1, 0) - g(0, 1)) + y * (g(0, 2) - g(2, 0)) + x * (g(2, 1) - g(1, 2))),
-        2 * (y * (g(0, 1) + g(1, 0)) + z * (g(0, 2) + g(2, 0)) + w * (g(2, 1) - g(1, 2)) - 2 * x * (g(1, 1) + g(2, 2))),
-        2 * (x * (g(0, 1) + g(1, 0)) + z * (g(1, 2) + g(2, 1)) + w * (g(0, 2) - g(2, 0)) - 2 * y * (g(0, 0) + g(2, 2))),
-        2 * (x * (g(0, 2) + g(2, 0)) + y * (g(1, 2) + g(2, 1)) + w * (g(1, 0) - g(0, 1)) - 2 * z * (g(0, 0) + g(1, 1))));
+    const glm::dvec4 d_unit(2 * (z * (g(1, 0) - g(0, 1)) + y * (g(0, 2) - g(2, 0)) + x * (g(2, 1) - g(1, 2))),
+                            2 * (y * (g(0, 1) + g(1, 0)) + z * (g(0, 2) + g(2, 0)) + w * (g(2, 1) - g(1, 2)) -
+                                 2 * x * (g(1, 1) + g(2, 2))),
+                            2 * (x * (g(0, 1) + g(1, 0)) + z * (g(1, 2) + g(2, 1)) + w * (g(0, 2) - g(2, 0)) -
+                                 2 * y * (g(0, 0) + g(2, 2))),
+                            2 * (x * (g(0, 2) + g(2, 0)) + y * (g(1, 2) + g(2, 1)) + w * (g(1, 0) - g(0, 1)) -
+                                 2 * z * (g(0, 0) + g(1, 1))));
     return (d_unit - q * glm::dot(q, d_unit)) / length;
 }
 
 Activated activate(const Surfel& surfel) {
-    Activated a{
-        surfel.mean, rotation_matrix(surfel.rotation), glm::exp(surfel.log_scale), 1.0 / (1.0 + std::exp(-surfel.opacity_logit)), {}};
+    Activated a{surfel.mean,
+                rotation_matrix(surfel.rotation),
+                glm::exp(surfel.log_scale),
+                1.0 / (1.0 + std::exp(-surfel.opacity_logit)),
+                {}};
     if (surfel.log_scale_w) a.scale_w = std::exp(*surfel.log_scale_w);
     return a;
 }
@@ -104,13 +112,15 @@ glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degr
     const auto basis = sh_basis(direction, degree);
     glm::dvec3 value(0.5);
     for (int channel = 0; channel < kShChannels; ++channel)
-        for (int k = 0; k < kShCoefficients; ++k) value[channel] += basis[k] * surfel.sh[channel * kShCoefficients + k];
+        for (int k = 0; k < kShCoefficients; ++k)
+            value[channel] += basis[k] * surfel.sh[channel * kShCoefficients + k];
     return value;
 }
 
 Surfel at_phase(const Surfel& surfel, double turns) {
     const double angle = 2.0 * kPi * (turns - surfel.gait_phase);
-    const double presence = std::exp(-surfel.gait_sharpness * surfel.gait_sharpness * (1.0 - std::cos(angle)));
+    const double presence =
+        std::exp(-surfel.gait_sharpness * surfel.gait_sharpness * (1.0 - std::cos(angle)));
     const double opacity = presence / (1.0 + std::exp(-surfel.opacity_logit));
     Surfel placed = surfel;
     placed.mean += std::sin(angle) * surfel.gait_swing;
@@ -130,7 +140,8 @@ DoubleRecord make_record(const Surfel& surfel) {
 
 FloatRecord make_float_record(const Surfel& surfel) {
     const DoubleRecord r = make_record(surfel);
-    return {glm::vec3(r.mean), float(r.sigma), glm::vec3(r.axis_u), glm::vec3(r.axis_v), glm::vec3(r.normal), r.primitive};
+    return {glm::vec3(r.mean),   float(r.sigma),      glm::vec3(r.axis_u),
+            glm::vec3(r.axis_v), glm::vec3(r.normal), r.primitive};
 }
 
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray) {
@@ -156,11 +167,14 @@ glm::vec3 turned(const glm::vec3& g, const glm::vec3& p) {
 
 }  // namespace
 
-LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion, double time_s) {
+LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion,
+                       double time_s) {
     if (motion.is_none()) return local;
     const glm::dquat model_from_world = glm::conjugate(world_from_model.rotation);
-    const glm::vec3 velocity(model_from_world * motion.velocity), turn_rate(model_from_world * motion.turn_rate);
-    const float span_s = float(motion.half_span_s), since_s = std::clamp(float(time_s) - float(motion.middle_s), -span_s, span_s);
+    const glm::vec3 velocity(model_from_world * motion.velocity),
+        turn_rate(model_from_world * motion.turn_rate);
+    const float span_s = float(motion.half_span_s),
+                since_s = std::clamp(float(time_s) - float(motion.middle_s), -span_s, span_s);
     const glm::vec3 turn = since_s * turn_rate;
     const float half = 0.5f * glm::length(turn);
     const glm::vec3 g = (half > 0.0f ? std::tan(half) / half : 1.0f) * 0.5f * turn;
@@ -168,7 +182,8 @@ LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, cons
 }
 
 FloatRows model_from_world_rows(const Pose& world_from_model) {
-    const glm::dmat3 world_rotation = glm::mat3_cast(world_from_model.rotation);   // its columns are the rows of the inverse
+    // its columns are the rows of the inverse
+    const glm::dmat3 world_rotation = glm::mat3_cast(world_from_model.rotation);
     FloatRows rows{};
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) rows.row[i][j] = float(world_rotation[i][j]);
@@ -177,21 +192,25 @@ FloatRows model_from_world_rows(const Pose& world_from_model) {
     return rows;
 }
 
-LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& origin, const glm::vec3& direction) {
+LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& origin,
+                         const glm::vec3& direction) {
     LocalRay<float> local{};
     for (int i = 0; i < 3; ++i) {
-        const glm::vec3 axis(model_from_world.row[i][0], model_from_world.row[i][1], model_from_world.row[i][2]);
+        const glm::vec3 axis(model_from_world.row[i][0], model_from_world.row[i][1],
+                             model_from_world.row[i][2]);
         local.origin[i] = glm::dot(axis, origin) + model_from_world.row[i][3];
         local.direction[i] = glm::dot(axis, direction);
     }
     return local;
 }
 
-std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray, const ImageModel& model) {
+std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray,
+                                         const ImageModel& model) {
     return surfel_hit(record, ray, model);
 }
 
-std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray, const ImageModel& model) {
+std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray,
+                                           const ImageModel& model) {
     return surfel_hit(record, ray, model);
 }
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// One surfel in double precision, written from docs/method.md alone: activations (section 2), the real spherical
-// harmonics of degree 3, the ray-surfel intersection (M1) and its opacity (M2) or the same of a 3D Gaussian (M9). Part of the oracle:
-// nothing here may include shaders/ or src/. `float_hit` is the same formula in single precision, the form a shader uses,
-// so that hit ids of any traversal can be compared exactly.
+// One surfel in double precision, written from docs/method.md alone: activations (section
+// 2), the real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its
+// opacity (M2) or the same of a 3D Gaussian (M9). Part of the oracle: nothing here may
+// include shaders/ or src/. `float_hit` is the same formula in single precision, the form
+// a shader uses, so that hit ids of any traversal can be compared exactly.
 #pragma once
 
 #include <algorithm>
@@ -17,20 +18,23 @@
 
 namespace relidar::reference {
 
-/// Parameters of one surfel, model frame; the same 58 numbers as one row of relidar::Surfels. Also holds their gradient.
+/// Parameters of one surfel, model frame; the same 58 numbers as one row of
+/// relidar::Surfels. Also holds their gradient.
 struct Surfel {
-    glm::dvec3 mean{0.0};                    ///< metres
-    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0}; ///< quaternion, components in the order w, x, y, z, unnormalised
-    glm::dvec2 log_scale{0.0};               ///< ln metres
-    std::optional<double> log_scale_w;       ///< ln metres along the normal: there for a 3D Gaussian
+    glm::dvec3 mean{0.0};  ///< metres
+    /// quaternion, components in the order w, x, y, z, unnormalised
+    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};
+    glm::dvec2 log_scale{0.0};          ///< ln metres
+    std::optional<double> log_scale_w;  ///< ln metres along the normal: there for a 3D Gaussian
     double opacity_logit = 0.0;
-    double gait_phase = 0.0;                 ///< turns
+    double gait_phase = 0.0;  ///< turns
     double gait_sharpness = 0.0;
-    glm::dvec3 gait_swing{0.0};              ///< metres
-    std::array<double, kShFloats> sh{};      ///< [3,16] channel-major: intensity, hit logit, drop logit
+    glm::dvec3 gait_swing{0.0};          ///< metres
+    std::array<double, kShFloats> sh{};  ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 
-/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) metres, sigma, s_w where there is one.
+/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) metres, sigma, s_w
+/// where there is one.
 struct Activated {
     glm::dvec3 mean;
     glm::dmat3 rotation;
@@ -42,11 +46,13 @@ Activated activate(const Surfel& surfel);
 
 /// R of the normalised quaternion (w, x, y, z). Non-finite for a zero quaternion.
 glm::dmat3 rotation_matrix(const glm::dvec4& quaternion);
-/// dL/d(quaternion) from dL/dR (same layout as R: [column][row]); always at right angles to the quaternion.
+/// dL/d(quaternion) from dL/dR (same layout as R: [column][row]); always at right angles
+/// to the quaternion.
 glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
 
-/// Real SH basis of 3D Gaussian splatting: order l, m = -l..l, with the Condon-Shortley sign (-1)^m, as homogeneous
-/// polynomials of the direction (not renormalised). Entries above `degree` are 0.
+/// Real SH basis of 3D Gaussian splatting: order l, m = -l..l, with the Condon-Shortley
+/// sign (-1)^m, as homogeneous polynomials of the direction (not renormalised). Entries
+/// above `degree` are 0.
 std::array<double, kShCoefficients> sh_basis(const glm::dvec3& direction, int degree);
 /// d basis / d direction of the same polynomials.
 std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& direction, int degree);
@@ -59,9 +65,9 @@ template <typename Real>
 struct Record {
     glm::vec<3, Real> mean;
     Real sigma;
-    glm::vec<3, Real> axis_u;   ///< a_u / s_u
-    glm::vec<3, Real> axis_v;   ///< a_v / s_v
-    glm::vec<3, Real> normal;   ///< of a 3D Gaussian a_w / s_w
+    glm::vec<3, Real> axis_u;  ///< a_u / s_u
+    glm::vec<3, Real> axis_v;  ///< a_v / s_v
+    glm::vec<3, Real> normal;  ///< of a 3D Gaussian a_w / s_w
     Primitive primitive = Primitive::surfel;
 };
 using FloatRecord = Record<float>;
@@ -69,28 +75,32 @@ using DoubleRecord = Record<double>;
 
 /// Computed in double; the float record is rounded at the end.
 DoubleRecord make_record(const Surfel& surfel);
-/// The surfel at a phase of its gait (M10): where its mean has moved to, and with the opacity it is left with.
+/// The surfel at a phase of its gait (M10): where its mean has moved to, and with the
+/// opacity it is left with.
 Surfel at_phase(const Surfel& surfel, double turns);
 FloatRecord make_float_record(const Surfel& surfel);
 
-/// A ray in a model's frame. The direction keeps the length it has in the world, so t is the same in both.
+/// A ray in a model's frame. The direction keeps the length it has in the world, so t is
+/// the same in both.
 template <typename Real>
 struct LocalRay {
     glm::vec<3, Real> origin;
     glm::vec<3, Real> direction;
 };
 
-/// A ray in world coordinates. The oracle treats the direction as a free vector and never renormalises it.
+/// A ray in world coordinates. The oracle treats the direction as a free vector and never
+/// renormalises it.
 struct Ray {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{1.0, 0.0, 0.0};
-    double measured_m = 0.0;   ///< range that it measured; 0 = none
-    double time_s = 0.0;       ///< when it is fired, from the sweep's reference time
+    double measured_m = 0.0;  ///< range that it measured; 0 = none
+    double time_s = 0.0;      ///< when it is fired, from the sweep's reference time
 };
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
 
-/// A model placed for a sweep: at t it is at world_from_model, moved by `velocity` and turned by `turn_rate` (rotation vector in the
-/// world's axes, about its own origin) for clamp(t - middle_s, -half_span_s, half_span_s) seconds.
+/// A model placed for a sweep: at t it is at world_from_model, moved by `velocity` and
+/// turned by `turn_rate` (rotation vector in the world's axes, about its own origin) for
+/// clamp(t - middle_s, -half_span_s, half_span_s) seconds.
 struct Motion {
     glm::dvec3 velocity{0.0};   ///< m/s, world
     glm::dvec3 turn_rate{0.0};  ///< rad/s
@@ -98,28 +108,34 @@ struct Motion {
     double half_span_s = 0.0;
 
     double since(double time_s) const { return std::clamp(time_s - middle_s, -half_span_s, half_span_s); }
-    bool is_none() const { return !(half_span_s > 0.0) || (velocity == glm::dvec3(0.0) && turn_rate == glm::dvec3(0.0)); }
+    bool is_none() const {
+        return !(half_span_s > 0.0) || (velocity == glm::dvec3(0.0) && turn_rate == glm::dvec3(0.0));
+    }
 };
 /// Where such a model is at a time.
 Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s);
-/// A ray in a model's frame with a motion in the axes of that frame, in float as a kernel moves it.
-LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion, double time_s);
+/// A ray in a model's frame with a motion in the axes of that frame, in float as a kernel
+/// moves it.
+LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion,
+                       double time_s);
 
 /// Rows of the 3x4 matrix model_from_world, computed in double and rounded.
 struct FloatRows {
     float row[3][4];
 };
 FloatRows model_from_world_rows(const Pose& world_from_model);
-LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& origin, const glm::vec3& direction);
+LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& origin,
+                         const glm::vec3& direction);
 
 template <typename Real>
 struct PlaneHit {
     Real t;
-    Real u, v, w;   ///< standard deviations from the mean along a_u, a_v, and for a 3D Gaussian a_w
-    Real alpha;     ///< sigma * G, not yet clamped to alpha_max
+    Real u, v, w;  ///< standard deviations from the mean along a_u, a_v, and for a 3D Gaussian a_w
+    Real alpha;    ///< sigma * G, not yet clamped to alpha_max
 };
 
-/// M1 and M2: the ray and the surfel's plane. @return t not finite where they are parallel
+/// M1 and M2: the ray and the surfel's plane. @return t not finite where they are
+/// parallel
 template <typename Real>
 PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
     const glm::vec<3, Real> to_mean = s.mean - ray.origin;
@@ -134,7 +150,9 @@ PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
 template <typename Real>
 PlaneHit<Real> meet_gaussian(const Record<Real>& s, const LocalRay<Real>& ray) {
     using Vector = glm::vec<3, Real>;
-    const auto whitened = [&](const Vector& x) { return Vector(glm::dot(s.axis_u, x), glm::dot(s.axis_v, x), glm::dot(s.normal, x)); };
+    const auto whitened = [&](const Vector& x) {
+        return Vector(glm::dot(s.axis_u, x), glm::dot(s.axis_v, x), glm::dot(s.normal, x));
+    };
     const Vector to_mean = s.mean - ray.origin, b = whitened(ray.direction);
     const Real length2 = glm::dot(b, b), t = glm::dot(whitened(to_mean), b) / length2;
     const Vector q = whitened(t * ray.direction - to_mean);
@@ -149,20 +167,26 @@ PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
     return s.primitive == Primitive::gaussian ? meet_gaussian(s, ray) : meet_surfel(s, ray);
 }
 
-/// M1 and M2, or M9: where and how strongly a ray meets a surfel; nothing where it does not. The one formula of every provider:
-///   hit if t is finite (it is not along a surfel's plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, record finite, sigma > alpha_min
+/// M1 and M2, or M9: where and how strongly a ray meets a surfel; nothing where it does
+/// not. The one formula of every provider: hit if t is finite (it is not along a surfel's
+/// plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, record finite, sigma > alpha_min
 template <typename Real>
-std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray, const ImageModel& model) {
+std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray,
+                                         const ImageModel& model) {
     const PlaneHit<Real> hit = meet(s, ray);
     if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
-    if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;   // also where it is NaN
-    const auto finite = [](const glm::vec<3, Real>& x) { return std::isfinite(x.x) && std::isfinite(x.y) && std::isfinite(x.z); };
+    if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also where it is NaN
+    const auto finite = [](const glm::vec<3, Real>& x) {
+        return std::isfinite(x.x) && std::isfinite(x.y) && std::isfinite(x.z);
+    };
     if (!finite(s.mean) || !finite(s.axis_u) || !finite(s.axis_v) || !finite(s.normal)) return std::nullopt;
     if (!std::isfinite(s.sigma) || !(s.sigma > Real(model.alpha_min))) return std::nullopt;
     return hit;
 }
 
-std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray, const ImageModel& model);
-std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray, const ImageModel& model);
+std::optional<PlaneHit<float>> float_hit(const FloatRecord& record, const LocalRay<float>& ray,
+                                         const ImageModel& model);
+std::optional<PlaneHit<double>> double_hit(const DoubleRecord& record, const LocalRay<double>& ray,
+                                           const ImageModel& model);
 
 }  // namespace relidar::reference

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The oracle's pieces against closed forms: activations, the SH basis (published constants, orthonormality, gradient), records, and
-// the intersection (M1, M2) with its refusals.
+// The oracle's pieces against closed forms: activations, the SH basis (published
+// constants, orthonormality, gradient), records, and the intersection (M1, M2) with its
+// refusals.
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -12,18 +13,19 @@
 namespace relidar::reference {
 namespace {
 
-/// Facing the x axis at x = 5: a_u = y, a_v = z, normal = x. Standard deviations 0.5 and 0.25 m, opacity 0.8.
+/// Facing the x axis at x = 5: a_u = y, a_v = z, normal = x. Standard deviations 0.5 and
+/// 0.25 m, opacity 0.8.
 Surfel facing_surfel() {
     Surfel s;
     s.mean = {5, 0, 0};
-    s.rotation = {0.5, 0.5, 0.5, 0.5};   // turns x -> y -> z -> x
+    s.rotation = {0.5, 0.5, 0.5, 0.5};  // turns x -> y -> z -> x
     s.log_scale = {std::log(0.5), std::log(0.25)};
     s.opacity_logit = std::log(4.0);
     return s;
 }
 
 TEST(ReferenceSurfel, RotationColumnsOfAKnownQuaternion) {
-    const glm::dmat3 r = rotation_matrix({3, 3, 3, 3});   // unnormalised
+    const glm::dmat3 r = rotation_matrix({3, 3, 3, 3});  // unnormalised
     EXPECT_NEAR(glm::length(r[0] - glm::dvec3(0, 1, 0)), 0.0, 1e-15);
     EXPECT_NEAR(glm::length(r[1] - glm::dvec3(0, 0, 1)), 0.0, 1e-15);
     EXPECT_NEAR(glm::length(r[2] - glm::dvec3(1, 0, 0)), 0.0, 1e-15);
@@ -54,20 +56,33 @@ TEST(ReferenceSh, ConstantsAreThoseOfGaussianSplatting) {
     EXPECT_NEAR(b[6], 2 * 0.31539156525252005, 1e-15);
     EXPECT_NEAR(b[12], 2 * 0.3731763325901154, 1e-15);
     const auto c = sh_basis({1, 1, 1}, 3);
-    const double expected[16] = {0.28209479177387814, -0.4886025119029199, 0.4886025119029199, -0.4886025119029199,
-                                 1.0925484305920792,  -1.0925484305920792, 0.0,                -1.0925484305920792,
-                                 0.0,                 -0.5900435899266435 * 2, 2.890611442640554, -0.4570457994644658 * 2,
-                                 0.3731763325901154 * -4, -0.4570457994644658 * 2, 0.0,        -0.5900435899266435 * -2};
+    const double expected[16] = {0.28209479177387814,
+                                 -0.4886025119029199,
+                                 0.4886025119029199,
+                                 -0.4886025119029199,
+                                 1.0925484305920792,
+                                 -1.0925484305920792,
+                                 0.0,
+                                 -1.0925484305920792,
+                                 0.0,
+                                 -0.5900435899266435 * 2,
+                                 2.890611442640554,
+                                 -0.4570457994644658 * 2,
+                                 0.3731763325901154 * -4,
+                                 -0.4570457994644658 * 2,
+                                 0.0,
+                                 -0.5900435899266435 * -2};
     for (int k = 0; k < 16; ++k) EXPECT_NEAR(c[k], expected[k], 1e-14) << "coefficient " << k;
     EXPECT_NEAR(sh_basis({1, 0, 0}, 3)[14] + sh_basis({1, 0, 1}, 3)[14], 1.445305721320277, 1e-14);
 }
 
 TEST(ReferenceSh, BasisIsOrthonormalOnTheSphere) {
-    const int n_theta = 256, n_phi = 16;   // midpoint rule: exact in phi, good to 3e-4 in cos(theta)
+    const int n_theta = 256, n_phi = 16;  // midpoint rule: exact in phi, good to 3e-4 in cos(theta)
     double gram[16][16] = {};
     for (int i = 0; i < n_theta; ++i)
         for (int j = 0; j < n_phi; ++j) {
-            const double z = -1.0 + (i + 0.5) * 2.0 / n_theta, phi = (j + 0.5) * 2.0 * kPi / n_phi, r = std::sqrt(1 - z * z);
+            const double z = -1.0 + (i + 0.5) * 2.0 / n_theta, phi = (j + 0.5) * 2.0 * kPi / n_phi,
+                         r = std::sqrt(1 - z * z);
             const auto b = sh_basis({r * std::cos(phi), r * std::sin(phi), z}, 3);
             for (int p = 0; p < 16; ++p)
                 for (int q = 0; q < 16; ++q) gram[p][q] += b[p] * b[q] * 4.0 * kPi / (n_theta * n_phi);
@@ -91,8 +106,10 @@ TEST(ReferenceSh, GradientAgreesWithDifferences) {
     glm::dvec3 d(0.31, -0.52, 0.83);
     const auto gradient = sh_basis_gradient(d, 3);
     for (int k = 0; k < 16; ++k) {
-        const auto slope = test::central_differences(&d.x, 3, [&] { return std::vector<double>{sh_basis(d, 3)[k]}; });
-        for (int axis = 0; axis < 3; ++axis) EXPECT_NEAR(slope[axis], gradient[k][axis], 1e-9) << "coefficient " << k;
+        const auto slope =
+            test::central_differences(&d.x, 3, [&] { return std::vector<double>{sh_basis(d, 3)[k]}; });
+        for (int axis = 0; axis < 3; ++axis)
+            EXPECT_NEAR(slope[axis], gradient[k][axis], 1e-9) << "coefficient " << k;
     }
 }
 
@@ -107,7 +124,7 @@ TEST(ReferenceHit, HeadOnAndOffCentre) {
     EXPECT_NEAR(off->u, 1.0, 1e-14);
     EXPECT_NEAR(off->v, -2.0, 1e-14);
     EXPECT_NEAR(off->alpha, 0.8 * std::exp(-2.5), 1e-14);
-    const auto behind_the_back = double_hit(record, {{10, 0, 0}, {-1, 0, 0}}, {});   // two-sided
+    const auto behind_the_back = double_hit(record, {{10, 0, 0}, {-1, 0, 0}}, {});  // two-sided
     ASSERT_TRUE(behind_the_back);
     EXPECT_DOUBLE_EQ(behind_the_back->t, 5.0);
 }
@@ -124,13 +141,14 @@ TEST(ReferenceHit, Refusals) {
 }
 
 TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
-    const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
+    const double nan = std::numeric_limits<double>::quiet_NaN(),
+                 inf = std::numeric_limits<double>::infinity();
     std::vector<Surfel> bad(9, facing_surfel());
     bad[0].mean.y = nan;
     bad[1].mean.x = inf;
     bad[2].rotation = {0, 0, 0, 0};
     bad[3].rotation.w = nan;
-    bad[4].log_scale.x = -inf;   // scale 0
+    bad[4].log_scale.x = -inf;  // scale 0
     bad[5].log_scale.y = nan;
     bad[6].opacity_logit = nan;
     bad[7].opacity_logit = std::log((1.0 / 255.0) / (1.0 - 1.0 / 255.0)) - 1e-6;
@@ -140,7 +158,7 @@ TEST(ReferenceHit, DegenerateAndNonFiniteSurfelsAreNeverHit) {
         EXPECT_FALSE(float_hit(make_float_record(bad[i]), {{0, 0, 0}, {1, 0, 0}}, {})) << "surfel " << i;
     }
     Surfel tiny = facing_surfel();
-    tiny.log_scale = {-100.0, -100.0};   // 1 / s overflows in float only
+    tiny.log_scale = {-100.0, -100.0};  // 1 / s overflows in float only
     EXPECT_FALSE(float_hit(make_float_record(tiny), {{0, 0, 0}, {1, 0, 0}}, {}));
     Surfel huge = facing_surfel();
     huge.log_scale = {80.0, 80.0};
@@ -154,7 +172,8 @@ TEST(ReferenceHit, PoseMovesTheRayIntoTheModel) {
     const LocalRay<double> back = to_model(pose, world);
     EXPECT_NEAR(glm::length(back.origin - local.origin), 0.0, 1e-14);
     EXPECT_NEAR(glm::length(back.direction - local.direction), 0.0, 1e-14);
-    const LocalRay<float> rounded = to_model(model_from_world_rows(pose), glm::vec3(world.origin), glm::vec3(world.direction));
+    const LocalRay<float> rounded =
+        to_model(model_from_world_rows(pose), glm::vec3(world.origin), glm::vec3(world.direction));
     EXPECT_NEAR(glm::length(glm::dvec3(rounded.origin) - local.origin), 0.0, 2e-6);
     const auto exact = double_hit(make_record(facing_surfel()), back, {});
     const auto single = float_hit(make_float_record(facing_surfel()), rounded, {});

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract of docs/architecture.md section 6 in C++: "at most `chunk` surfels strictly after a key, ascending by
-// (t, instance, surfel), each at most once". BruteForce tries every surfel; EmbreeFilter lets Embree propose candidates through the
-// proxies of M3. Both let the one canonical function of surfel.hpp decide, in float (ids comparable with the GPU) or double.
+// The traversal contract of docs/architecture.md section 6 in C++: "at most `chunk`
+// surfels strictly after a key, ascending by (t, instance, surfel), each at most once".
+// BruteForce tries every surfel; EmbreeFilter lets Embree propose candidates through the
+// proxies of M3. Both let the one canonical function of surfel.hpp decide, in float (ids
+// comparable with the GPU) or double.
 #pragma once
 
 #include <cstdint>
@@ -20,16 +22,20 @@ struct Placement {
     std::uint32_t count = 0;
     Pose world_from_model;
     Motion motion = {};
-    Pose change = {};   ///< of the model in its own frame, at every time: for differences; the float record does not know it
+    /// of the model in its own frame, at every time: for differences; the float record
+    /// does not know it
+    Pose change = {};
 
-    Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }   ///< when a ray is fired
+    /// when a ray is fired
+    Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }
     /// Takes back how far it has turned then.
     glm::dquat unturned(double time_s) const {
         return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
     }
 };
 
-/// All that can be hit. Surfel ids are indices into `surfels`, instance ids indices into `instances`.
+/// All that can be hit. Surfel ids are indices into `surfels`, instance ids indices into
+/// `instances`.
 struct World {
     std::vector<Surfel> surfels;
     std::vector<Placement> instances;
@@ -55,12 +61,14 @@ using Hit = HitKey;
 class HitProvider {
 public:
     virtual ~HitProvider() = default;
-    /// Replaces `hits` by the at most `chunk` (>= 1) hits strictly after `after`, in ascending order. Fewer than `chunk`: nothing remains.
+    /// Replaces `hits` by the at most `chunk` (>= 1) hits strictly after `after`, in
+    /// ascending order. Fewer than `chunk`: nothing remains.
     virtual void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const = 0;
 };
 
 /// All hits of a ray, fetched `chunk` at a time.
-/// @throws std::logic_error where the provider breaks the contract: too many, unsorted, or not after the key
+/// @throws std::logic_error where the provider breaks the contract: too many, unsorted,
+/// or not after the key
 std::vector<Hit> all_hits(const HitProvider& provider, const Ray& ray, int chunk);
 
 enum class Precision { float_record, double_record };
@@ -82,14 +90,16 @@ private:
     std::vector<DoubleRecord> double_records_;
 };
 
-/// Half sizes of the proxy rectangles: k s * scale + pad_m, k = sqrt(2 ln(sigma / alpha_min)) (M3).
+/// Half sizes of the proxy rectangles: k s * scale + pad_m, k = sqrt(2 ln(sigma /
+/// alpha_min)) (M3).
 struct ProxyMargin {
     double scale = 1.002;
     double pad_m = 1e-4;
 };
 
-/// Embree over two triangles a surfel, one scene a model, one instance geometry a placement; float canonical.
-/// Surfels that are not finite or too transparent have no proxy. Half sizes are cut at 1e5 m.
+/// Embree over two triangles a surfel, one scene a model, one instance geometry a
+/// placement; float canonical. Surfels that are not finite or too transparent have no
+/// proxy. Half sizes are cut at 1e5 m.
 class EmbreeFilter : public HitProvider {
 public:
     EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin = {});

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene/activate and scene/activate_vjp alone, against the reference activations and their differences, record lane by record lane, with
-// harmonics read by each thread and moved through shared memory, of actors that are rigid and that walk; kd order.
+// scene/activate and scene/activate_vjp alone, against the reference activations and
+// their differences, record lane by record lane, with harmonics read by each thread and
+// moved through shared memory, of actors that are rigid and that walk; kd order.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -23,18 +24,21 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kOfBackground = 70;   // surfels: no whole workgroups
-constexpr double kPhase = 0.3;              // of the actor's gait, turns
+constexpr std::uint32_t kOfBackground = 70;  // surfels: no whole workgroups
+constexpr double kPhase = 0.3;               // of the actor's gait, turns
 
-/// In both primitives, with the access to harmonics that suits a CPU and the one that suits a GPU; an actor that is rigid or walks.
-class Activate : public test::DeviceTest, public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
+/// In both primitives, with the access to harmonics that suits a CPU and the one that
+/// suits a GPU; an actor that is rigid or walks.
+class Activate : public test::DeviceTest,
+                 public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
 protected:
     Primitive primitive() const { return std::get<0>(GetParam()); }
     bool stages_harmonics() const { return std::get<1>(GetParam()); }
     ParameterSet parameters() const { return {primitive(), bends()}; }
     bool bends() const { return std::get<2>(GetParam()); }
 
-    /// More than two workgroups of 64; all have a gait where the actor walks, the background's too, which has to rest.
+    /// More than two workgroups of 64; all have a gait where the actor walks, the
+    /// background's too, which has to rest.
     std::vector<reference::Surfel> some_surfels() const {
         test::RandomSceneOptions options;
         options.seed = 8;
@@ -71,33 +75,40 @@ protected:
         scene.instances.push_back({1, "actor"});
         auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
         Stream stream(device());
-        on_device->place(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});   // turns before do not count
+        // turns before do not count
+        on_device->place(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
         stream.finish();
         return on_device;
     }
 };
 INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
-                         testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian), testing::Bool(), testing::Bool()));
+                         testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian),
+                                          testing::Bool(), testing::Bool()));
 
 /// The 16 floats of a record in double, as shaders/scene/shared/scene.h orders them.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(s);
     const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), sh_degree);
-    return {r.mean.x, r.mean.y, r.mean.z, r.sigma, r.axis_u.x, r.axis_u.y, r.axis_u.z, std::max(c.x, 0.0),
-            r.axis_v.x, r.axis_v.y, r.axis_v.z, c.y, r.normal.x, r.normal.y, r.normal.z, c.z};
+    return {r.mean.x,   r.mean.y,           r.mean.z,   r.sigma,    r.axis_u.x, r.axis_u.y,
+            r.axis_u.z, std::max(c.x, 0.0), r.axis_v.x, r.axis_v.y, r.axis_v.z, c.y,
+            r.normal.x, r.normal.y,         r.normal.z, c.z};
 }
 
-/// How far a record may be off: Vulkan's limits of exp and division, the rounding of a rotation's elements, and 2e-6 of what is summed up.
+/// How far a record may be off: Vulkan's limits of exp and division, the rounding of a
+/// rotation's elements, and 2e-6 of what is summed up.
 std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
-    // an element of the matrix: q / |q| by an inverse square root of 2 units and 6 roundings, twice in each of two products, whose sum is
-    // at most 1; twice that and 1 are added
-    constexpr double kElement = 2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
+    // an element of the matrix: q / |q| by an inverse square root of 2 units and 6
+    // roundings, twice in each of two products, whose sum is at most 1; twice that and 1
+    // are added
+    constexpr double kElement =
+        2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};
     std::vector<double> tolerance;
     for (const double value : expected) tolerance.push_back(2e-6 * (1.0 + std::abs(value)));
     for (std::size_t axis = 0; axis < 3; ++axis)
         for (std::size_t k = 4 * axis + 4; k < 4 * axis + 7; ++k)
-            tolerance[k] = kElement * std::exp(-log_scale[axis]) + std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
+            tolerance[k] = kElement * std::exp(-log_scale[axis]) +
+                           std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
     tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
     // Vulkan's sine and cosine may be off by 2^-11 within half a turn
     for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(s.gait_swing[int(k)]) / 2048.0;
@@ -129,8 +140,9 @@ TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
     using Ranges = std::vector<Model>;
-    for (const Ranges& ranges : {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}},
-                                 Ranges{{"b", 70, n - 70}, {"a", 0, 70}}, Ranges{{"a", 0, n - 1}}}) {
+    for (const Ranges& ranges :
+         {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}},
+          Ranges{{"b", 70, n - 70}, {"a", 0, 70}}, Ranges{{"a", 0, n - 1}}}) {
         scene.models = ranges;
         EXPECT_THROW(DeviceScene(device(), scene), DataError);
     }
@@ -140,14 +152,15 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     Surfels surfels = test::to_surfels(some_surfels());
     surfels.sh[kShFloats * 5 + 17] = std::numeric_limits<float>::quiet_NaN();
     surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
-    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();   // not active
+    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();  // not active
     const std::unique_ptr<DeviceScene> placed = on_device(surfels);
     DeviceScene& scene = *placed;
     Stream stream(device());
     scene.activate(stream, image_model(1), glm::vec3(0.0f));
     stream.finish();
     const std::vector<shared::SurfelRecord> records = scene.records().download();
-    for (std::size_t i = 0; i < surfels.size(); ++i) EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
+    for (std::size_t i = 0; i < surfels.size(); ++i)
+        EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
 
 /// Record gradients of all surfels but every third.
@@ -173,7 +186,8 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         SurfelArrays d_surfels(device(), n, "gradient", parameters());
         Array<std::uint32_t, shared::TouchedSurfels> touched(device(), n, "touched");
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
-        const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
+        const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
+                                                             "record gradient");
         scene.activate_vjp(stream, image_model(degree), view, {&upstream, &d_surfels, &touched, &d_view});
         stream.finish();
         const Surfels actual = d_surfels.download();
@@ -189,24 +203,34 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
                 return sum;
             };
             const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
-            table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms), row(views.data() + 3 * i, 3));
-            table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms), row(&actual.mean[i].x, 3));
-            table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms), row(&actual.rotation[i].x, 4));
-            table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms), row(&actual.log_scale[i].x, 2));
+            table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms),
+                          row(views.data() + 3 * i, 3));
+            table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms),
+                          row(&actual.mean[i].x, 3));
+            table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms),
+                          row(&actual.rotation[i].x, 4));
+            table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms),
+                          row(&actual.log_scale[i].x, 2));
             if (surfels[i].log_scale_w)
-                table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms), row(&actual.log_scale_w[i], 1));
+                table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms),
+                              row(&actual.log_scale_w[i], 1));
             table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms),
                           row(&actual.opacity_logit[i], 1));
             if (bends()) {
-                table.add_row("gait phase", test::central_differences(&surfels[i].gait_phase, 1, terms), row(&actual.gait[i].phase, 1));
-                table.add_row("gait sharpness", test::central_differences(&surfels[i].gait_sharpness, 1, terms),
+                table.add_row("gait phase", test::central_differences(&surfels[i].gait_phase, 1, terms),
+                              row(&actual.gait[i].phase, 1));
+                table.add_row("gait sharpness",
+                              test::central_differences(&surfels[i].gait_sharpness, 1, terms),
                               row(&actual.gait[i].sharpness, 1));
-                table.add_row("gait swing", test::central_differences(&surfels[i].gait_swing.x, 3, terms), row(&actual.gait[i].swing.x, 3));
+                table.add_row("gait swing", test::central_differences(&surfels[i].gait_swing.x, 3, terms),
+                              row(&actual.gait[i].swing.x, 3));
             }
             const int active = (degree + 1) * (degree + 1);
             for (int first = 0; first < kShFloats; first += kShCoefficients)
-                table.add_row("sh", test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep),
-                              row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
+                table.add_row(
+                    "sh",
+                    test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep),
+                    row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
         }
         table.print("activation on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {
@@ -229,19 +253,23 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     std::fill(before.mean.begin(), before.mean.end(), glm::vec3(7.0f));
     d_surfels.upload(before);
     Array<std::uint32_t, shared::TouchedSurfels> touched(device(), n, "touched");
-    const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
+    const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
+                                                         "record gradient");
     Stream stream(device());
-    scene.activate_vjp(stream, image_model(3), glm::vec3(0.0f), {&upstream, &d_surfels, &touched, nullptr, false});
+    scene.activate_vjp(stream, image_model(3), glm::vec3(0.0f),
+                       {&upstream, &d_surfels, &touched, nullptr, false});
     stream.finish();
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
         EXPECT_EQ(after.mean[i] == glm::vec3(7.0f), i % 3 == 1) << "surfel " << i;
         for (std::size_t k = 0; k < kShFloats; ++k)
-            EXPECT_EQ(after.sh[kShFloats * i + k] == 7.0f, i % 3 == 1) << "surfel " << i << " coefficient " << k;
+            EXPECT_EQ(after.sh[kShFloats * i + k] == 7.0f, i % 3 == 1)
+                << "surfel " << i << " coefficient " << k;
     }
 }
 
-/// Marked are more surfels than have a gradient, in no order of workgroups; what is not marked is not even read.
+/// Marked are more surfels than have a gradient, in no order of workgroups; what is not
+/// marked is not even read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -253,9 +281,11 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
     EXPECT_EQ(placed->lists_touched(), !stages_harmonics());
     const auto run = [&](bool is_marked) {
-        const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records), "record gradient");
+        const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
+                                                             "record gradient");
         SurfelArrays d_surfels(device(), n, "gradient", parameters());
-        Array<std::uint32_t, shared::TouchedSurfels> touched(device(), std::span<const std::uint32_t>(marks), "touched");
+        Array<std::uint32_t, shared::TouchedSurfels> touched(device(), std::span<const std::uint32_t>(marks),
+                                                             "touched");
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         Stream stream(device());
         d_surfels.fill_zero(stream);
@@ -266,14 +296,15 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };
     const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
-    if (placed->lists_touched())   // as if it were there: it must not be taken
+    if (placed->lists_touched())  // as if it were there: it must not be taken
         for (std::uint32_t i = 0; i < n; ++i)
             if (marks[i] == 0u) d_records[16 * i] = 1.0f;
     const auto [surfels_listed, touched_listed, view_listed] = run(true);
     EXPECT_EQ(touched_listed, touched_of_all);
     EXPECT_EQ(view_listed, view_of_all);
     for (const ParameterGroup& group : groups_of(parameters())) {
-        const std::span<const float> found = group.values(surfels_listed), expected = group.values(surfels_of_all);
+        const std::span<const float> found = group.values(surfels_listed),
+                                     expected = group.values(surfels_of_all);
         EXPECT_TRUE(std::ranges::equal(found, expected)) << group.name;
     }
 }
@@ -290,9 +321,11 @@ TEST_F(TouchedRows, AreListed) {
             touched[row] = random() % 3 == 0 || row + 1 == n;
             if (touched[row] != 0u) expected.push_back(row);
         }
-        const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
+        const Array<std::uint32_t, shared::TouchedSurfels> on_device(
+            device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<std::uint32_t, shared::TouchedRows> rows(device(), n, "rows");
-        const Array<std::uint32_t, shared::TouchedCount> count(device(), std::vector<std::uint32_t>{0u}, "count");
+        const Array<std::uint32_t, shared::TouchedCount> count(device(), std::vector<std::uint32_t>{0u},
+                                                               "count");
         Stream stream(device());
         run(stream, kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
             {.touched = on_device.address(), .rows = rows.address(), .count = count.address(), .n_rows = n});
@@ -317,7 +350,8 @@ TEST(KdOrder, IsAPermutationThatHalvesTheLongestAxis) {
     const std::size_t middle = points.size() / 2;
     float below = 0.0f, above = 1e9f;
     for (std::size_t i = 0; i < points.size(); ++i)
-        (i < middle ? below = std::max(below, points[order[i]].x) : above = std::min(above, points[order[i]].x));
+        (i < middle ? below = std::max(below, points[order[i]].x)
+                    : above = std::min(above, points[order[i]].x));
     EXPECT_LE(below, above);
 }
 

@@ -1,21 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors (paper section 3.2, Eq. 4-5): points of a moving box in the frame of the box, one model and instance each, placed where the
-// box is at a time and absent outside its labels; and rendered there, in the order of docs: a moved box costs no bottom level.
+// Actors (paper section 3.2, Eq. 4-5): points of a moving box in the frame of the box,
+// one model and instance each, placed where the box is at a time and absent outside its
+// labels; and rendered there, in the order of docs: a moved box costs no bottom level.
 #include <algorithm>
 #include <cmath>
 
-#include "gpu/forced.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/scene/scene.hpp>
+#include "gpu/forced.hpp"
 
 #include "../support/device.hpp"
 
 namespace relidar {
 namespace {
 
-SyntheticOptions street_options() { return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0}; }
+SyntheticOptions street_options() {
+    return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0};
+}
 
 InitialiseOptions with_actors() {
     InitialiseOptions options;
@@ -31,13 +34,14 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
     ASSERT_EQ(scene.instances.size(), 3u);
     EXPECT_TRUE(scene.instances[0].track.empty());
     for (std::size_t m = 1; m < scene.models.size(); ++m) {
-        const auto box =
-            std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[m].track; });
+        const auto box = std::find_if(street.boxes.begin(), street.boxes.end(),
+                                      [&](const BoxTrack& b) { return b.id == scene.instances[m].track; });
         ASSERT_NE(box, street.boxes.end());
         EXPECT_EQ(scene.models[m].first, scene.models[m - 1].first + scene.models[m - 1].count);
         EXPECT_GT(glm::length(scene.models[m].half_size_m), 2.0f) << "a car has a box";
         for (std::uint32_t i = 0; i < scene.models[m].count; ++i) {
-            ASSERT_TRUE(glm::all(glm::lessThanEqual(glm::abs(scene.surfels.mean[scene.models[m].first + i]), scene.models[m].half_size_m)));
+            ASSERT_TRUE(glm::all(glm::lessThanEqual(glm::abs(scene.surfels.mean[scene.models[m].first + i]),
+                                                    scene.models[m].half_size_m)));
             const glm::dvec3 p = glm::abs(glm::dvec3(scene.surfels.mean[scene.models[m].first + i]));
             EXPECT_LE(p.x, 0.5 * box->size_m.x + 0.11);
             EXPECT_LE(p.y, 0.5 * box->size_m.y + 0.11);
@@ -46,10 +50,12 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
     }
     InitialiseOptions by_kind = with_actors();
     by_kind.actor_classes = "cyclist, vehicle";
-    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, by_kind).models.size(), 3u) << "whatever a dataset calls them";
+    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, by_kind).models.size(), 3u)
+        << "whatever a dataset calls them";
     InitialiseOptions nothing;
     nothing.actor_classes = "";
-    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, nothing).models.size(), 1u) << "no class is wanted: masked instead";
+    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, nothing).models.size(), 1u)
+        << "no class is wanted: masked instead";
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
@@ -57,20 +63,24 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     street.rolling_shutter = false;
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
-    const auto box =
-        std::find_if(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
-    const double first = box->world_from_box.time_s.front(), last = box->world_from_box.time_s.back(), middle = 0.37 * first + 0.63 * last;
+    const auto box = std::find_if(street.boxes.begin(), street.boxes.end(),
+                                  [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
+    const double first = box->world_from_box.time_s.front(), last = box->world_from_box.time_s.back(),
+                 middle = 0.37 * first + 0.63 * last;
     const std::vector<InstancePose> placed = place_instances(scene, street, {middle});
     EXPECT_TRUE(placed[0].present && placed[1].present);
     EXPECT_EQ(placed[0].world_from_model.translation, glm::dvec3(0.0));
-    EXPECT_LT(glm::length(placed[1].world_from_model.translation - box->world_from_box.at(middle).translation), 1e-12);
+    EXPECT_LT(
+        glm::length(placed[1].world_from_model.translation - box->world_from_box.at(middle).translation),
+        1e-12);
     EXPECT_FALSE(place_instances(scene, street, {last + 1.0})[1].present);
     EXPECT_FALSE(place_instances(scene, street, {first - 1.0})[1].present);
     EXPECT_TRUE(place_instances(scene, street, {last + 1.0})[0].present);
 }
 
 const Model& model_of_track(const Scene& scene, std::string_view track) {
-    const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.track == track; });
+    const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(),
+                                       [&](const Instance& i) { return i.track == track; });
     EXPECT_NE(instance, scene.instances.end());
     return scene.models[instance->model];
 }
@@ -96,7 +106,8 @@ TEST(Actors, AreChosenByClassOrTrack) {
     options.mask_others = false;
     EXPECT_TRUE(separate_boxes(street, options).empty());
     EXPECT_EQ(n_models(street, options), 1u);
-    EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100) << "the cars' points are in it";
+    EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100)
+        << "the cars' points are in it";
 }
 
 TEST(Actors, WhatIsNoActorIsMaskedOrOfTheBackground) {
@@ -115,7 +126,8 @@ TEST(Actors, WhatIsNoActorIsMaskedOrOfTheBackground) {
     EXPECT_EQ(kept.instances[1].track, "0");
     EXPECT_TRUE(masked_boxes(kept, street, options).empty());
     EXPECT_TRUE(unwanted_boxes(street, options).empty());
-    EXPECT_GT(kept.models[0].count, masked.models[0].count + 100) << "the other car's points are in the background";
+    EXPECT_GT(kept.models[0].count, masked.models[0].count + 100)
+        << "the other car's points are in the background";
 }
 
 TEST(Actors, TrackChosenByNameNeedNotMove) {
@@ -143,12 +155,14 @@ TEST(Actors, ArePaddedInTheirBox) {
     ASSERT_LT(model_of_track(plain, "0").count, 3000u);
     EXPECT_EQ(model_of_track(padded, "0").count, 3000u);
     options.actor_points = 500;
-    EXPECT_EQ(model_of_track(initialise_scene(street, train, options), "0").count, 500u) << "never more than actor_points";
+    EXPECT_EQ(model_of_track(initialise_scene(street, train, options), "0").count, 500u)
+        << "never more than actor_points";
     const Model& car = model_of_track(padded, "0");
     int octants[8] = {};
     for (std::uint32_t i = 0; i < car.count; ++i) {
         const glm::vec3 p = padded.surfels.mean[car.first + i];
-        EXPECT_TRUE(glm::all(glm::lessThanEqual(glm::abs(glm::dvec3(p)), 0.5 * street.boxes[0].size_m + 0.11)));
+        EXPECT_TRUE(
+            glm::all(glm::lessThanEqual(glm::abs(glm::dvec3(p)), 0.5 * street.boxes[0].size_m + 0.11)));
         ++octants[(p.x > 0) + 2 * (p.y > 0) + 4 * (p.z > 0)];
     }
     for (const int n : octants) EXPECT_GT(n, 150) << "random points fill the whole box";
@@ -173,7 +187,8 @@ TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
     street.boxes.back().id = "empty";
     for (Pose& pose : street.boxes.back().world_from_box.pose) pose.translation.z += 40.0;
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, with_actors());
-    EXPECT_EQ(scene.instances.size(), 4u) << "background, two cars and the twin; a box without points is no actor";
+    EXPECT_EQ(scene.instances.size(), 4u)
+        << "background, two cars and the twin; a box without points is no actor";
     EXPECT_EQ(model_of_track(scene, "twin").count, model_of_track(scene, "0").count);
 }
 
@@ -182,14 +197,16 @@ class ActorsOnDevice : public test::DeviceTest {};
 TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
     Surfels one;
     one.resize(2);
-    for (auto& q : one.rotation) q = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};   // normal along x
+    for (auto& q : one.rotation) q = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};  // normal along x
     std::fill(one.opacity_logit.begin(), one.opacity_logit.end(), 5.0f);
     std::fill(one.sh.begin(), one.sh.end(), 0.0f);
     Scene scene;
     scene.surfels = one;
     scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     scene.instances = {{0, ""}, {1, "car"}, {1, "copy"}};
-    const auto at = [](double x, bool present) { return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present}; };
+    const auto at = [](double x, bool present) {
+        return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present};
+    };
     for (const bool brute_force : {false, true}) {
         const Forced forced(device(), {.brute_force = brute_force});
         Renderer renderer(device(), scene, {});

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tracks of what moves without a label, against a synthetic street whose cars are known but not told.
+// Tracks of what moves without a label, against a synthetic street whose cars are known
+// but not told.
 #include <algorithm>
 
 #include <gtest/gtest.h>
@@ -12,8 +13,8 @@ namespace relidar {
 namespace {
 
 struct Street {
-    Sequence log;                   ///< without its boxes
-    std::vector<BoxTrack> truth;    ///< those that move
+    Sequence log;                 ///< without its boxes
+    std::vector<BoxTrack> truth;  ///< those that move
     Split split;
 };
 
@@ -30,9 +31,12 @@ Street street_without_labels() {
 /// The discovered track that is inside a box half-way through what both saw.
 const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
     for (const BoxTrack& track : found) {
-        const double from = std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
+        const double from =
+            std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
         const double to = std::min(track.world_from_box.time_s.back(), truth.world_from_box.time_s.back());
-        if (from < to && truth.holds(track.world_from_box.at(0.5 * (from + to)).translation, 0.5 * (from + to), 0.3)) return &track;
+        if (from < to &&
+            truth.holds(track.world_from_box.at(0.5 * (from + to)).translation, 0.5 * (from + to), 0.3))
+            return &track;
     }
     return nullptr;
 }
@@ -51,7 +55,9 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         std::vector<glm::dvec3> place;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
-            if (truth.present(t_s)) place.push_back(inverse(track->world_from_box.pose[i]) * truth.world_from_box.at(t_s).translation);
+            if (truth.present(t_s))
+                place.push_back(inverse(track->world_from_box.pose[i]) *
+                                truth.world_from_box.at(t_s).translation);
         }
         ASSERT_GE(place.size(), 6u);
         glm::dvec3 mean(0.0);
@@ -60,14 +66,17 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         for (const glm::dvec3& p : place) off.push_back(glm::distance(p, mean));
         std::sort(off.begin(), off.end());
         EXPECT_LT(off[off.size() / 2], 0.15) << "box " << truth.id;
-        EXPECT_LT(off.back(), 0.4) << "box " << truth.id << ": at the ends of the log few frames tell what moved";
+        EXPECT_LT(off.back(), 0.4) << "box " << truth.id
+                                   << ": at the ends of the log few frames tell what moved";
         EXPECT_LT(track->size_m.x, truth.size_m.x + 0.8);
         EXPECT_LT(track->size_m.y, truth.size_m.y + 0.8);
     }
 }
 
-/// Keeps the labels of a box in some frames. @return the times at which it has none any more
-std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first, std::size_t end) {
+/// Keeps the labels of a box in some frames. @return the times at which it has none any
+/// more
+std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
+                               std::size_t end) {
     const BoxTrack whole = box;
     std::vector<double> cut_s;
     box.world_from_box = {};
@@ -83,12 +92,13 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
     return cut_s;
 }
 
-/// Labels of a camera's view end where the thing leaves it, and begin where it comes into it.
+/// Labels of a camera's view end where the thing leaves it, and begin where it comes into
+/// it.
 TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
         Street street = street_without_labels();
         street.log.boxes = street.truth;
-        const BoxTrack& truth = street.truth[1];   // oncoming: the car ahead is hidden behind itself
+        const BoxTrack& truth = street.truth[1];  // oncoming: the car ahead is hidden behind itself
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
         const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
         ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
@@ -99,11 +109,14 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         EXPECT_EQ(box.n_before > 0, first > 0);
         EXPECT_EQ(box.n_after > 0, end < 24);
         EXPECT_EQ(box.labelled_part().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
-        const std::ptrdiff_t seen = std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
-        EXPECT_GE(box.n_before + box.n_after, std::size_t(seen) - 2) << "two frames are held out; before it is out of sight";
+        const std::ptrdiff_t seen =
+            std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
+        EXPECT_GE(box.n_before + box.n_after, std::size_t(seen) - 2)
+            << "two frames are held out; before it is out of sight";
         EXPECT_TRUE(std::ranges::is_sorted(box.world_from_box.time_s));
         for (std::size_t k = 0; k < box.world_from_box.time_s.size(); ++k) {
-            const Pose at = truth.world_from_box.at(box.world_from_box.time_s[k]), off = inverse(at) * box.world_from_box.pose[k];
+            const Pose at = truth.world_from_box.at(box.world_from_box.time_s[k]),
+                       off = inverse(at) * box.world_from_box.pose[k];
             EXPECT_LT(glm::length(off.translation), 0.3) << box.world_from_box.time_s[k];
             EXPECT_LT(glm::angle(off.rotation), 4.0 * kPi / 180.0) << box.world_from_box.time_s[k];
         }
@@ -118,7 +131,8 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
         Frame& frame = street.log.frames[f];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f)
-                if (const WorldReturn w = world_return(street.log, frame, ray); truth.holds(w.point_m, w.time_s, 0.1))
+                if (const WorldReturn w = world_return(street.log, frame, ray);
+                    truth.holds(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
@@ -141,7 +155,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     for (std::size_t k = 0; k < ahead->world_from_box.time_s.size(); ++k) {
         const double t_s = ahead->world_from_box.time_s[k];
         EXPECT_LT(glm::distance(glm::dvec2(ahead->world_from_box.pose[k].translation),
-                                glm::dvec2(street.truth[0].world_from_box.at(t_s).translation)), 0.5)
+                                glm::dvec2(street.truth[0].world_from_box.at(t_s).translation)),
+                  0.5)
             << "filled up ahead, " << t_s;
     }
 }
@@ -157,7 +172,8 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
                 frames.back().lidar = lidar;
                 if (lidar == 1 || first_sees_all) continue;
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-                    if (frame.scan.rays.direction[i].x < 0.98f) frames.back().scan.range_m[i] = frames.back().scan.intensity[i] = 0.0f;
+                    if (frame.scan.rays.direction[i].x < 0.98f)
+                        frames.back().scan.range_m[i] = frames.back().scan.intensity[i] = 0.0f;
             }
         street.log.lidars.push_back(street.log.lidars[0]);
         street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
@@ -165,7 +181,8 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         check_sequence(street.log);
         const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
         EXPECT_EQ(found.size(), street.truth.size()) << first_sees_all;
-        for (const BoxTrack& truth : street.truth) EXPECT_NE(found_in(found, truth), nullptr) << "box " << truth.id;
+        for (const BoxTrack& truth : street.truth)
+            EXPECT_NE(found_in(found, truth), nullptr) << "box " << truth.id;
     }
 }
 
@@ -175,10 +192,12 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// Labels of a drive end where the camera's view does: what stood then stands before and after.
+/// Labels of a drive end where the camera's view does: what stood then stands before and
+/// after.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     Street street = street_without_labels();
-    BoxTrack still{.id = "still", .category = "Van", .size_m = glm::dvec3(300.0, 300.0, 30.0), .world_from_box = {}};
+    BoxTrack still{
+        .id = "still", .category = "Van", .size_m = glm::dvec3(300.0, 300.0, 30.0), .world_from_box = {}};
     for (const int frame : {10, 11}) {
         still.world_from_box.time_s.push_back(street.log.frames[std::size_t(frame)].time_s);
         still.world_from_box.pose.push_back({});
@@ -193,7 +212,8 @@ TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     for (Frame& frame : street.log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
-            if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f) frame.scan.range_m[i] = 1.3f;
+            if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f)
+                frame.scan.range_m[i] = 1.3f;
         }
     EXPECT_EQ(discover_tracks(street.log, street.split.train).size(), street.truth.size());
 }
@@ -206,10 +226,12 @@ TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
     ASSERT_EQ(before.size(), after.size());
     for (std::size_t i = 0; i < before.size(); ++i) {
         ASSERT_EQ(before[i].world_from_box.time_s, after[i].world_from_box.time_s);
-        EXPECT_EQ(std::count(before[i].world_from_box.time_s.begin(), before[i].world_from_box.time_s.end(), street.log.frames[10].time_s),
+        EXPECT_EQ(std::count(before[i].world_from_box.time_s.begin(), before[i].world_from_box.time_s.end(),
+                             street.log.frames[10].time_s),
                   0);
         for (std::size_t k = 0; k < before[i].world_from_box.pose.size(); ++k)
-            EXPECT_EQ(before[i].world_from_box.pose[k].translation, after[i].world_from_box.pose[k].translation);
+            EXPECT_EQ(before[i].world_from_box.pose[k].translation,
+                      after[i].world_from_box.pose[k].translation);
     }
 }
 
@@ -218,11 +240,14 @@ TEST(DiscoverTracks, BecomeActors) {
     InitialiseOptions options;
     options.unlabelled_movers = UnlabelledMovers::actors;
     options.actor_min_points = 20;
-    for (const BoxTrack& box : discover_tracks(street.log, street.split.train)) street.log.boxes.push_back(box);
-    EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1 + street.truth.size());
+    for (const BoxTrack& box : discover_tracks(street.log, street.split.train))
+        street.log.boxes.push_back(box);
+    EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(),
+              1 + street.truth.size());
     options.unlabelled_movers = UnlabelledMovers::removed;
     options.actor_classes = "Car";
-    EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1u) << "no class is wanted: masked instead";
+    EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1u)
+        << "no class is wanted: masked instead";
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that walk (docs/method.md M10): how far they have come, strides found in exact walkers and not in what is rigid, and walkers
-// rendered at moments that were not learned from, also where they walk at another speed, against the exact street.
+// Actors that walk (docs/method.md M10): how far they have come, strides found in exact
+// walkers and not in what is rigid, and walkers rendered at moments that were not learned
+// from, also where they walk at another speed, against the exact street.
 #include <algorithm>
 #include <cmath>
 #include <set>
@@ -21,7 +22,8 @@ PoseTrack straight_walk(double speed_mps, double jitter_m, double from_s = 0.0) 
     Random random(3);
     for (double t = from_s; t < from_s + 5.05; t += 0.1) {
         track.time_s.push_back(t);
-        track.pose.push_back({glm::dquat(1, 0, 0, 0), {speed_mps * t, jitter_m * random.normal(), jitter_m * random.normal()}});
+        track.pose.push_back({glm::dquat(1, 0, 0, 0),
+                              {speed_mps * t, jitter_m * random.normal(), jitter_m * random.normal()}});
     }
     return track;
 }
@@ -35,11 +37,18 @@ TEST(WalkedWay, IsTheWayAndNotTheJitterOfLabels) {
     EXPECT_EQ(WalkedWay(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
 }
 
-/// Three walkers with legs and arms that swing once in 1.2527 m (4 legs of 0.72 m, 0.45 rad), and a cyclist who is rigid.
+/// Three walkers with legs and arms that swing once in 1.2527 m (4 legs of 0.72 m, 0.45
+/// rad), and a cyclist who is rigid.
 class Walkers : public test::DeviceTest {
 protected:
     static SyntheticOptions options() {
-        return {.seed = 3, .n_frames = 40, .rows = 64, .columns = 1024, .speed_mps = 2.0, .moving_cars = false, .people = true,
+        return {.seed = 3,
+                .n_frames = 40,
+                .rows = 64,
+                .columns = 1024,
+                .speed_mps = 2.0,
+                .moving_cars = false,
+                .people = true,
                 .gait = true};
     }
     static constexpr double kStride_m = 1.2527;
@@ -57,8 +66,10 @@ protected:
     static const Model& model_of(const Scene& scene, const std::string& track) {
         return *std::ranges::find(scene.models, track, &Model::name);
     }
-    /// Rays of a frame that meet a walker in the exact street: how far the rendered surface is from where they do, metres.
-    std::vector<double> errors(const Scene& scene, const Sequence& at, const Frame& frame, const Scan& exact, const std::string& track) {
+    /// Rays of a frame that meet a walker in the exact street: how far the rendered
+    /// surface is from where they do, metres.
+    std::vector<double> errors(const Scene& scene, const Sequence& at, const Frame& frame, const Scan& exact,
+                               const std::string& track) {
         const BoxTrack& box = *find_box(at, track);
         const PoseTrack world_from_sensor = at.world_from_sensor(frame.lidar);
         WorldRays rays;
@@ -73,15 +84,19 @@ protected:
             truth.push_back(double(exact.range_m[i]));
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
-        renderer.move(place_instances(scene, log, moment_of(log.frames[0])), glm::vec3(0.0f));   // at another phase first
-        renderer.move(place_instances(scene, at, moment_of(frame)), glm::vec3(world_from_sensor.at(frame.time_s).translation));
+        // at another phase first
+        renderer.move(place_instances(scene, log, moment_of(log.frames[0])), glm::vec3(0.0f));
+        renderer.move(place_instances(scene, at, moment_of(frame)),
+                      glm::vec3(world_from_sensor.at(frame.time_s).translation));
         const Rendering r = renderer.forward(rays);
         std::vector<double> off;
-        for (std::size_t i = 0; i < truth.size(); ++i) off.push_back(std::abs(double(r.median_depth[i]) - truth[i]));
+        for (std::size_t i = 0; i < truth.size(); ++i)
+            off.push_back(std::abs(double(r.median_depth[i]) - truth[i]));
         return off;
     }
     static double share_within(const std::vector<double>& errors, double most_m) {
-        return double(std::ranges::count_if(errors, [&](double e) { return e < most_m; })) / double(errors.size());
+        return double(std::ranges::count_if(errors, [&](double e) { return e < most_m; })) /
+               double(errors.size());
     }
 
     inline static Sequence log;
@@ -92,9 +107,11 @@ protected:
 };
 
 TEST_F(Walkers, StridesAreFoundInThoseWhoWalk) {
-    for (const char* track : {"0", "1"}) EXPECT_NEAR(double(model_of(walking, track).stride_m), kStride_m, 0.04) << track;
+    for (const char* track : {"0", "1"})
+        EXPECT_NEAR(double(model_of(walking, track).stride_m), kStride_m, 0.04) << track;
     EXPECT_EQ(model_of(walking, "3").stride_m, 0.0f) << "the cyclist is rigid";
-    EXPECT_TRUE(std::ranges::any_of(notes, [](const std::string& note) { return note.starts_with("3 (Cyclist) is rigid: "); }));
+    EXPECT_TRUE(std::ranges::any_of(
+        notes, [](const std::string& note) { return note.starts_with("3 (Cyclist) is rigid: "); }));
     EXPECT_FALSE(rigid.surfels.bends);
     for (std::size_t i = 0; i < model_of(walking, "background").count; ++i) {
         ASSERT_EQ(walking.surfels.gait[i].sharpness, 0.0f);
@@ -106,32 +123,35 @@ TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
     std::vector<double> bent, stiff;
     for (const int position : split.test) {
         const Frame& frame = log.frames[std::size_t(position)];
-        const Scan exact = cast_synthetic_street(options(), frame.scan.rays, log.world_from_sensor(0), frame.time_s);
+        const Scan exact =
+            cast_synthetic_street(options(), frame.scan.rays, log.world_from_sensor(0), frame.time_s);
         for (const char* track : {"0", "1"}) {
             for (const double e : errors(walking, log, frame, exact, track)) bent.push_back(e);
             for (const double e : errors(rigid, log, frame, exact, track)) stiff.push_back(e);
         }
     }
     ASSERT_GT(bent.size(), 300u);
-    printf("within 3 cm before any training: %.3f of points with a gait, %.3f of rigid actors\n", share_within(bent, 0.03),
-           share_within(stiff, 0.03));
+    printf("within 3 cm before any training: %.3f of points with a gait, %.3f of rigid actors\n",
+           share_within(bent, 0.03), share_within(stiff, 0.03));
     EXPECT_GT(share_within(bent, 0.03), share_within(stiff, 0.03) + 0.04);
     EXPECT_LT(share_within(stiff, 0.3), share_within(bent, 0.3)) << "rays that miss or meet the other leg";
 }
 
-/// Who walks his way at half the speed sets his feet where he did: his phase goes by distance, and the exact street does the same.
+/// Who walks his way at half the speed sets his feet where he did: his phase goes by
+/// distance, and the exact street does the same.
 TEST_F(Walkers, StepByDistance) {
     const std::string walker = "0";
     Sequence slow = log;
     BoxTrack& box = *std::ranges::find(slow.boxes, walker, &BoxTrack::id);
     for (double& t : box.world_from_box.time_s) t *= 2.0;
-    const std::size_t at = 1 + std::size_t(std::ranges::find(walking.models, walker, &Model::name) - walking.models.begin() - 1);
+    const std::size_t at =
+        1 + std::size_t(std::ranges::find(walking.models, walker, &Model::name) - walking.models.begin() - 1);
     const Frame& frame = log.frames[30];
     const double before = place_instances(walking, log, SweepMoment{log.frames[15].time_s})[at].phase;
     const double phase = place_instances(walking, slow, moment_of(frame))[at].phase;
     EXPECT_NEAR(phase, before, 0.03) << "turns, half way";
-    const Scan exact =
-        cast_synthetic_street(options(), {{std::stoul(walker), box}}, frame.scan.rays, log.world_from_sensor(0), frame.time_s);
+    const Scan exact = cast_synthetic_street(options(), {{std::stoul(walker), box}}, frame.scan.rays,
+                                             log.world_from_sensor(0), frame.time_s);
     EXPECT_GT(share_within(errors(walking, slow, frame, exact, walker), 0.03),
               share_within(errors(rigid, slow, frame, exact, walker), 0.03) + 0.05);
 }

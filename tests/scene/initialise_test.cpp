@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Initialisation of the background from a synthetic street: surfels lie on surfaces, face along them, come from training frames only,
-// leave moving boxes out; unlabelled movers are removed by what other frames see through.
+// Initialisation of the background from a synthetic street: surfels lie on surfaces, face
+// along them, come from training frames only, leave moving boxes out; unlabelled movers
+// are removed by what other frames see through.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -23,13 +24,14 @@ namespace {
 SyntheticOptions small_street() { return {.n_frames = 12, .rows = 24, .columns = 256, .range_noise_m = 0.0}; }
 
 glm::vec3 normal_of(const glm::vec4& q) {
-    const glm::vec4 u = glm::normalize(q);   // w, x, y, z
+    const glm::vec4 u = glm::normalize(q);  // w, x, y, z
     return {2 * (u.y * u.w + u.x * u.z), 2 * (u.z * u.w - u.x * u.y), 1 - 2 * (u.y * u.y + u.z * u.z)};
 }
 
 TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     const Sequence street = make_synthetic_street(small_street());
-    const Surfels surfels = initialise_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
+    const Surfels surfels =
+        initialise_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
     ASSERT_GT(surfels.size(), 5000u);
     float ground = 1e9f;
     for (const glm::vec3& p : surfels.mean) ground = std::min(ground, p.z);
@@ -48,7 +50,8 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     }
 }
 
-/// Flat ground of one albedo, seen from 2 m above it: intensity = 0.4 (0.3 + 0.7 cos), which degree 1 holds exactly.
+/// Flat ground of one albedo, seen from 2 m above it: intensity = 0.4 (0.3 + 0.7 cos),
+/// which degree 1 holds exactly.
 TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     Sequence ground;
     for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
@@ -66,8 +69,10 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     std::vector<float> worst;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         const float* sh = surfels.sh.data() + i * 48;
-        for (const glm::vec3 d : {glm::vec3(0, 0, -1), glm::normalize(glm::vec3(1, 2, -1)), glm::normalize(glm::vec3(-3, 1, -0.5f))}) {
-            const float value = 0.5f + 0.28209479f * sh[0] + 0.48860251f * (-d.y * sh[1] + d.z * sh[2] - d.x * sh[3]);
+        for (const glm::vec3 d : {glm::vec3(0, 0, -1), glm::normalize(glm::vec3(1, 2, -1)),
+                                  glm::normalize(glm::vec3(-3, 1, -0.5f))}) {
+            const float value =
+                0.5f + 0.28209479f * sh[0] + 0.48860251f * (-d.y * sh[1] + d.z * sh[2] - d.x * sh[3]);
             worst.push_back(std::abs(value - 0.4f * (0.3f - 0.7f * d.z)));
         }
     }
@@ -75,10 +80,12 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
 }
 
-/// Mean of |n . d| over surfels of a scan whose ranges are given, d from the sensor to the surfel.
+/// Mean of |n . d| over surfels of a scan whose ranges are given, d from the sensor to
+/// the surfel.
 double mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
     Sequence sequence;
-    for (int b = 0; b < 48; ++b) sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.1 - 0.01 * b});
+    for (int b = 0; b < 48; ++b)
+        sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.1 - 0.01 * b});
     sequence.lidars[0].sensor.columns = 628;
     sequence.rolling_shutter = false;
     sequence.world_from_vehicle = {{0.0}, {{}}};
@@ -100,7 +107,9 @@ double mean_facing(const std::function<float(const glm::vec3& direction)>& range
 
 TEST(Initialise, WhatIsNoSurfaceFacesTheSensor) {
     std::mt19937 random(5);
-    const auto leaves = [&](const glm::vec3&) { return std::uniform_real_distribution<float>(6.0f, 8.0f)(random); };
+    const auto leaves = [&](const glm::vec3&) {
+        return std::uniform_real_distribution<float>(6.0f, 8.0f)(random);
+    };
     const auto road = [](const glm::vec3& d) { return -2.0f / d.z; };
     EXPECT_GT(mean_facing(leaves, 0.04), 0.95);
     EXPECT_LT(mean_facing(leaves, 1.0), 0.8) << "they follow their points, which say nothing";
@@ -112,33 +121,39 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
     std::size_t n = 0;
     for (const glm::vec3& p : surfels.mean) {
         bool inside = false;
-        for (const Frame& frame : street.frames) inside = inside || in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
+        for (const Frame& frame : street.frames)
+            inside = inside || in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
         n += inside && p.z > surfels.mean[0].z - 1e9f;
     }
     return n;
 }
 
-/// Nothing moves, so nothing may be taken for what has moved on: neither by a head that spins nor by LiDARs that have no beams.
+/// Nothing moves, so nothing may be taken for what has moved on: neither by a head that
+/// spins nor by LiDARs that have no beams.
 TEST(Initialise, AStreetThatStandsStillStays) {
-    const std::string rig = test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
+    const std::string rig =
+        test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
     const Sequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
     const std::size_t n_lidars = street.lidars.size();
-    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {   // each of them alone, then all together
+    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {  // each of them alone, then all together
         std::vector<int> train;
         for (std::size_t i = 0; i < street.frames.size(); ++i)
             if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
         InitialiseOptions options;
         const std::size_t all = initialise_background(street, train, options).size();
         options.unlabelled_movers = UnlabelledMovers::removed;
-        EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all)) << "LiDAR " << lidar;
+        EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all))
+            << "LiDAR " << lidar;
     }
 }
 
-/// The lower beams of a VLP-32C lie up to 9 degrees apart. The ground between two of them is nearer than where the upper one meets it.
+/// The lower beams of a VLP-32C lie up to 9 degrees apart. The ground between two of them
+/// is nearer than where the upper one meets it.
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
-    const Sequence street = make_synthetic_street({.n_frames = 12, .moving_cars = false, .rig = rig.string()});
+    const Sequence street =
+        make_synthetic_street({.n_frames = 12, .moving_cars = false, .rig = rig.string()});
     std::vector<int> train(street.frames.size());
     std::iota(train.begin(), train.end(), 0);
     InitialiseOptions options;
@@ -150,16 +165,18 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     SyntheticOptions longer = small_street();
-    longer.n_frames = 20;   // what a car hid must be seen again
+    longer.n_frames = 20;  // what a car hid must be seen again
     const Sequence street = make_synthetic_street(longer);
     const std::vector<int> train = split_frames(street, 10).train;
     InitialiseOptions options;
     const std::size_t labelled = count_in_moving_boxes(street, initialise_background(street, train, options));
     Sequence unlabelled = street;
     unlabelled.boxes.clear();
-    const std::size_t left_in = count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
+    const std::size_t left_in =
+        count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
     options.unlabelled_movers = UnlabelledMovers::removed;
-    const std::size_t removed = count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
+    const std::size_t removed =
+        count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
     EXPECT_GT(left_in, labelled + 50u) << "the cars leave a trail where nothing is done about it";
     EXPECT_LT(double(removed - std::min(removed, labelled)), 0.35 * double(left_in - labelled))
         << left_in << " in boxes without removal, " << removed << " with, " << labelled << " with labels";

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Paths of movers against motion that is known: smooth where it is, and heading where it goes.
+// Paths of movers against motion that is known: smooth where it is, and heading where it
+// goes.
 #include <algorithm>
 #include <cmath>
 
@@ -15,7 +16,7 @@ namespace {
 
 std::vector<double> tenths(int n) {
     std::vector<double> times;
-    for (int k = 0; k < n; ++k) times.push_back(3.0 + 0.1 * k + (k > 20 ? 0.4 : 0.0));   // with a gap
+    for (int k = 0; k < n; ++k) times.push_back(3.0 + 0.1 * k + (k > 20 ? 0.4 : 0.0));  // with a gap
     return times;
 }
 
@@ -26,9 +27,12 @@ TEST(MoverPath, KeepsConstantAcceleration) {
     const std::vector<PathState> path = smooth_path(times, places);
     for (std::size_t k = 0; k < times.size(); ++k) {
         EXPECT_LT(glm::distance(path[k].position_m, places[k]), 0.01) << k;
-        EXPECT_LT(glm::distance(path[k].velocity_mps, glm::dvec3(-3.0 + 1.6 * times[k], 5.0, 0.1)), 0.05) << k;
+        EXPECT_LT(glm::distance(path[k].velocity_mps, glm::dvec3(-3.0 + 1.6 * times[k], 5.0, 0.1)), 0.05)
+            << k;
         const double later = times[k] + 0.05;
-        EXPECT_LT(glm::distance(path[k].after(0.05), glm::dvec3(20.0 - 3.0 * later + 0.8 * later * later, 5.0 * later, 0.1 * later)), 0.02);
+        EXPECT_LT(glm::distance(path[k].after(0.05), glm::dvec3(20.0 - 3.0 * later + 0.8 * later * later,
+                                                                5.0 * later, 0.1 * later)),
+                  0.02);
     }
 }
 
@@ -37,7 +41,8 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
     std::vector<glm::dvec3> truth, places;
     Random random(5);
     for (const double t : times) {
-        truth.push_back({8.0 * std::sin(0.5 * t), 8.0 - 8.0 * std::cos(0.5 * t), 0.0});   // a bend of 8 m radius at 4 m/s
+        // a bend of 8 m radius at 4 m/s
+        truth.push_back({8.0 * std::sin(0.5 * t), 8.0 - 8.0 * std::cos(0.5 * t), 0.0});
         places.push_back(truth.back() + 0.05 * glm::dvec3(random.normal(), random.normal(), 0.0));
     }
     places[30] += glm::dvec3(2.0, -2.0, 0.0);
@@ -62,15 +67,19 @@ TEST(MoverPath, StandsWithTheHeadingItCameWith) {
     std::vector<glm::dvec3> places, smooth;
     Random random(7);
     for (int k = 0; k < 100; ++k) {
-        const double t = 0.1 * k, brakes = std::clamp(2.0 - (t - 1.0), 0.0, 2.0), starts = std::max(t - 6.0, 0.0);   // at 2 m/s^2
+        // at 2 m/s^2
+        const double t = 0.1 * k, brakes = std::clamp(2.0 - (t - 1.0), 0.0, 2.0),
+                     starts = std::max(t - 6.0, 0.0);
         times.push_back(t);
-        places.push_back(glm::dvec3(4.0 * std::min(t - 1.0, 0.0) - brakes * brakes + starts * starts, 0.0, 0.0) +
-                         0.03 * glm::dvec3(random.normal(), random.normal(), 0.0));
+        places.push_back(
+            glm::dvec3(4.0 * std::min(t - 1.0, 0.0) - brakes * brakes + starts * starts, 0.0, 0.0) +
+            0.03 * glm::dvec3(random.normal(), random.normal(), 0.0));
     }
     for (const PathState& state : smooth_path(times, places)) smooth.push_back(state.position_m);
     const std::vector<double> yaw = headings_along(smooth);
     for (std::size_t k = 0; k < yaw.size(); ++k) EXPECT_LT(std::abs(yaw[k]), 3.0 * kPi / 180.0) << k;
-    for (std::size_t k = 31; k < 60; ++k) EXPECT_LT(std::abs(yaw[k] - yaw[k - 1]), 0.5 * kPi / 180.0) << "it stands, " << k;
+    for (std::size_t k = 31; k < 60; ++k)
+        EXPECT_LT(std::abs(yaw[k] - yaw[k - 1]), 0.5 * kPi / 180.0) << "it stands, " << k;
 }
 
 }  // namespace

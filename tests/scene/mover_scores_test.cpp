@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// How many of the movers that are discovered are ones, and how many of those there are, are discovered: against synthetic streets whose
-// actors are known but not told, with parked cars, some of them behind a fence, people, and a cyclist.
+// How many of the movers that are discovered are ones, and how many of those there are,
+// are discovered: against synthetic streets whose actors are known but not told, with
+// parked cars, some of them behind a fence, people, and a cyclist.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -18,15 +19,16 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kSeenReturns = 12;     // of a thing in a frame that sees it
-constexpr std::size_t kSeenFrames = 10;      // that see what is to be discovered
-constexpr double kFarthest_m = 40.0;         // discover_tracks() looks no farther
-constexpr double kInside_m = 0.3;            // of a true box, where the centre of a discovered one belongs
-constexpr double kLarger_m = 0.8;            // than the true box a discovered one may be
-constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;   // of poses that are off
+constexpr std::size_t kSeenReturns = 12;  // of a thing in a frame that sees it
+constexpr std::size_t kSeenFrames = 10;   // that see what is to be discovered
+constexpr double kFarthest_m = 40.0;      // discover_tracks() looks no farther
+constexpr double kInside_m = 0.3;         // of a true box, where the centre of a discovered one belongs
+constexpr double kLarger_m = 0.8;         // than the true box a discovered one may be
+constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // of poses that are off
 
 /// [things] Training frames in which each has enough returns.
-std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<int>& train, const std::vector<BoxTrack>& things) {
+std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<int>& train,
+                                         const std::vector<BoxTrack>& things) {
     std::vector<std::size_t> n_frames(things.size(), 0);
     for (const int position : train) {
         const Frame& frame = log.frames[std::size_t(position)];
@@ -34,30 +36,34 @@ std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kFarthest_m)) continue;
             const WorldReturn w = world_return(log, frame, ray);
-            for (std::size_t i = 0; i < things.size(); ++i) n_returns[i] += things[i].holds(w.point_m, w.time_s, 0.0);
+            for (std::size_t i = 0; i < things.size(); ++i)
+                n_returns[i] += things[i].holds(w.point_m, w.time_s, 0.0);
         }
         for (std::size_t i = 0; i < things.size(); ++i) n_frames[i] += n_returns[i] >= kSeenReturns;
     }
     return n_frames;
 }
 
-/// Whether a discovered track is this thing: its centre in the true box most of the time, and not larger than it.
+/// Whether a discovered track is this thing: its centre in the true box most of the time,
+/// and not larger than it.
 bool is_of(const BoxTrack& found, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i) {
         const double t_s = found.world_from_box.time_s[i];
         inside += truth.present(t_s) && truth.holds(found.world_from_box.pose[i].translation, t_s, kInside_m);
     }
-    return 10 * inside >= 8 * found.world_from_box.time_s.size() && found.size_m.x < truth.size_m.x + kLarger_m &&
-           found.size_m.y < truth.size_m.y + kLarger_m;
+    return 10 * inside >= 8 * found.world_from_box.time_s.size() &&
+           found.size_m.x < truth.size_m.x + kLarger_m && found.size_m.y < truth.size_m.y + kLarger_m;
 }
 
-/// How far a thing strays from its mean place in the frame of what was discovered of it: 0 where both move alike.
+/// How far a thing strays from its mean place in the frame of what was discovered of it:
+/// 0 where both move alike.
 double strays_m(const BoxTrack& found, const BoxTrack& thing) {
     std::vector<glm::dvec3> places;
     for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i)
         if (const double t_s = found.world_from_box.time_s[i]; thing.present(t_s))
-            places.push_back(inverse(found.world_from_box.pose[i]) * thing.world_from_box.at(t_s).translation);
+            places.push_back(inverse(found.world_from_box.pose[i]) *
+                             thing.world_from_box.at(t_s).translation);
     glm::dvec3 mean(0.0);
     for (const glm::dvec3& p : places) mean += p / double(places.size());
     double farthest = 0.0;
@@ -65,16 +71,18 @@ double strays_m(const BoxTrack& found, const BoxTrack& thing) {
     return farthest;
 }
 
-/// How much more or less than the thing what was discovered of it turns from one of its frames to the next, degrees a tenth of a second.
+/// How much more or less than the thing what was discovered of it turns from one of its
+/// frames to the next, degrees a tenth of a second.
 void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double>& wobble_deg) {
     const PoseTrack& track = found.world_from_box;
     const auto turned = [&](std::size_t i) {
-        const glm::dvec3 ahead = inverse(thing.world_from_box.at(track.time_s[i])).rotation * track.pose[i].rotation * glm::dvec3(1, 0, 0);
+        const glm::dvec3 ahead = inverse(thing.world_from_box.at(track.time_s[i])).rotation *
+                                 track.pose[i].rotation * glm::dvec3(1, 0, 0);
         return std::atan2(ahead.y, ahead.x);
     };
     for (std::size_t i = 1; i < track.pose.size(); ++i)
-        wobble_deg.push_back(std::abs(std::remainder(turned(i) - turned(i - 1), 2.0 * kPi)) * 180.0 / kPi * 0.1 /
-                             (track.time_s[i] - track.time_s[i - 1]));
+        wobble_deg.push_back(std::abs(std::remainder(turned(i) - turned(i - 1), 2.0 * kPi)) * 180.0 / kPi *
+                             0.1 / (track.time_s[i] - track.time_s[i - 1]));
 }
 
 double quantile(std::vector<double> values, double share) {
@@ -84,18 +92,22 @@ double quantile(std::vector<double> values, double share) {
 
 struct Score {
     std::size_t found = 0, right = 0, present = 0, recalled = 0;
-    std::vector<double> strayed_m, wobble_deg;   // of those that are right
+    std::vector<double> strayed_m, wobble_deg;  // of those that are right
     double precision() const { return double(right) / double(std::max<std::size_t>(found, 1)); }
     double recall() const { return double(recalled) / double(std::max<std::size_t>(present, 1)); }
     void expect_good() const {
-        std::printf("movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more are discovered "
-                    "(recall %.3f)\n", right, found, precision(), recalled, present, kSeenFrames, recall());
+        std::printf(
+            "movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more "
+            "are discovered "
+            "(recall %.3f)\n",
+            right, found, precision(), recalled, present, kSeenFrames, recall());
         EXPECT_GE(precision(), 0.95);
         EXPECT_GE(recall(), 0.95);
     }
 };
 
-/// Adds the movers of one street. What is discovered twice at a time counts as wrong the second time.
+/// Adds the movers of one street. What is discovered twice at a time counts as wrong the
+/// second time.
 void add_street(const SyntheticOptions& options, Score& score) {
     Sequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
@@ -110,7 +122,8 @@ void add_street(const SyntheticOptions& options, Score& score) {
         for (std::size_t i = 0; i < found.size(); ++i) {
             if (taken[i] || !is_of(found[i], thing)) continue;
             const std::vector<double>& times = found[i].world_from_box.time_s;
-            if (2 * std::count_if(covered.begin(), covered.end(), [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) >
+            if (2 * std::count_if(covered.begin(), covered.end(),
+                                  [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) >
                 std::ptrdiff_t(times.size()))
                 continue;
             taken[i] = 1;
@@ -124,16 +137,18 @@ void add_street(const SyntheticOptions& options, Score& score) {
         const bool recalled = 2 * covered.size() >= n_seen[k];
         score.recalled += recalled;
         if (!recalled)
-            std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed), thing.category.c_str(), thing.id.c_str(),
-                        n_seen[k], covered.size());
+            std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed),
+                        thing.category.c_str(), thing.id.c_str(), n_seen[k], covered.size());
     }
     for (std::size_t i = 0; i < found.size(); ++i) {
         const PoseTrack& track = found[i].world_from_box;
-        const glm::dvec3 at = track.pose.front().translation + log.world_offset_m, to = track.pose.back().translation + log.world_offset_m;
+        const glm::dvec3 at = track.pose.front().translation + log.world_offset_m,
+                         to = track.pose.back().translation + log.world_offset_m;
         if (!taken[i])
-            std::printf("street %d: wrong %s, %.1f x %.1f x %.1f m, %zu frames, from %.1f %.1f to %.1f %.1f\n", int(options.seed),
-                        found[i].id.c_str(), found[i].size_m.x, found[i].size_m.y, found[i].size_m.z, track.time_s.size(), at.x, at.y, to.x,
-                        to.y);
+            std::printf(
+                "street %d: wrong %s, %.1f x %.1f x %.1f m, %zu frames, from %.1f %.1f to %.1f %.1f\n",
+                int(options.seed), found[i].id.c_str(), found[i].size_m.x, found[i].size_m.y,
+                found[i].size_m.z, track.time_s.size(), at.x, at.y, to.x, to.y);
     }
 }
 
@@ -150,14 +165,16 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
                    score);
     score.expect_good();
     ASSERT_FALSE(score.strayed_m.empty());
-    EXPECT_LT(quantile(score.strayed_m, 0.8), 0.3) << "four of five keep to their thing, at the ends of the log, too";
+    EXPECT_LT(quantile(score.strayed_m, 0.8), 0.3)
+        << "four of five keep to their thing, at the ends of the log, too";
     std::printf("boxes turn by %.2f degrees a frame more than what they hold (ninth decile; median %.2f)\n",
                 quantile(score.wobble_deg, 0.9), quantile(score.wobble_deg, 0.5));
     EXPECT_LT(quantile(score.wobble_deg, 0.9), 0.3);
 }
 
-/// A short window whose poses walk off by 3 cm a frame: what stands is then seen from changing sides, at places that move. Of what is
-/// discovered nothing may be a parked car.
+/// A short window whose poses walk off by 3 cm a frame: what stands is then seen from
+/// changing sides, at places that move. Of what is discovered nothing may be a parked
+/// car.
 TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     for (std::uint64_t seed = 1; seed <= 4; ++seed) {
         Sequence log = make_synthetic_street({.seed = seed,
@@ -185,13 +202,15 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
             });
             const glm::dvec3 from = track.pose.front().translation + log.world_offset_m;
             const glm::dvec3 to = track.pose.back().translation + log.world_offset_m;
-            EXPECT_TRUE(is_one) << "street " << seed << ": " << found.size_m.x << " x " << found.size_m.y << " m, in " << track.pose.size()
-                                << " frames from " << from.x << " " << from.y << " to " << to.x << " " << to.y;
+            EXPECT_TRUE(is_one) << "street " << seed << ": " << found.size_m.x << " x " << found.size_m.y
+                                << " m, in " << track.pose.size() << " frames from " << from.x << " "
+                                << from.y << " to " << to.x << " " << to.y;
         }
     }
 }
 
-/// Its lower beams lie up to 9 degrees apart: between two of them is ground that the upper one only seems to see through.
+/// Its lower beams lie up to 9 degrees apart: between two of them is ground that the
+/// upper one only seems to see through.
 TEST(MoverScores, UnevenBeams) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_mover_scores.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";

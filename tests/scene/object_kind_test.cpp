@@ -8,12 +8,15 @@ namespace relidar {
 namespace {
 
 TEST(ObjectKind, IsTheSameInEveryDataset) {
-    for (const char* word : {"Car", "Van", "Truck", "Tram", "car", "truck", "bus", "vehicle", "vehicle.car", "vehicle.bus.rigid",
-                             "REGULAR_VEHICLE", "BOX_TRUCK", "ARTICULATED_BUS", "trailer"})
+    for (const char* word :
+         {"Car", "Van", "Truck", "Tram", "car", "truck", "bus", "vehicle", "vehicle.car", "vehicle.bus.rigid",
+          "REGULAR_VEHICLE", "BOX_TRUCK", "ARTICULATED_BUS", "trailer"})
         EXPECT_EQ(object_kind(word), ObjectKind::vehicle) << word;
-    for (const char* word : {"Cyclist", "cyclist", "bicycle", "rider", "motorcycle", "BICYCLIST", "vehicle.bicycle", "vehicle.motorcycle"})
+    for (const char* word : {"Cyclist", "cyclist", "bicycle", "rider", "motorcycle", "BICYCLIST",
+                             "vehicle.bicycle", "vehicle.motorcycle"})
         EXPECT_EQ(object_kind(word), ObjectKind::cyclist) << word;
-    for (const char* word : {"Pedestrian", "Person (sitting)", "person", "pedestrian", "PEDESTRIAN", "human.pedestrian.adult"})
+    for (const char* word :
+         {"Pedestrian", "Person (sitting)", "person", "pedestrian", "PEDESTRIAN", "human.pedestrian.adult"})
         EXPECT_EQ(object_kind(word), ObjectKind::person) << word;
     for (const char* word : {"Misc", "", "trafficSign", "movable_object.barrier", "Discovered", "cars"})
         EXPECT_EQ(object_kind(word), ObjectKind::other) << word;

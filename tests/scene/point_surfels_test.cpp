@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels from points as scan lines lay them: discs of a surface reach across the gaps between lines, lie in the surface although a line
-// says nothing of it, and stay round where points are even, where lines are of different surfaces, or too far apart to belong together.
+// Surfels from points as scan lines lay them: discs of a surface reach across the gaps
+// between lines, lie in the surface although a line says nothing of it, and stay round
+// where points are even, where lines are of different surfaces, or too far apart to
+// belong together.
 #include "scene/point_surfels.hpp"
 
 #include <cmath>
@@ -13,7 +15,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kSpacing = 0.1;   // of points on a line, metres
+constexpr double kSpacing = 0.1;  // of points on a line, metres
 
 InitialiseOptions standard_options() {
     InitialiseOptions options;
@@ -23,14 +25,16 @@ InitialiseOptions standard_options() {
     return options;
 }
 
-/// Lines along y at these x, of 41 points each, as high as `height` says; with 1 mm of noise, seen from the side and above.
+/// Lines along y at these x, of 41 points each, as high as `height` says; with 1 mm of
+/// noise, seen from the side and above.
 std::vector<Sample> lines_at(const std::vector<double>& places, const std::function<double(double)>& height) {
     Random random(1);
     std::vector<Sample> samples;
     for (const double x : places)
         for (int k = -20; k <= 20; ++k) {
             const glm::dvec3 noise(0.001 * random.normal(), 0.001 * random.normal(), 0.001 * random.normal());
-            samples.push_back({glm::vec3(glm::dvec3(x, kSpacing * k, height(x)) + noise), 0.5f, {0.8f, 0.0f, -0.6f}});
+            samples.push_back(
+                {glm::vec3(glm::dvec3(x, kSpacing * k, height(x)) + noise), 0.5f, {0.8f, 0.0f, -0.6f}});
         }
     return samples;
 }
@@ -41,7 +45,8 @@ std::vector<double> places(int n, double apart) {
     return x;
 }
 
-/// The surfel nearest to a place: standard deviations along x and y, of the spacing on a line, and how it lies.
+/// The surfel nearest to a place: standard deviations along x and y, of the spacing on a
+/// line, and how it lies.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;
@@ -64,7 +69,8 @@ Disc disc_at(const Surfels& surfels, const glm::vec3& place) {
 TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
     for (const double apart : {0.35, 0.5, 0.7}) {
         const auto ground = [](double) { return 0.0; };
-        const Disc disc = disc_at(surfels_from_points(lines_at(places(7, apart), ground), standard_options(), 0.0), {});
+        const Disc disc =
+            disc_at(surfels_from_points(lines_at(places(7, apart), ground), standard_options(), 0.0), {});
         EXPECT_NEAR(disc.along_x, apart / kSpacing, 0.05 * apart / kSpacing) << apart;
         EXPECT_NEAR(disc.along_y, 1.0, 0.4) << apart;
         EXPECT_GT(std::abs(disc.normal.z), 0.999) << apart;
@@ -74,18 +80,21 @@ TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
 TEST(PointSurfels, AreRoundByThemselves) {
     InitialiseOptions options = standard_options();
     options.max_gap_m = 0.0;
-    const Surfels surfels = surfels_from_points(lines_at(places(7, 0.5), [](double) { return 0.0; }), options, 0.0);
+    const Surfels surfels =
+        surfels_from_points(lines_at(places(7, 0.5), [](double) { return 0.0; }), options, 0.0);
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
-/// One point a cell, anywhere in the inner half of it, as points that were averaged by voxels.
+/// One point a cell, anywhere in the inner half of it, as points that were averaged by
+/// voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
     std::vector<Sample> samples;
     for (int i = -20; i <= 20; ++i)
         for (int j = -20; j <= 20; ++j) {
             const double x = i + random.uniform(-0.25, 0.25), y = j + random.uniform(-0.25, 0.25);
-            samples.push_back({glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.normal()), 0.5f, {0.8f, 0.0f, -0.6f}});
+            samples.push_back(
+                {glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.normal()), 0.5f, {0.8f, 0.0f, -0.6f}});
         }
     const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);
     double stretched = 0.0;
@@ -93,7 +102,8 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// Lines 1.5 m apart: 24 neighbours are all of one of them, and only more of them say that the ground is level.
+/// Lines 1.5 m apart: 24 neighbours are all of one of them, and only more of them say
+/// that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     InitialiseOptions options = standard_options();
     options.max_gap_m = 2.0;
@@ -102,11 +112,13 @@ TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     EXPECT_GT(std::abs(disc.normal.z), 0.999);
     EXPECT_NEAR(disc.along_x, 15.0, 1.0);
     options.max_gap_m = 0.0;
-    EXPECT_LT(std::abs(disc_at(surfels_from_points(samples, options, 0.0), {}).normal.z), 0.9) << "the test shows nothing";
+    EXPECT_LT(std::abs(disc_at(surfels_from_points(samples, options, 0.0), {}).normal.z), 0.9)
+        << "the test shows nothing";
 }
 
 TEST(PointSurfels, DoNotReachToAnotherSurface) {
-    const auto steps = [](double x) { return x > 0.1 ? 0.5 : 0.0; };   // the next line to the right lies 0.5 m higher
+    // the next line to the right lies 0.5 m higher
+    const auto steps = [](double x) { return x > 0.1 ? 0.5 : 0.0; };
     const std::vector<Sample> samples = lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
     const Disc disc = disc_at(surfels_from_points(samples, standard_options(), 0.0), {});
     EXPECT_LT(disc.along_x, 1.6);
@@ -122,9 +134,11 @@ TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
 
 TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
     std::vector<double> x;
-    for (int k = 0; k < 8; ++k) x.push_back(-kSpacing * k), x.push_back(0.6 + kSpacing * k);   // a gap of six spacings
+    // a gap of six spacings
+    for (int k = 0; k < 8; ++k) x.push_back(-kSpacing * k), x.push_back(0.6 + kSpacing * k);
     const auto ground = [](double) { return 0.0; };
-    EXPECT_NEAR(disc_at(surfels_from_points(lines_at(x, ground), standard_options(), 0.0), {}).along_x, 6.0, 0.5);
+    EXPECT_NEAR(disc_at(surfels_from_points(lines_at(x, ground), standard_options(), 0.0), {}).along_x, 6.0,
+                0.5);
     InitialiseOptions options = standard_options();
     options.max_gap_m = 0.5;
     EXPECT_LT(disc_at(surfels_from_points(lines_at(x, ground), options, 0.0), {}).along_x, 1.6);

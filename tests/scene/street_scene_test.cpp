@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// The benchmark street and its rays against numbers printed by ../shared/bench/scene_gen.py: street(n, refine=...) and rays(kind) with
-// numpy 1.24.2, float32 results shown with 9 digits, sums taken in float64. Means, rotations and SH are equal bit for bit there; scale
-// and opacity pass through a logarithm here, which leaves about 2e-7.
+// The benchmark street and its rays against numbers printed by
+// ../shared/bench/scene_gen.py: street(n, refine=...) and rays(kind) with numpy 1.24.2,
+// float32 results shown with 9 digits, sums taken in float64. Means, rotations and SH are
+// equal bit for bit there; scale and opacity pass through a logarithm here, which leaves
+// about 2e-7.
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include <relidar/base/error.hpp>
-#include "scene/benchmark_street.hpp"
 #include <relidar/scene/scene.hpp>
+#include "scene/benchmark_street.hpp"
 
 namespace relidar {
 namespace {
@@ -19,18 +21,19 @@ struct StreetSurfel {
     glm::vec4 rotation;
     glm::vec2 scale;
     double opacity;
-    float sh_first[3], sh_last[3];   // coefficients 0 and 15 of the channels
+    float sh_first[3], sh_last[3];  // coefficients 0 and 15 of the channels
 };
 
 /// Sums over the whole scene.
 struct Sums {
     double mean_abs, rotation_abs, scale, opacity, sh_abs;
-    double sh_weighted;   // sum of (entry + 1) * value over the [3,16] entries of each surfel
+    double sh_weighted;  // sum of (entry + 1) * value over the [3,16] entries of each surfel
 };
 
 Sums sums_of(const Surfels& s) {
     Sums sums{};
-    for (const glm::vec3& v : s.mean) sums.mean_abs += std::abs(double(v.x)) + std::abs(double(v.y)) + std::abs(double(v.z));
+    for (const glm::vec3& v : s.mean)
+        sums.mean_abs += std::abs(double(v.x)) + std::abs(double(v.y)) + std::abs(double(v.z));
     for (const glm::vec4& q : s.rotation)
         for (int k = 0; k < 4; ++k) sums.rotation_abs += std::abs(double(q[k]));
     for (const glm::vec2& v : s.log_scale) sums.scale += std::exp(double(v.x)) + std::exp(double(v.y));
@@ -46,7 +49,8 @@ void expect_sample(const Surfels& s, const StreetSurfel& expected) {
     const std::size_t i = expected.index;
     EXPECT_EQ(s.mean[i], expected.mean);
     EXPECT_EQ(s.rotation[i], expected.rotation);
-    for (int axis = 0; axis < 2; ++axis) EXPECT_NEAR(std::exp(double(s.log_scale[i][axis])) / double(expected.scale[axis]), 1.0, 1e-6);
+    for (int axis = 0; axis < 2; ++axis)
+        EXPECT_NEAR(std::exp(double(s.log_scale[i][axis])) / double(expected.scale[axis]), 1.0, 1e-6);
     EXPECT_NEAR(1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))), expected.opacity, 1e-6);
     for (int channel = 0; channel < 3; ++channel) {
         EXPECT_EQ(s.sh[i * kShFloats + std::size_t(channel * 16)], expected.sh_first[channel]);
@@ -64,11 +68,19 @@ void expect_sums(const Surfels& s, const Sums& expected) {
     EXPECT_NEAR(actual.sh_weighted / expected.sh_weighted, 1.0, 1e-9);
 }
 
-const StreetSurfel kFirstOf1000{0, {68.3377914f, 8.55495834f, 0.714409709f}, {-0.536881626f, 0.581468642f, -0.429807872f, -0.434646487f},
-                                {0.118451133f, 0.123938195f}, 0.339413583, {0.645263671875f, -0.073486328125f, -1.383056640625f},
+const StreetSurfel kFirstOf1000{0,
+                                {68.3377914f, 8.55495834f, 0.714409709f},
+                                {-0.536881626f, 0.581468642f, -0.429807872f, -0.434646487f},
+                                {0.118451133f, 0.123938195f},
+                                0.339413583,
+                                {0.645263671875f, -0.073486328125f, -1.383056640625f},
                                 {0.0703125f, 0.04296875f, 0.05078125f}};
-const StreetSurfel kLastOf1000{999, {65.5324249f, -8.33455467f, -0.019092001f}, {0.494429827f, 0.0104154749f, 0.0382775925f, 0.868311882f},
-                               {0.295972884f, 0.132527739f}, 0.336544931, {-0.590087890625f, 3.05859375f, -1.75537109375f},
+const StreetSurfel kLastOf1000{999,
+                               {65.5324249f, -8.33455467f, -0.019092001f},
+                               {0.494429827f, 0.0104154749f, 0.0382775925f, 0.868311882f},
+                               {0.295972884f, 0.132527739f},
+                               0.336544931,
+                               {-0.590087890625f, 3.05859375f, -1.75537109375f},
                                {-0.0703125f, 0.0078125f, 0.0234375f}};
 
 TEST(Street, FamilyAOf1000) {
@@ -76,7 +88,8 @@ TEST(Street, FamilyAOf1000) {
     s.check_shapes();
     expect_sample(s, kFirstOf1000);
     expect_sample(s, kLastOf1000);
-    expect_sums(s, {50157.65320637668, 1531.3510222060395, 361.5212205052376, 545.7502571195364, 6202.326904296875, -30476.231201171875});
+    expect_sums(s, {50157.65320637668, 1531.3510222060395, 361.5212205052376, 545.7502571195364,
+                    6202.326904296875, -30476.231201171875});
 }
 
 TEST(Street, FamilyBScalesWithTheCount) {
@@ -86,18 +99,28 @@ TEST(Street, FamilyBScalesWithTheCount) {
     last.scale = {2.95972896f, 1.32527745f};
     expect_sample(s, first);
     expect_sample(s, last);
-    expect_sums(s, {50157.65320637668, 1531.3510222060395, 3615.2122008800507, 545.7502571195364, 6202.326904296875, -30476.231201171875});
+    expect_sums(s, {50157.65320637668, 1531.3510222060395, 3615.2122008800507, 545.7502571195364,
+                    6202.326904296875, -30476.231201171875});
 }
 
 TEST(Street, FamilyAOf100000) {
     const Surfels s = make_benchmark_street(100000);
-    expect_sample(s, {0, {66.1117859f, 8.53628254f, 0.608389974f}, {-0.562476873f, 0.639396787f, -0.358642876f, -0.382317722f},
-                      {0.139763981f, 0.172978222f}, 0.517019212, {0.910400390625f, 3.216064453125f, -3.143798828125f},
+    expect_sample(s, {0,
+                      {66.1117859f, 8.53628254f, 0.608389974f},
+                      {-0.562476873f, 0.639396787f, -0.358642876f, -0.382317722f},
+                      {0.139763981f, 0.172978222f},
+                      0.517019212,
+                      {0.910400390625f, 3.216064453125f, -3.143798828125f},
                       {-0.02734375f, -0.0234375f, -0.0234375f}});
-    expect_sample(s, {99999, {-13.9210148f, 11.1280422f, 1.58192277f}, {0.242252544f, 0.23457621f, -0.646509945f, 0.684333682f},
-                      {0.148578703f, 0.226419851f}, 0.293110549, {-0.227294921875f, 3.135009765625f, -1.750244140625f},
+    expect_sample(s, {99999,
+                      {-13.9210148f, 11.1280422f, 1.58192277f},
+                      {0.242252544f, 0.23457621f, -0.646509945f, 0.684333682f},
+                      {0.148578703f, 0.226419851f},
+                      0.293110549,
+                      {-0.227294921875f, 3.135009765625f, -1.750244140625f},
                       {0.08984375f, -0.015625f, 0.0f}});
-    expect_sums(s, {4989133.378194801, 151980.39586390113, 36428.80887307972, 54373.105156227946, 625827.6838378906, -2915999.9177246094});
+    expect_sums(s, {4989133.378194801, 151980.39586390113, 36428.80887307972, 54373.105156227946,
+                    625827.6838378906, -2915999.9177246094});
 }
 
 TEST(Street, OtherSeedsAndEmpty) {
@@ -105,7 +128,8 @@ TEST(Street, OtherSeedsAndEmpty) {
     EXPECT_EQ(make_benchmark_street(0).size(), 0u);
 }
 
-void expect_rays(const RayTable& table, int rows, int columns, const glm::vec3& first, const glm::vec3& last, double sum) {
+void expect_rays(const RayTable& table, int rows, int columns, const glm::vec3& first, const glm::vec3& last,
+                 double sum) {
     EXPECT_EQ(table.rows, rows);
     EXPECT_EQ(table.columns, columns);
     ASSERT_EQ(table.size(), std::size_t(rows) * std::size_t(columns));
@@ -119,14 +143,17 @@ void expect_rays(const RayTable& table, int rows, int columns, const glm::vec3& 
         EXPECT_NEAR(double(table.direction.back()[axis]), double(last[axis]), 1e-7);
     }
     double actual = 0.0;
-    for (const glm::vec3& d : table.direction) actual += std::abs(double(d.x)) + std::abs(double(d.y)) + std::abs(double(d.z));
+    for (const glm::vec3& d : table.direction)
+        actual += std::abs(double(d.x)) + std::abs(double(d.y)) + std::abs(double(d.z));
     EXPECT_NEAR(actual / sum, 1.0, 1e-9);
 }
 
 TEST(Street, Rays) {
-    expect_rays(make_benchmark_rays("waymo"), 64, 2650, {-0.9992325901985168f, 0.0011845974950119853f, 0.03915081545710564f},
+    expect_rays(make_benchmark_rays("waymo"), 64, 2650,
+                {-0.9992325901985168f, 0.0011845974950119853f, 0.03915081545710564f},
                 {-0.9540110230445862f, -0.0011309869587421417f, -0.2997693419456482f}, 236127.60035995278);
-    expect_rays(make_benchmark_rays("kitti"), 66, 1030, {-0.9995039701461792f, 0.0030485864263027906f, 0.03134468197822571f},
+    expect_rays(make_benchmark_rays("kitti"), 66, 1030,
+                {-0.9995039701461792f, 0.0030485864263027906f, 0.03134468197822571f},
                 {-0.9085315465927124f, -0.0027711116708815098f, -0.417807012796402f}, 97603.03340174304);
     EXPECT_EQ(make_benchmark_rays(4, 8, 10.0, -10.0).size(), 32u);
     EXPECT_THROW(make_benchmark_rays("ouster"), UsageError);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels as PLY: the bytes come back equal, the layout is the one of 3D Gaussian splatting, files edited elsewhere are read, and
-// files that lie are refused in one line.
+// Surfels as PLY: the bytes come back equal, the layout is the one of 3D Gaussian
+// splatting, files edited elsewhere are read, and files that lie are refused in one line.
 #include <relidar/scene/surfel_ply.hpp>
 
 #include <cmath>
@@ -11,15 +11,16 @@
 
 #include <fmt/format.h>
 
-#include "base/codecs/temporary_folder.hpp"
 #include <relidar/scene/scene.hpp>
+#include "base/codecs/temporary_folder.hpp"
 
 namespace relidar {
 namespace {
 
 using SurfelPly = TemporaryFolder;
 
-constexpr std::size_t kProperties = 95;   // 3 + 3 + 3 + 45 + 1 + 3 + 4 of the splatting layout, then 16 + 16 + 1
+// 3 + 3 + 3 + 45 + 1 + 3 + 4 of the splatting layout, then 16 + 16 + 1
+constexpr std::size_t kProperties = 95;
 
 /// Three models, one of them empty, values of every size and both zeros.
 Scene some_scene() {
@@ -68,7 +69,7 @@ void expect_equal(const Scene& a, const Scene& b) {
 
 /// A written file, cut into header and records.
 struct Parts {
-    std::string header;   ///< with its last line
+    std::string header;  ///< with its last line
     std::string data;
 
     explicit Parts(const std::string& file) {
@@ -81,7 +82,9 @@ struct Parts {
         ASSERT_NE(at, std::string::npos) << from;
         header.replace(at, from.size(), to);
     }
-    float& value(std::size_t row, std::size_t column) { return reinterpret_cast<float*>(data.data())[row * kProperties + column]; }
+    float& value(std::size_t row, std::size_t column) {
+        return reinterpret_cast<float*>(data.data())[row * kProperties + column];
+    }
 };
 
 TEST_F(SurfelPly, ComesBackBitEqual) {
@@ -106,7 +109,8 @@ TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     for (std::size_t i = 0; i < 7; ++i) EXPECT_EQ(file.value(i, 57), scene.surfels.log_scale_w[i]);
     file.replace("property float scale_2\n", "property float thick_2\n");
     put(folder / "b.ply", file.header + file.data);
-    const std::string message = data_error([&] { (void)read_surfel_ply(folder / "b.ply", scene, Primitive::gaussian); });
+    const std::string message =
+        data_error([&] { (void)read_surfel_ply(folder / "b.ply", scene, Primitive::gaussian); });
     EXPECT_NE(message.find("property scale_2: missing"), std::string::npos) << message;
 }
 
@@ -115,12 +119,14 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     write_surfel_ply(folder / "a.ply", scene);
     Parts file(contents(folder / "a.ply"));
     std::string expected =
-        "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 only makes them flat\nelement "
+        "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 "
+        "only makes them flat\nelement "
         "vertex 7\n";
     const auto add = [&](const std::string& name) { expected += "property float " + name + "\n"; };
     for (const char* name : {"x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"}) add(name);
     for (int k = 0; k < 45; ++k) add(fmt::format("f_rest_{}", k));
-    for (const char* name : {"opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"}) add(name);
+    for (const char* name : {"opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"})
+        add(name);
     for (const char* channel : {"hit", "drop"})
         for (int k = 0; k < 16; ++k) add(fmt::format("{}_{}", channel, k));
     add("model");
@@ -130,20 +136,24 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     for (std::size_t i = 0; i < 7; ++i) {
         for (std::size_t colour = 0; colour < 3; ++colour) {
             EXPECT_EQ(file.value(i, 6 + colour), s.sh[i * kShFloats]);
-            for (std::size_t k = 1; k < 16; ++k) EXPECT_EQ(file.value(i, 9 + 15 * colour + k - 1), s.sh[i * kShFloats + k]);
+            for (std::size_t k = 1; k < 16; ++k)
+                EXPECT_EQ(file.value(i, 9 + 15 * colour + k - 1), s.sh[i * kShFloats + k]);
         }
         EXPECT_EQ(file.value(i, 54), s.opacity_logit[i]);
         EXPECT_EQ(file.value(i, 55), s.log_scale[i].x);
         EXPECT_NEAR(std::exp(file.value(i, 57)), 1e-4f, 1e-9f);
         for (int k = 0; k < 4; ++k) EXPECT_EQ(file.value(i, 58 + std::size_t(k)), s.rotation[i][k]);
         EXPECT_EQ(file.value(i, 94), i < 4 ? 0.0f : 2.0f);
-        const glm::quat q = glm::normalize(glm::quat(s.rotation[i][0], s.rotation[i][1], s.rotation[i][2], s.rotation[i][3]));
+        const glm::quat q =
+            glm::normalize(glm::quat(s.rotation[i][0], s.rotation[i][1], s.rotation[i][2], s.rotation[i][3]));
         const glm::vec3 normal = q * glm::vec3(0.0f, 0.0f, 1.0f);
-        for (int axis = 0; axis < 3; ++axis) EXPECT_NEAR(file.value(i, 3 + std::size_t(axis)), normal[axis], 1e-6f);
+        for (int axis = 0; axis < 3; ++axis)
+            EXPECT_NEAR(file.value(i, 3 + std::size_t(axis)), normal[axis], 1e-6f);
     }
 }
 
-/// Another tool cropped the scene, mixed its order, dropped the normals and added a property of its own.
+/// Another tool cropped the scene, mixed its order, dropped the normals and added a
+/// property of its own.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = some_scene();
     write_surfel_ply(folder / "a.ply", scene);
@@ -151,8 +161,9 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const std::size_t order[] = {6, 0, 5, 2};
     std::string data;
     for (const std::size_t row : order) {
-        data += "\x01\x02";   // an uchar and a char in front
-        data += file.data.substr(row * kProperties * 4, 3 * 4) + file.data.substr((row * kProperties + 6) * 4, (kProperties - 6) * 4);
+        data += "\x01\x02";  // an uchar and a char in front
+        data += file.data.substr(row * kProperties * 4, 3 * 4) +
+                file.data.substr((row * kProperties + 6) * 4, (kProperties - 6) * 4);
     }
     file.replace("element vertex 7", "element vertex 4\nproperty uchar flag\nproperty char other");
     for (const char* name : {"nx", "ny", "nz"}) file.replace(fmt::format("property float {}\n", name), "");
@@ -187,35 +198,47 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
         EXPECT_NE(message.find(pattern), std::string::npos) << message;
     };
     refused("found format ascii", [](Parts& p) { p.replace("binary_little_endian", "ascii"); });
-    refused("found format binary_big_endian", [](Parts& p) { p.replace("binary_little_endian", "binary_big_endian"); });
+    refused("found format binary_big_endian",
+            [](Parts& p) { p.replace("binary_little_endian", "binary_big_endian"); });
     refused("does not begin with \"ply\"", [](Parts& p) { p.header[0] = 'x'; });
     refused("found no end_header", [](Parts& p) { p.replace("end_header\n", "end_hea"); });
     refused("property drop_3: missing", [](Parts& p) { p.replace("drop_3\n", "dropped_3\n"); });
     refused("property x: missing", [](Parts& p) { p.replace("float x\n", "float q\n"); });
-    refused("property f_rest_4: found another type", [](Parts& p) { p.replace("float f_rest_4\n", "double f_rest_4\n"); });
+    refused("property f_rest_4: found another type",
+            [](Parts& p) { p.replace("float f_rest_4\n", "double f_rest_4\n"); });
     refused("property y: found twice", [](Parts& p) { p.replace("float z\n", "float y\n"); });
     refused("type \"list\"", [](Parts& p) { p.replace("float nx\n", "list uchar int nx\n"); });
     refused("found element face", [](Parts& p) { p.replace("end_header", "element face 3\nend_header"); });
-    refused("before an element", [](Parts& p) { p.replace("element vertex 7\n", "property float e\nelement vertex 7\n"); });
-    refused("found no format or no element", [](Parts& p) { p.replace("format binary_little_endian 1.0\n", ""); });
+    refused("before an element",
+            [](Parts& p) { p.replace("element vertex 7\n", "property float e\nelement vertex 7\n"); });
+    refused("found no format or no element",
+            [](Parts& p) { p.replace("format binary_little_endian 1.0\n", ""); });
     for (const char* count : {"6", "8", "0", "4294967295"})
-        refused("expected " + std::string(count) + " vertices", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
+        refused("expected " + std::string(count) + " vertices",
+                [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
     for (const char* count : {"99999999999999999999", "4294967296", "-1", "7x", ""})
-        refused("expected a count of at most", [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
+        refused("expected a count of at most",
+                [&](Parts& p) { p.replace("vertex 7", fmt::format("vertex {}", count)); });
     refused("expected 7 vertices", [](Parts& p) { p.data += "x"; });
     refused("vertex 5: opacity is nan", [](Parts& p) { p.value(5, 54) = std::nanf(""); });
-    refused("vertex 2: scale_1 is inf", [](Parts& p) { p.value(2, 56) = std::numeric_limits<float>::infinity(); });
-    for (const float model : {3.0f, -1.0f, 0.5f, 1e30f}) refused("vertex 1: model is", [&](Parts& p) { p.value(1, 94) = model; });
+    refused("vertex 2: scale_1 is inf",
+            [](Parts& p) { p.value(2, 56) = std::numeric_limits<float>::infinity(); });
+    for (const float model : {3.0f, -1.0f, 0.5f, 1e30f})
+        refused("vertex 1: model is", [&](Parts& p) { p.value(1, 94) = model; });
     const std::string missing = data_error([&] { (void)read_surfel_ply(folder / "nothing.ply", layout); });
     EXPECT_NE(missing.find("nothing.ply"), std::string::npos) << missing;
 }
 
 TEST_F(SurfelPly, SurfelsInTheWorldAreNotReadBackAsAScene) {
     const Scene scene = some_scene();
-    write_surfel_ply(folder / "a.ply", scene.surfels, {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
+    write_surfel_ply(folder / "a.ply", scene.surfels,
+                     {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
     const std::string bytes = contents(folder / "a.ply");
     EXPECT_NE(bytes.find(": metres, world"), std::string::npos);
-    EXPECT_NE(bytes.find("\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element vertex 9\nelement vertex 7\n"), std::string::npos);
+    EXPECT_NE(
+        bytes.find(
+            "\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element vertex 9\nelement vertex 7\n"),
+        std::string::npos);
     const std::string refused = data_error([&] { (void)read_surfel_ply(folder / "a.ply", scene); });
     EXPECT_NE(refused.find("model"), std::string::npos) << refused;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many clients at once, clients that leave, deadlines, a full queue, more scenes than fit: nothing is lost, nothing stays behind.
+// Many clients at once, clients that leave, deadlines, a full queue, more scenes than
+// fit: nothing is lost, nothing stays behind.
 #include <atomic>
 #include <chrono>
 #include <fstream>
@@ -25,7 +26,8 @@ double resident_mib() {
 
 class Load : public ServiceTest {
 protected:
-    /// Calls by 8 clients, each with a connection of its own. @return how many were answered with this image
+    /// Calls by 8 clients, each with a connection of its own. @return how many were
+    /// answered with this image
     int answered(int calls, const v1::RenderLidarRequest& request, const std::string& range_m) {
         std::atomic<int> next = 0, good = 0;
         std::vector<std::jthread> clients;
@@ -35,7 +37,8 @@ protected:
                 while (next++ < calls) {
                     grpc::ClientContext context;
                     v1::LidarScan scan;
-                    good += mine->RenderLidar(&context, request, &scan).ok() && scan.image().range_m() == range_m;
+                    good +=
+                        mine->RenderLidar(&context, request, &scan).ok() && scan.image().range_m() == range_m;
                 }
             });
         clients.clear();
@@ -49,11 +52,13 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     request.mutable_sensor()->set_name("VLP-16:128x10");
     const v1::LidarScan truth = ScanClient(address()).render(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
-    EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);   // threads, arenas and caches are there afterwards
+    // threads, arenas and caches are there afterwards
+    EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);
     const double before_mib = resident_mib();
     EXPECT_EQ(answered(1000, request, truth.image().range_m()), 1000);
     EXPECT_LT(resident_mib() - before_mib, 0.25 * 1000 * answer_mib)
-        << "a quarter of what is lost where each call leaves its answer behind: " << answer_mib << " MiB a call";
+        << "a quarter of what is lost where each call leaves its answer behind: " << answer_mib
+        << " MiB a call";
 }
 
 /// A rig of many large sensors: holds a place in the queue until it is told to leave.
@@ -83,7 +88,8 @@ private:
     std::unique_ptr<grpc::ClientReader<v1::RigScan>> reader_;
 };
 
-grpc::Status call(v1::RenderService::Stub& stub, std::chrono::milliseconds patience = std::chrono::seconds(60)) {
+grpc::Status call(v1::RenderService::Stub& stub,
+                  std::chrono::milliseconds patience = std::chrono::seconds(60)) {
     grpc::ClientContext context;
     context.set_deadline(std::chrono::system_clock::now() + patience);
     v1::LidarScan scan;
@@ -91,16 +97,18 @@ grpc::Status call(v1::RenderService::Stub& stub, std::chrono::milliseconds patie
 }
 
 TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
-    start(1);   // two places
+    start(1);  // two places
     const auto calls = stub();
     Occupant one(*calls), two(*calls);
     const grpc::Status status = call(*calls);
     EXPECT_EQ(status.error_code(), Code::RESOURCE_EXHAUSTED);
-    EXPECT_EQ(status.error_message(), "queueing a request: found all 2 places taken, expected a free one: try again later");
+    EXPECT_EQ(status.error_message(),
+              "queueing a request: found all 2 places taken, expected a free one: try again later");
     EXPECT_EQ(one.leave().error_code(), Code::CANCELLED);
     EXPECT_EQ(two.leave().error_code(), Code::CANCELLED);
     grpc::Status after = call(*calls);
-    for (int tries = 0; tries < 200 && after.error_code() == Code::RESOURCE_EXHAUSTED; ++tries) {   // until the server has noticed
+    // until the server has noticed
+    for (int tries = 0; tries < 200 && after.error_code() == Code::RESOURCE_EXHAUSTED; ++tries) {
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
         after = call(*calls);
     }
@@ -112,8 +120,9 @@ TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
     const auto calls = stub();
     Occupant occupant(*calls);
     EXPECT_EQ(call(*calls, std::chrono::milliseconds(1)).error_code(), Code::DEADLINE_EXCEEDED);
-    EXPECT_EQ(call(*calls, std::chrono::milliseconds(-1000)).error_code(), Code::DEADLINE_EXCEEDED) << "over before it began";
-    for (int i = 0; i < 20; ++i) {   // in the middle of everything
+    EXPECT_EQ(call(*calls, std::chrono::milliseconds(-1000)).error_code(), Code::DEADLINE_EXCEEDED)
+        << "over before it began";
+    for (int i = 0; i < 20; ++i) {  // in the middle of everything
         grpc::ClientContext context;
         v1::LidarScan scan;
         std::jthread leaves([&] {

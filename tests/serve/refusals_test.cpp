@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests that make no sense: one status of one line each, and the server answers the next one.
+// Requests that make no sense: one status of one line each, and the server answers the
+// next one.
 #include <functional>
 #include <limits>
 
@@ -32,32 +33,42 @@ v1::ActorTrack& actor(v1::RenderLidarRequest& r, const std::string& name) {
 
 const std::vector<Case>& cases_of_poses() {
     static const std::vector<Case> all = {
-        {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT, "reading path: found 0 poses, expected 1 to"},
+        {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT,
+         "reading path: found 0 poses, expected 1 to"},
         {"NaN pose", [](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, Code::INVALID_ARGUMENT,
          "reading path[0].pose.translation.y: found nan, expected a finite number within 1e10"},
-        {"infinite pose", [](auto& r) { pose(r).mutable_translation()->set_x(1e300); }, Code::INVALID_ARGUMENT, "found 1e+300"},
+        {"infinite pose", [](auto& r) { pose(r).mutable_translation()->set_x(1e300); },
+         Code::INVALID_ARGUMENT, "found 1e+300"},
         {"NaN rotation", [](auto& r) { pose(r).mutable_rotation()->set_w(kNan); }, Code::INVALID_ARGUMENT,
          "reading path[0].pose.rotation: found a quaternion of length nan, expected 1"},
-        {"quaternion of length 2", [](auto& r) { pose(r).mutable_rotation()->set_w(2.0); }, Code::INVALID_ARGUMENT, "of length 2"},
-        {"empty quaternion", [](auto& r) { pose(r).mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT, "of length 0"},
-        {"NaN time of a pose", [](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, Code::INVALID_ARGUMENT, "path[0].time_s: found nan"},
-        {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, at_x(0)); }, Code::INVALID_ARGUMENT,
-         "reading path[1].time_s: found 0.4 after 0.5, expected times that rise"},
-        {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT, "reading time_s: found nan"},
-        {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); }, Code::INVALID_ARGUMENT,
-         "reading time_s: found 500000 with a path from 0.5 to 0.6"},
-        {"two seconds behind the path", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(2.7); },
+        {"quaternion of length 2", [](auto& r) { pose(r).mutable_rotation()->set_w(2.0); },
+         Code::INVALID_ARGUMENT, "of length 2"},
+        {"empty quaternion", [](auto& r) { pose(r).mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT,
+         "of length 0"},
+        {"NaN time of a pose", [](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, Code::INVALID_ARGUMENT,
+         "path[0].time_s: found nan"},
+        {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, at_x(0)); },
+         Code::INVALID_ARGUMENT, "reading path[1].time_s: found 0.4 after 0.5, expected times that rise"},
+        {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT,
+         "reading time_s: found nan"},
+        {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); },
+         Code::INVALID_ARGUMENT, "reading time_s: found 500000 with a path from 0.5 to 0.6"},
+        {"two seconds behind the path",
+         [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(2.7); },
          Code::INVALID_ARGUMENT, "reading time_s: found 2.7 with a path from 0.5 to 0.6"},
-        {"points elsewhen", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); }, Code::INVALID_ARGUMENT,
-         "reading points_at_s"},
+        {"points elsewhen",
+         [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); },
+         Code::INVALID_ARGUMENT, "reading points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
          "reading scene: found \"smal\", expected one that is there, as \"small\""},
         {"no weather", [](auto& r) { r.set_weather("fog=0"); }, Code::INVALID_ARGUMENT,
          "reading weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
-        {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND, "reading lidar: found \"roof\""},
-        {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); }, Code::NOT_FOUND,
-         "actors.actors[0].name: found \"cat\", expected one that is there, as \"car\""},
-        {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT, "actors.actors[0].poses: found 0 poses"},
+        {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND,
+         "reading lidar: found \"roof\""},
+        {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); },
+         Code::NOT_FOUND, "actors.actors[0].name: found \"cat\", expected one that is there, as \"car\""},
+        {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT,
+         "actors.actors[0].poses: found 0 poses"},
         {"actor of another time",
          [](auto& r) {
              r.set_time_s(0.5);
@@ -65,7 +76,8 @@ const std::vector<Case>& cases_of_poses() {
              add_pose(*car.mutable_poses(), 3.0, at_x(4)), add_pose(*car.mutable_poses(), 4.0, at_x(5));
          },
          Code::INVALID_ARGUMENT,
-         "reading actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses that cover the scan's time"},
+         "reading actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses that "
+         "cover the scan's time"},
         {"actor twice",
          [](auto& r) {
              for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, at_x(0));
@@ -79,35 +91,52 @@ const std::vector<Case>& cases_of_sensors() {
     static const std::vector<Case> all = {
         {"unknown sensor", [](auto& r) { r.mutable_sensor()->set_name("VLP-17"); }, Code::INVALID_ARGUMENT,
          "found \"VLP-17\", expected a name that ListScenes gives, as VLP-16"},
-        {"a file of the server", [](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); }, Code::INVALID_ARGUMENT, "\"/etc/passwd\""},
-        {"a file behind a name", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:../../x.csv"); }, Code::INVALID_ARGUMENT,
-         "expected a name that ListScenes gives"},
-        {"endless columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); }, Code::INVALID_ARGUMENT,
-         "found 16000000 rays of a scan, expected 1 to 1048576"},
-        {"no columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, Code::INVALID_ARGUMENT, "0 columns"},
-        {"a very long name", [](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); }, Code::INVALID_ARGUMENT,
-         "of 100000 bytes"},
-        {"a name of two lines", [](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, Code::INVALID_ARGUMENT, "found \"a b\""},
-        {"a long name of a spec", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_name(std::string(201, 'x')); }, Code::INVALID_ARGUMENT,
-         "sensor.spec.name"},
-        {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND, "upload it again"},
-        {"empty spec", [](auto& r) { spec(r); }, Code::INVALID_ARGUMENT, "found no pattern, expected rays, spinning, window or rosette"},
-        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "found 0 rays of a scan"},
-        {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); }, Code::INVALID_ARGUMENT, "7 bytes, expected 12"},
+        {"a file of the server", [](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); },
+         Code::INVALID_ARGUMENT, "\"/etc/passwd\""},
+        {"a file behind a name", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:../../x.csv"); },
+         Code::INVALID_ARGUMENT, "expected a name that ListScenes gives"},
+        {"endless columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); },
+         Code::INVALID_ARGUMENT, "found 16000000 rays of a scan, expected 1 to 1048576"},
+        {"no columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, Code::INVALID_ARGUMENT,
+         "0 columns"},
+        {"a very long name", [](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); },
+         Code::INVALID_ARGUMENT, "of 100000 bytes"},
+        {"a name of two lines", [](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, Code::INVALID_ARGUMENT,
+         "found \"a b\""},
+        {"a long name of a spec",
+         [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_name(std::string(201, 'x')); },
+         Code::INVALID_ARGUMENT, "sensor.spec.name"},
+        {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND,
+         "upload it again"},
+        {"empty spec", [](auto& r) { spec(r); }, Code::INVALID_ARGUMENT,
+         "found no pattern, expected rays, spinning, window or rosette"},
+        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT,
+         "found 0 rays of a scan"},
+        {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); },
+         Code::INVALID_ARGUMENT, "7 bytes, expected 12"},
         {"wrong rows",
          [](auto& r) {
              spec(r) = rays_ahead(3);
              spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2);
          },
          Code::INVALID_ARGUMENT, "found 2 rows of 2 columns and 3 directions"},
-        {"times for some rays", [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
+        {"times for some rays",
+         [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
          Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12: 4 a ray of 3"},
-        {"directions of no length", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); }, Code::INVALID_ARGUMENT,
-         "direction of ray 0: found 0, expected a length of 1"},
-        {"NaN direction", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); }, Code::INVALID_ARGUMENT, "nan"},
-        {"NaN origin", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
+        {"directions of no length",
+         [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); },
+         Code::INVALID_ARGUMENT, "direction of ray 0: found 0, expected a length of 1"},
+        {"NaN direction", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); },
+         Code::INVALID_ARGUMENT, "nan"},
+        {"NaN origin",
+         [](auto& r) {
+             spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff'));
+         },
          Code::INVALID_ARGUMENT, "origin_m of ray 0"},
-        {"NaN divergence", [](auto& r) { spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
+        {"NaN divergence",
+         [](auto& r) {
+             spec(r) = rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff'));
+         },
          Code::INVALID_ARGUMENT, "rays.divergence_rad of ray 0"},
     };
     return all;
@@ -115,7 +144,8 @@ const std::vector<Case>& cases_of_sensors() {
 
 const std::vector<Case>& cases_of_patterns() {
     static const std::vector<Case> all = {
-        {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); }, Code::INVALID_ARGUMENT, "0 rays"},
+        {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); },
+         Code::INVALID_ARGUMENT, "0 rays"},
         {"NaN beam",
          [](auto& r) {
              v1::SpinningSensor& s = *spec(r).mutable_spinning();
@@ -131,19 +161,25 @@ const std::vector<Case>& cases_of_patterns() {
         {"beams from the lowest",
          [](auto& r) {
              v1::SpinningSensor& s = *spec(r).mutable_spinning();
-             s.add_beams()->set_elevation_rad(-0.1), s.add_beams()->set_elevation_rad(0.1), s.set_columns(8), s.set_period_s(0.1);
+             s.add_beams()->set_elevation_rad(-0.1), s.add_beams()->set_elevation_rad(0.1), s.set_columns(8),
+                 s.set_period_s(0.1);
          },
-         Code::INVALID_ARGUMENT, "beams: found -0.1 rad first and 0.1 rad last, expected beams from the highest down"},
+         Code::INVALID_ARGUMENT,
+         "beams: found -0.1 rad first and 0.1 rad last, expected beams from the highest down"},
         {"a window upside down",
          [](auto& r) {
              v1::ScanningWindow& w = *spec(r).mutable_window();
              w.set_rows(2), w.set_columns(2), w.set_top_rad(-0.1), w.set_bottom_rad(0.1), w.set_period_s(0.1);
          },
          Code::INVALID_ARGUMENT, "window.bottom_rad: found 0.1"},
-        {"a turn of no time", [](auto& r) { spec(r).mutable_spinning()->add_beams(), spec(r).mutable_spinning()->set_columns(8); },
+        {"a turn of no time",
+         [](auto& r) { spec(r).mutable_spinning()->add_beams(), spec(r).mutable_spinning()->set_columns(8); },
          Code::INVALID_ARGUMENT, "spinning.period_s: found 0"},
         {"a window of 2^64 rays",
-         [](auto& r) { spec(r).mutable_window()->set_rows(4294967295u), spec(r).mutable_window()->set_columns(4294967295u); },
+         [](auto& r) {
+             spec(r).mutable_window()->set_rows(4294967295u),
+                 spec(r).mutable_window()->set_columns(4294967295u);
+         },
          Code::INVALID_ARGUMENT, "rays of a scan, expected 1 to"},
         {"NaN rosette",
          [](auto& r) {
@@ -151,9 +187,12 @@ const std::vector<Case>& cases_of_patterns() {
              s.set_rays(10), s.set_period_s(0.1), s.set_first_hz(kNan);
          },
          Code::INVALID_ARGUMENT, "rosette.first_hz: found nan"},
-        {"negative range", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_max_range_m(-1.0); }, Code::INVALID_ARGUMENT, "max_range_m"},
-        {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT, "found 3, expected 1 or 2"},
-        {"two returns of an ideal ray", [](auto& r) { spec(r) = rays_ahead(1), r.set_returns(2); }, Code::INVALID_ARGUMENT, "divergence"},
+        {"negative range", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_max_range_m(-1.0); },
+         Code::INVALID_ARGUMENT, "max_range_m"},
+        {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT,
+         "found 3, expected 1 or 2"},
+        {"two returns of an ideal ray", [](auto& r) { spec(r) = rays_ahead(1), r.set_returns(2); },
+         Code::INVALID_ARGUMENT, "divergence"},
     };
     return all;
 }
@@ -254,8 +293,10 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     EXPECT_THAT(status.error_message(), HasSubstr("\"no such\""));
     request.mutable_sensors(0)->mutable_sensor()->set_name("VLP-16");
     *request.mutable_sensors(1) = request.sensors(0);
-    for (v1::RigSensor& sensor : *request.mutable_sensors()) sensor.mutable_rig_from_sensor()->mutable_rotation()->set_w(1.0);
-    EXPECT_EQ(status_of(request).error_message(), "reading sensors[1].name: found \"good\" again, expected another name for each sensor");
+    for (v1::RigSensor& sensor : *request.mutable_sensors())
+        sensor.mutable_rig_from_sensor()->mutable_rotation()->set_w(1.0);
+    EXPECT_EQ(status_of(request).error_message(),
+              "reading sensors[1].name: found \"good\" again, expected another name for each sensor");
 }
 
 }  // namespace

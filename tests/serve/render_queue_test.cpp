@@ -72,12 +72,14 @@ TEST(RenderQueue, DoesAllWorkOnOneThread) {
     EXPECT_EQ(elsewhere, 0);
 }
 
-/// What a queue does, in order, of work that waits for it: a small letter where work of two parts begins, a comma where another goes with
-/// it, a capital where it ends. @param line  names and kinds, 0 of work in one part @param fails  at its beginning
-std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together, char fails = ' ') {
+/// What a queue does, in order, of work that waits for it: a small letter where work of
+/// two parts begins, a comma where another goes with it, a capital where it ends. @param
+/// line  names and kinds, 0 of work in one part @param fails  at its beginning
+std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
+                     char fails = ' ') {
     RenderQueue queue(8);
     queue.begin_together(together);
-    std::string parts;   // of the queue's thread alone
+    std::string parts;  // of the queue's thread alone
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);
     std::atomic<int> n_in_line = 0;
@@ -85,13 +87,15 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
         const int before = n_in_line;
         clients.emplace_back([&queue, &n_in_line, work] {
             RenderQueue::Place place = std::move(*queue.enter());
-            const auto is_wanted = [&n_in_line, told = false]() mutable { return n_in_line += !std::exchange(told, true), true; };
+            const auto is_wanted = [&n_in_line, told = false]() mutable {
+                return n_in_line += !std::exchange(told, true), true;
+            };
             try {
                 place.run(work, is_wanted);
-            } catch (const std::runtime_error&) {
-            }
+            } catch (const std::runtime_error&) {}
         });
-        while (n_in_line == before) std::this_thread::yield();   // asked whether it is wanted: it is in the line
+        // asked whether it is wanted: it is in the line
+        while (n_in_line == before) std::this_thread::yield();
     };
     for (const auto& [name, kind] : line) {
         const auto begin = [&parts, name = name, fails](bool is_last) {
@@ -107,15 +111,18 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
     return parts;
 }
 
-/// The second is begun before the first is finished, and everything is in order; work of another kind, or of one part, waits.
+/// The second is begun before the first is finished, and everything is in order; work of
+/// another kind, or of one part, waits.
 TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
 }
 
 TEST(RenderQueue, WorkInTwoOfOneKindIsBegunTogether) {
-    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}, {'e', 1}, {'f', 2}, {'-', 0}, {'g', 2}}, 2), "a,bc,dABeCDEfF-gG");
+    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}, {'e', 1}, {'f', 2}, {'-', 0}, {'g', 2}}, 2),
+              "a,bc,dABeCDEfF-gG");
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 2}, {'d', 2}, {'e', 2}, {'f', 2}}, 3), "a,bABc,d,efCDEF");
-    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}}, 2, 'b'), "a,c,dACD") << "b fails: nobody told a";
+    EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}}, 2, 'b'), "a,c,dACD")
+        << "b fails: nobody told a";
 }
 
 TEST(RenderQueue, WorkInTwoThatFailsIsNotFinishedAndStopsNoOther) {
@@ -137,12 +144,13 @@ TEST(RenderQueue, WorkWhoseClientHasLeftIsNeverBegun) {
     WorkEnd end = WorkEnd::done;
     {
         Blocker blocker(queue);
-        std::jthread client([&] { end = queue.enter()->run([&] { ran = true; }, [&] { return wanted.load(); }); });
+        std::jthread client(
+            [&] { end = queue.enter()->run([&] { ran = true; }, [&] { return wanted.load(); }); });
         wanted = false;
-        client.join();   // while the thread is busy: who leaves does not wait for others
+        client.join();  // while the thread is busy: who leaves does not wait for others
         EXPECT_EQ(end, WorkEnd::unwanted);
     }
-    queue.enter()->run([] {}, kWanted);   // whatever was in the line has had its turn
+    queue.enter()->run([] {}, kWanted);  // whatever was in the line has had its turn
     EXPECT_FALSE(ran);
 }
 
@@ -155,7 +163,8 @@ TEST(RenderQueue, LooksOnceMoreBeforeItBegins) {
 
 TEST(RenderQueue, FailureOfWorkIsItsOwn) {
     RenderQueue queue(4);
-    EXPECT_THROW(queue.enter()->run([] { throw std::runtime_error("of this one"); }, kWanted), std::runtime_error);
+    EXPECT_THROW(queue.enter()->run([] { throw std::runtime_error("of this one"); }, kWanted),
+                 std::runtime_error);
     EXPECT_EQ(queue.enter()->run([] {}, kWanted), WorkEnd::done);
 }
 

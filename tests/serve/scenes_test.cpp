@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Several runs within a memory budget: which go, that they come back the same, and what is said of one that never fits.
+// Several runs within a memory budget: which go, that they come back the same, and what
+// is said of one that never fits.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 #include "gpu/forced.hpp"
 
+#include "../base/codecs/temporary_folder.hpp"
 #include "asset_shelf.hpp"
 #include "scenes.hpp"
-#include "../base/codecs/temporary_folder.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {
@@ -48,11 +49,11 @@ protected:
 
 TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
     const std::uint64_t one = size_of_one(), around = device().allocated_bytes();
-    const std::uint64_t budget = around + 5 * one / 2;   // two of three
+    const std::uint64_t budget = around + 5 * one / 2;  // two of three
     SceneSet scenes(device(), sources, budget, no_assets);
     const std::vector<float> truth = ranges(scenes, 0);
     ASSERT_FALSE(truth.empty());
-    ranges(scenes, 1), ranges(scenes, 2);   // each has grown to what a scan needs
+    ranges(scenes, 1), ranges(scenes, 2);  // each has grown to what a scan needs
     std::size_t last = 2;
     for (const std::size_t scene : {1u, 0u, 2u, 0u, 1u, 2u}) {
         EXPECT_EQ(ranges(scenes, scene), truth) << scene;
@@ -103,7 +104,8 @@ TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {
 
 TEST_F(Scenes, MissingAndBrokenRunsAreNamed) {
     sources[1].folder = folder / "nowhere";
-    EXPECT_THAT(data_error([&] { SceneSet(device(), sources, std::uint64_t(1) << 40, no_assets); }), HasSubstr("nowhere"));
+    EXPECT_THAT(data_error([&] { SceneSet(device(), sources, std::uint64_t(1) << 40, no_assets); }),
+                HasSubstr("nowhere"));
 }
 
 TEST(SceneSources, NamesAreTheFoldersOrGiven) {

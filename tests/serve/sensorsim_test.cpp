@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// SensorsimService in front of the wall and the plate of small_service.hpp: where their points have to lie follows from the poses alone.
+// SensorsimService in front of the wall and the plate of small_service.hpp: where their
+// points have to lie follows from the poses alone.
 #include <functional>
 
 #include <gmock/gmock.h>
@@ -31,7 +32,8 @@ void set_pair(wire::PosePair& message, const Pose& start, const Pose& end) {
     set_pose(*message.mutable_end(), end);
 }
 
-/// One and a half metres ahead and a quarter of a radian to the left in 0.1 s, looking down the x axis first. World of the wire.
+/// One and a half metres ahead and a quarter of a radian to the left in 0.1 s, looking
+/// down the x axis first. World of the wire.
 const Pose kStart{{1, 0, 0, 0}, {-1.5, 0.0, 0.0}};
 const Pose kEnd{rotation_of(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
 
@@ -73,7 +75,8 @@ protected:
     /// x of each point in the world of the wire, by a sensor that stands at `end`.
     static std::vector<double> world_x(const wire::LidarRenderReturn& scan, const Pose& end) {
         std::vector<double> x_m;
-        for (const glm::vec3& point : values<glm::vec3>(scan.xyz_buffer())) x_m.push_back((end * glm::dvec3(point)).x);
+        for (const glm::vec3& point : values<glm::vec3>(scan.xyz_buffer()))
+            x_m.push_back((end * glm::dvec3(point)).x);
         return x_m;
     }
 };
@@ -84,16 +87,19 @@ TEST_F(Sensorsim, PointsLieOnTheWallSeenFromTheEndOfTheSpin) {
     start_sensorsim();
     const wire::LidarRenderReturn scan = render(moving());
     ASSERT_GT(scan.count(), 1000u);
-    EXPECT_THAT(world_x(scan, kEnd), testing::Each(LiesAt(10.0))) << "no actor is named: the plate ahead of the wall is not there";
+    EXPECT_THAT(world_x(scan, kEnd), testing::Each(LiesAt(10.0)))
+        << "no actor is named: the plate ahead of the wall is not there";
     EXPECT_EQ(scan.xyz_size(), 3 * int(scan.count()));
     EXPECT_EQ(scan.intensities_size(), int(scan.count()));
     EXPECT_EQ(values<float>(scan.xyz_buffer()), std::vector<float>(scan.xyz().begin(), scan.xyz().end()));
-    EXPECT_EQ(values<float>(scan.intensity_buffer()), std::vector<float>(scan.intensities().begin(), scan.intensities().end()));
+    EXPECT_EQ(values<float>(scan.intensity_buffer()),
+              std::vector<float>(scan.intensities().begin(), scan.intensities().end()));
     EXPECT_THAT(scan.intensities(), testing::Each(testing::AllOf(testing::Ge(0.0f), testing::Le(1.0f))));
 }
 
-/// How far off its beam a point on the wall is, radians, if that fired it: the head turns with the clock, from looking back at the start
-/// of the frame to looking back at its end, and the sensor has gone so far as its azimuth says.
+/// How far off its beam a point on the wall is, radians, if that fired it: the head turns
+/// with the clock, from looking back at the start of the frame to looking back at its
+/// end, and the sensor has gone so far as its azimuth says.
 double off_beam(const Beam& beam, const glm::dvec3& on_wall, double way_m) {
     double at_x_m = 0.5 * way_m, elevation = 0.0;
     for (int round = 0; round < 8; ++round) {
@@ -115,7 +121,7 @@ TEST_F(Sensorsim, SweepFillsTheFrameFromItsStartToItsEnd) {
         const auto points = values<glm::vec3>(render(request).xyz_buffer());
         ASSERT_GT(points.size(), 1000u);
         double worst = 0.0;
-        for (std::size_t i = 0; i < points.size(); i += 7) {   // no divisor of the number of beams
+        for (std::size_t i = 0; i < points.size(); i += 7) {  // no divisor of the number of beams
             const glm::dvec3 on_wall = glm::dvec3(points[i]) + glm::dvec3(kWay_m, 0.0, 0.0);
             double least = kPi;
             for (const Beam& beam : beams) least = std::min(least, off_beam(beam, on_wall, kWay_m));
@@ -136,7 +142,8 @@ TEST_F(Sensorsim, ObjectsMoveFromTheirFirstPoseToTheirLast) {
     for (const glm::vec3& point : points)
         if (point.x < 9.0f) plate.push_back(point);
     ASSERT_GT(plate.size(), 100u);
-    for (const glm::vec3& point : plate) {   // a ray to azimuth a is fired (pi - a) / (2 pi) of the frame after its start
+    // a ray to azimuth a is fired (pi - a) / (2 pi) of the frame after its start
+    for (const glm::vec3& point : plate) {
         const double azimuth = std::atan2(double(point.y), double(point.x));
         const double share = (kPi - azimuth) / (2.0 * kPi);
         EXPECT_NEAR(point.x, 3.0 + 4.0 * share, 0.1) << "beams are up to 7.8 degrees off the head";
@@ -145,7 +152,9 @@ TEST_F(Sensorsim, ObjectsMoveFromTheirFirstPoseToTheirLast) {
 
 TEST_F(Sensorsim, TranslationFirstIsASwitch) {
     start_sensorsim(PoseOrder::translation_first);
-    const auto other = [](const Pose& pose) { return Pose{pose.rotation, glm::inverse(pose.rotation) * pose.translation}; };
+    const auto other = [](const Pose& pose) {
+        return Pose{pose.rotation, glm::inverse(pose.rotation) * pose.translation};
+    };
     wire::LidarRenderRequest request = moving();
     set_pair(*request.mutable_sensor_pose(), other(kStart), other(kEnd));
     const wire::LidarRenderReturn scan = render(request);
@@ -198,27 +207,35 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
     const std::vector<SensorsimCase> cases = {
         {"unknown scene", [](auto& r) { r.set_scene_id("smal"); }, Code::NOT_FOUND,
          "reading scene_id: found \"smal\", expected one that is there, as \"small\""},
-        {"no pose", [](auto& r) { r.clear_sensor_pose(); }, Code::INVALID_ARGUMENT, "reading sensor_pose: found no pose at the start"},
-        {"half a pair", [](auto& r) { r.mutable_sensor_pose()->clear_end(); }, Code::INVALID_ARGUMENT, "found no pose at the end"},
-        {"no rotation", [](auto& r) { r.mutable_sensor_pose()->mutable_end()->clear_rotation(); }, Code::INVALID_ARGUMENT,
-         "reading sensor_pose.end: found no rotation, expected both"},
-        {"empty rotation", [](auto& r) { r.mutable_sensor_pose()->mutable_end()->mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT,
-         "reading sensor_pose.end.rotation: found a quaternion of length 0"},
-        {"not a number", [](auto& r) { r.mutable_sensor_pose()->mutable_start()->mutable_translation()->set_z(NAN); },
+        {"no pose", [](auto& r) { r.clear_sensor_pose(); }, Code::INVALID_ARGUMENT,
+         "reading sensor_pose: found no pose at the start"},
+        {"half a pair", [](auto& r) { r.mutable_sensor_pose()->clear_end(); }, Code::INVALID_ARGUMENT,
+         "found no pose at the end"},
+        {"no rotation", [](auto& r) { r.mutable_sensor_pose()->mutable_end()->clear_rotation(); },
+         Code::INVALID_ARGUMENT, "reading sensor_pose.end: found no rotation, expected both"},
+        {"empty rotation",
+         [](auto& r) { r.mutable_sensor_pose()->mutable_end()->mutable_rotation()->Clear(); },
+         Code::INVALID_ARGUMENT, "reading sensor_pose.end.rotation: found a quaternion of length 0"},
+        {"not a number",
+         [](auto& r) { r.mutable_sensor_pose()->mutable_start()->mutable_translation()->set_z(NAN); },
          Code::INVALID_ARGUMENT, "reading sensor_pose.start.translation.z: found nan"},
         {"times that fall", [](auto& r) { r.set_frame_end_us(399'999); }, Code::INVALID_ARGUMENT,
          "reading frame_end_us: found 399999 with frame_start_us 400000"},
-        {"nanoseconds", [](auto& r) { r.set_frame_end_us(400'000 + 100'000'000); }, Code::INVALID_ARGUMENT, "reading frame_end_us"},
+        {"nanoseconds", [](auto& r) { r.set_frame_end_us(400'000 + 100'000'000); }, Code::INVALID_ARGUMENT,
+         "reading frame_end_us"},
         {"a moment of two poses", [](auto& r) { r.set_frame_end_us(400'000); }, Code::INVALID_ARGUMENT,
          "reading sensor_pose: found two poses in a frame that takes no time"},
-        {"unknown sensor", [](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); }, Code::INVALID_ARGUMENT,
-         "reading lidar.lidar_type: found 7, expected 0 (PANDAR128) or 1 (AT128)"},
-        {"unknown object", [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->set_track_id("cat"); }, Code::NOT_FOUND,
+        {"unknown sensor", [](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); },
+         Code::INVALID_ARGUMENT, "reading lidar.lidar_type: found 7, expected 0 (PANDAR128) or 1 (AT128)"},
+        {"unknown object",
+         [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->set_track_id("cat"); },
+         Code::NOT_FOUND,
          "reading dynamic_objects[0].track_id: found \"cat\", expected one that is there, as \"car\""},
-        {"object without a pose", [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->clear_pose(); },
+        {"object without a pose",
+         [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->clear_pose(); },
          Code::INVALID_ARGUMENT, "reading dynamic_objects[0].pose: found no pose at the start"},
-        {"object twice", [&](auto& r) { add_car(r, here, here), add_car(r, here, here); }, Code::INVALID_ARGUMENT,
-         "reading dynamic_objects[1].track_id: found \"car\" again"},
+        {"object twice", [&](auto& r) { add_car(r, here, here), add_car(r, here, here); },
+         Code::INVALID_ARGUMENT, "reading dynamic_objects[1].track_id: found \"car\" again"},
     };
     for (const SensorsimCase& wrong : cases) {
         wire::LidarRenderRequest request = moving();
@@ -231,7 +248,8 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
     wire::LidarRenderRequest moment = moving();
     moment.set_frame_end_us(400'000);
     set_pair(*moment.mutable_sensor_pose(), kEnd, kEnd);
-    EXPECT_THAT(world_x(render(moment), kEnd), testing::Each(LiesAt(10.0))) << "a sensor that stands may take no time";
+    EXPECT_THAT(world_x(render(moment), kEnd), testing::Each(LiesAt(10.0)))
+        << "a sensor that stands may take no time";
 }
 
 TEST_F(Sensorsim, TellsTheWaysOfTheLog) {
@@ -245,7 +263,8 @@ TEST_F(Sensorsim, TellsTheWaysOfTheLog) {
     for (const wire::AvailableTrajectory& way : answer.trajectories()) {
         ASSERT_EQ(way.trajectory().poses_size(), 3);
         EXPECT_EQ(way.trajectory().poses(1).timestamp_us(), 500'000u);
-        EXPECT_EQ(way.trajectory().poses(1).pose().translation().x(), 0.0f) << "relidar's world, near the log";
+        EXPECT_EQ(way.trajectory().poses(1).pose().translation().x(), 0.0f)
+            << "relidar's world, near the log";
         EXPECT_EQ(way.trajectory().poses(1).pose().rotation().w(), 1.0f);
     }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a client gets: the scan of a ScanRenderer to the bit, points where things are, tracks of the log, sensors of its own.
+// What a client gets: the scan of a ScanRenderer to the bit, points where things are,
+// tracks of the log, sensors of its own.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
@@ -14,16 +15,18 @@ namespace {
 
 class Service : public ServiceTest {
 protected:
-    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) { return ScanClient(address()).render(request); }
+    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
+        return ScanClient(address()).render(request);
+    }
 
     /// The same as the library renders it.
-    RenderedScan rendered(const ScanRequest& request, const std::string& sensor, std::optional<std::uint64_t> sample,
-                          const std::string& in_weather = "") {
+    RenderedScan rendered(const ScanRequest& request, const std::string& sensor,
+                          std::optional<std::uint64_t> sample, const std::string& in_weather = "") {
         const relidar::Run run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
         renderer.set_weather(parse_weather(in_weather));
-        const SensorChoice choice =
-            sensor.empty() ? configured_sensor(run.config, run.sequence) : choose_sensor(sensor, run.config, run.sequence);
+        const SensorChoice choice = sensor.empty() ? configured_sensor(run.config, run.sequence)
+                                                   : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
     }
     static void expect_same(const v1::LidarScan& scan, const RenderedScan& truth) {
@@ -63,7 +66,8 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
     expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
 }
 
-/// Each request has its own weather, or the server's, and the next one that of its own again.
+/// Each request has its own weather, or the server's, and the next one that of its own
+/// again.
 TEST_F(Service, WeatherIsThatOfTheRequest) {
     weather = parse_weather("snow=4");
     start();
@@ -84,7 +88,8 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
             EXPECT_EQ(scan.image().channels(0).name(), "source");
             EXPECT_EQ(values<std::int32_t>(scan.image().channels(0).values()), *sources);
             EXPECT_THAT(*sources, testing::Contains(testing::Gt(0))) << expected;
-            EXPECT_THAT(values<std::int32_t>(scan.points().channels(0).values()), testing::Each(testing::Ge(0)));
+            EXPECT_THAT(values<std::int32_t>(scan.points().channels(0).values()),
+                        testing::Each(testing::Ge(0)));
         }
     }
 }
@@ -97,7 +102,8 @@ TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {
     EXPECT_GT(here, 0.5) << "three quarters of a turn";
     EXPECT_LT(here, 0.95);
     request.clear_path();
-    add_pose(*request.mutable_path(), 0.45, at_x(500.0)), add_pose(*request.mutable_path(), 0.55, at_x(500.0));
+    add_pose(*request.mutable_path(), 0.45, at_x(500.0)),
+        add_pose(*request.mutable_path(), 0.55, at_x(500.0));
     EXPECT_EQ(scan_of(request).unseen(), 1.0);
 }
 
@@ -105,9 +111,10 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     start();
     v1::RenderLidarRequest request = standing();
     request.clear_path();
-    const Pose begin = at_x(-1.0), end{rotation_of(0.2, 0.0, 0.0), at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
+    const Pose begin = at_x(-1.0),
+               end{rotation_of(0.2, 0.0, 0.0), at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
     add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
-    request.mutable_actors();   // no actor is there: the wall alone
+    request.mutable_actors();  // no actor is there: the wall alone
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.points_at_s(), 0.55);
     EXPECT_NEAR(scan.time_s() + values<float>(scan.points().time_s()).front(), 0.55, 0.1);
@@ -115,8 +122,10 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     ASSERT_GT(points.size(), 10u);
     EXPECT_EQ(points.size(), scan.points().count());
     for (const glm::vec3& point : points)
-        EXPECT_NEAR((end * glm::dvec3(point)).x, kDatasetOrigin_m.x + 10.0, 2e-4) << "on the wall, whenever its ray was fired";
-    for (const std::string* bytes : {&scan.points().intensity(), &scan.points().time_s(), &scan.points().instance()})
+        EXPECT_NEAR((end * glm::dvec3(point)).x, kDatasetOrigin_m.x + 10.0, 2e-4)
+            << "on the wall, whenever its ray was fired";
+    for (const std::string* bytes :
+         {&scan.points().intensity(), &scan.points().time_s(), &scan.points().instance()})
         EXPECT_EQ(bytes->size(), 4 * points.size());
     EXPECT_EQ(scan.points().ring().size(), 2 * points.size());
     EXPECT_THAT(values<std::uint8_t>(scan.points().return_number()), testing::Each(1));
@@ -124,21 +133,24 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     EXPECT_THAT(values<std::uint16_t>(scan.points().ring()), testing::Contains(2));
 }
 
-/// The wall faces the sensor squarely wherever that stands: its normal is -x of the world, in the frame of the points.
-/// Points alone are made on the device, those beside an image on the host.
+/// The wall faces the sensor squarely wherever that stands: its normal is -x of the
+/// world, in the frame of the points. Points alone are made on the device, those beside
+/// an image on the host.
 TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     start();
     v1::RenderLidarRequest request = standing();
     request.clear_path();
     add_pose(*request.mutable_path(), 0.3, at_x(-2.0));
-    add_pose(*request.mutable_path(), 0.6, {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation});
+    add_pose(*request.mutable_path(), 0.6,
+             {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(0.0).translation});
     request.set_time_s(0.45), request.set_points_at_s(0.5);
     request.mutable_sensor()->set_name("VLP-16:90x10");
     for (const bool sampled : {false, true}) {
         if (sampled) request.set_sample_seed(3);
         request.mutable_wanted()->set_points(true), request.mutable_wanted()->set_range_image(true);
         const v1::LidarScan both = scan_of(request);
-        request.mutable_wanted()->set_range_image(false), request.mutable_wanted()->set_drop_probability(false);
+        request.mutable_wanted()->set_range_image(false),
+            request.mutable_wanted()->set_drop_probability(false);
         const v1::LidarScan alone = scan_of(request);
         EXPECT_FALSE(alone.has_image());
         EXPECT_EQ(alone.unseen(), both.unseen());
@@ -154,7 +166,8 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
         const std::vector<float> found = values<float>(p.xyz_m()), expected = values<float>(e.xyz_m());
         ASSERT_EQ(found.size(), expected.size());
         for (std::size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], expected[i], 2e-5) << i;
-        const std::vector<float> intensity = values<float>(p.intensity()), of_image = values<float>(e.intensity());
+        const std::vector<float> intensity = values<float>(p.intensity()),
+                                 of_image = values<float>(e.intensity());
         for (std::size_t i = 0; i < intensity.size(); ++i) EXPECT_NEAR(intensity[i], of_image[i], 1e-6) << i;
     }
 }
@@ -169,13 +182,15 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
     v1::RenderLidarRequest request = standing();
     request.clear_path();
-    for (const double time_s : {0.4, kEnd_s}) add_pose(*request.mutable_path(), time_s, at_x(sensor_x(time_s)));
+    for (const double time_s : {0.4, kEnd_s})
+        add_pose(*request.mutable_path(), time_s, at_x(sensor_x(time_s)));
     request.set_time_s(kTime_s);
     request.mutable_actors();
     for (const bool is_own : {true, false}) {
         request.mutable_sensor()->set_name(is_own ? "native" : "VLP-16:360x10");
-        for (const bool beside_image : {true, false}) {   // points alone are made on the device
-            request.mutable_wanted()->set_range_image(beside_image), request.mutable_wanted()->set_drop_probability(beside_image);
+        for (const bool beside_image : {true, false}) {  // points alone are made on the device
+            request.mutable_wanted()->set_range_image(beside_image),
+                request.mutable_wanted()->set_drop_probability(beside_image);
             const v1::LidarScan scan = scan_of(request);
             const std::vector<glm::vec3> points = values<glm::vec3>(scan.points().xyz_m());
             const std::vector<float> times_s = values<float>(scan.points().time_s());
@@ -187,10 +202,15 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
                 const glm::dvec3 seen_m = glm::dvec3(points[i]) + glm::dvec3(sensor_x(kEnd_s), 0.0, 0.0);
                 EXPECT_NEAR(seen_m.x, kWall_m, 1e-3);
                 const glm::dvec3 ray = seen_m - glm::dvec3(sensor_x(kTime_s + double(times_s[i])), 0.0, 0.0);
-                const double elevation = std::atan2(ray.z, std::hypot(ray.x, ray.y)), azimuth = std::atan2(ray.y, ray.x);
-                EXPECT_NEAR(elevation, is_own ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0, 3e-4) << i;
+                const double elevation = std::atan2(ray.z, std::hypot(ray.x, ray.y)),
+                             azimuth = std::atan2(ray.y, ray.x);
+                EXPECT_NEAR(elevation, is_own ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0,
+                            3e-4)
+                    << i;
                 if (is_own) EXPECT_EQ(times_s[i], 0.0f);
-                else EXPECT_NEAR(times_s[i], -azimuth / (2.0 * kPi) * kPeriod_s, 1e-3) << "a head that turns clockwise";
+                else
+                    EXPECT_NEAR(times_s[i], -azimuth / (2.0 * kPi) * kPeriod_s, 1e-3)
+                        << "a head that turns clockwise";
                 latest_s = std::max(latest_s, std::abs(times_s[i]));
             }
             EXPECT_EQ(latest_s > 0.01f, !is_own);
@@ -198,7 +218,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     }
 }
 
-/// A network that says of every ray that it returns, of a sensor that mostly sees nothing.
+/// A network that says of every ray that it returns, of a sensor that mostly sees
+/// nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     relidar::Run run = small_run(folder / "small");
     run.config.refine.enabled = true;
@@ -241,7 +262,8 @@ TEST_F(Service, ChannelsComeWithPointsAndImage) {
     const std::vector<glm::vec3> normals = values<glm::vec3>(normal.values());
     ASSERT_EQ(normals.size(), scan.points().count());
     ASSERT_GT(normals.size(), 10u);
-    for (const glm::vec3& n : normals) EXPECT_LT(glm::distance(end.rotation * glm::dvec3(n), glm::dvec3(-1.0, 0.0, 0.0)), 1e-4);
+    for (const glm::vec3& n : normals)
+        EXPECT_LT(glm::distance(end.rotation * glm::dvec3(n), glm::dvec3(-1.0, 0.0, 0.0)), 1e-4);
     EXPECT_EQ(values<float>(spread.values()).size(), scan.points().count());
     ASSERT_EQ(scan.image().channels_size(), 2);
     EXPECT_EQ(values<float>(scan.image().channels(1).values()).size(), scan.rays());
@@ -255,7 +277,8 @@ TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
     spec.mutable_rays()->set_time_s(fired_s.data(), 12);
     *request.mutable_sensor()->mutable_spec() = spec;
     request.clear_path();
-    add_pose(*request.mutable_path(), 0.0, at_x(-4.0)), add_pose(*request.mutable_path(), 0.5, at_x(-3.0));   // 2 m/s
+    // 2 m/s
+    add_pose(*request.mutable_path(), 0.0, at_x(-4.0)), add_pose(*request.mutable_path(), 0.5, at_x(-3.0));
     request.mutable_actors();
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.time_s(), -0.25);
@@ -279,7 +302,8 @@ TEST_F(Service, ActorsAreTheLogsOrTheClients) {
     add_pose(*car.mutable_poses(), 0.0, at_x(6.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "where the client has it";
     car.clear_poses();
-    add_pose(*car.mutable_poses(), -0.5, at_x(4.0)), add_pose(*car.mutable_poses(), 0.0, at_x(5.0));   // until 0.5 s before the scan
+    // until 0.5 s before the scan
+    add_pose(*car.mutable_poses(), -0.5, at_x(4.0)), add_pose(*car.mutable_poses(), 0.0, at_x(5.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "it goes on at the same speed";
     request.mutable_actors()->clear_actors();
     EXPECT_NEAR(range_m(), 10.0, 0.05) << "nobody is there";
@@ -325,12 +349,14 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
     const auto reader = calls->RenderRig(&context, request);
     std::vector<std::string> seen;
     for (v1::RigScan scan; reader->Read(&scan);)
-        seen.push_back(fmt::format("{} {:.2f}", scan.name(), values<float>(scan.scan().image().range_m())[0]));
+        seen.push_back(
+            fmt::format("{} {:.2f}", scan.name(), values<float>(scan.scan().image().range_m())[0]));
     EXPECT_TRUE(reader->Finish().ok());
     EXPECT_THAT(seen, testing::ElementsAre("front 8.00", "rear 13.00"));
 }
 
-/// More sensors than go to the device at once, and in their midst one whose scan the host has to make.
+/// More sensors than go to the device at once, and in their midst one whose scan the host
+/// has to make.
 TEST_F(Service, PointsOfARigAreThoseOfEachSensorAlone) {
     start();
     v1::RenderRigRequest request;
@@ -390,8 +416,10 @@ TEST_F(Service, TellsWhatItServes) {
 }
 
 TEST(Addresses, OnlyThoseOfThisMachineAreLoopback) {
-    for (const char* host : {"127.0.0.1", "127.8.9.1", "localhost", "[::1]", "::1"}) EXPECT_TRUE(is_loopback(host)) << host;
-    for (const char* host : {"0.0.0.0", "[::]", "127.example.com", "10.0.0.1", "127.1"}) EXPECT_FALSE(is_loopback(host)) << host;
+    for (const char* host : {"127.0.0.1", "127.8.9.1", "localhost", "[::1]", "::1"})
+        EXPECT_TRUE(is_loopback(host)) << host;
+    for (const char* host : {"0.0.0.0", "[::]", "127.example.com", "10.0.0.1", "127.1"})
+        EXPECT_FALSE(is_loopback(host)) << host;
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A service in the test's own process, of a run so small that a scan takes milliseconds: a wall 10 m ahead of the log's sensor, and an
-// actor, "car", a plate 4 m ahead.
+// A service in the test's own process, of a run so small that a scan takes milliseconds:
+// a wall 10 m ahead of the log's sensor, and an actor, "car", a plate 4 m ahead.
 #pragma once
 
 #include <cmath>
@@ -21,7 +21,7 @@
 
 namespace relidar::serve {
 
-inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);   // of relidar's world
+inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);  // of relidar's world
 
 inline Pose at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }
 
@@ -31,11 +31,11 @@ inline Run small_run(const std::filesystem::path& folder) {
     Surfels& surfels = run.scene.surfels;
     surfels.resize(2);
     surfels.mean = {{10.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
-    surfels.rotation.assign(2, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f});   // normals along x
+    surfels.rotation.assign(2, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f});  // normals along x
     surfels.log_scale = {glm::vec2(std::log(5.0f)), glm::vec2(std::log(0.5f))};
     surfels.opacity_logit.assign(2, 6.0f);
     surfels.sh.assign(2 * kShFloats, 0.0f);
-    for (std::size_t i = 0; i < 2; ++i) surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;   // hit logit
+    for (std::size_t i = 0; i < 2; ++i) surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
     run.scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     run.scene.instances = {{0, ""}, {1, "car"}};
     Sequence& log = run.sequence;
@@ -50,19 +50,21 @@ inline Run small_run(const std::filesystem::path& folder) {
     log.world_offset_m = kDatasetOrigin_m;
     log.boxes = {{"car", "Car", {1, 1, 1}, {{0.0, 1.0}, {car, car}}}};
     run.split = {{0, 1, 2}, {}};
-    for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)   // a quarter of a turn ahead, to the wall and around it
-        for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5) run.coverage.add(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
+    // a quarter of a turn ahead, to the wall and around it
+    for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)
+        for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5)
+            run.coverage.add(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
     return run;
 }
 
 /// Saves runs and serves them.
 class ServiceTest : public test::DeviceTest {
 protected:
-    std::filesystem::path folder;   ///< of the runs
-    std::vector<std::string> assets;   ///< folders of them
-    std::optional<std::string> channels;   ///< of all scans
-    Weather weather;                       ///< of scans whose request has none
-    std::optional<PoseOrder> sensorsim;    ///< of that service, where it is offered too
+    std::filesystem::path folder;         ///< of the runs
+    std::vector<std::string> assets;      ///< folders of them
+    std::optional<std::string> channels;  ///< of all scans
+    Weather weather;                      ///< of scans whose request has none
+    std::optional<PoseOrder> sensorsim;   ///< of that service, where it is offered too
     std::optional<ScanServer> server;
 
     void SetUp() override {
@@ -77,7 +79,8 @@ protected:
         DeviceTest::TearDown();
     }
 
-    void start(std::size_t waiting = 64, const std::vector<std::string>& names = {"small"}, std::uint64_t memory_mib = 0) {
+    void start(std::size_t waiting = 64, const std::vector<std::string>& names = {"small"},
+               std::uint64_t memory_mib = 0) {
         ServerOptions options;
         options.assets = assets;
         options.channels = channels;
@@ -94,10 +97,13 @@ protected:
         server.emplace(options);
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
-    std::unique_ptr<v1::RenderService::Stub> stub() const { return v1::RenderService::NewStub(connect(address())); }
+    std::unique_ptr<v1::RenderService::Stub> stub() const {
+        return v1::RenderService::NewStub(connect(address()));
+    }
 };
 
-inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, double time_s, const Pose& pose) {
+inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, double time_s,
+                     const Pose& pose) {
     v1::TimedPose& added = *poses.Add();
     added.set_time_s(time_s);
     v1::Vector& t = *added.mutable_pose()->mutable_translation();
@@ -121,7 +127,8 @@ inline v1::SensorSpec rays_ahead(std::size_t n) {
     v1::SensorSpec spec;
     const glm::vec3 ahead(1.0f, 0.0f, 0.0f);
     std::string& direction = *spec.mutable_rays()->mutable_direction();
-    for (std::size_t i = 0; i < n; ++i) direction.append(reinterpret_cast<const char*>(&ahead), sizeof(ahead));
+    for (std::size_t i = 0; i < n; ++i)
+        direction.append(reinterpret_cast<const char*>(&ahead), sizeof(ahead));
     return spec;
 }
 

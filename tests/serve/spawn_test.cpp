@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that clients put into scenes: scans against those of the library's edits, what is listed, refused and taken out again.
+// Actors that clients put into scenes: scans against those of the library's edits, what
+// is listed, refused and taken out again.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -9,10 +10,10 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/simulate/render.hpp>
 
+#include "../base/codecs/temporary_folder.hpp"
 #include "asset_shelf.hpp"
 #include "refusal.hpp"
 #include "scenes.hpp"
-#include "../base/codecs/temporary_folder.hpp"
 #include "small_service.hpp"
 
 namespace relidar::serve {
@@ -22,8 +23,10 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using Code = grpc::StatusCode;
 
-/// A plate across its own x axis, wider than that of the small run's car and of another brightness, as an asset.
-Asset plate_asset(const std::string& name, std::size_t n_surfels = 1, Primitive primitive = Primitive::surfel) {
+/// A plate across its own x axis, wider than that of the small run's car and of another
+/// brightness, as an asset.
+Asset plate_asset(const std::string& name, std::size_t n_surfels = 1,
+                  Primitive primitive = Primitive::surfel) {
     relidar::Run run = small_run("");
     Surfels& surfels = run.scene.surfels;
     surfels = surfels.slice(0, 1);
@@ -39,11 +42,13 @@ Asset plate_asset(const std::string& name, std::size_t n_surfels = 1, Primitive 
     run.config.image.primitive = primitive;
     AssetFacts facts;
     facts.name = name, facts.category = "Van", facts.kind = ObjectKind::vehicle, facts.size_m = {5, 2, 2.5};
-    facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels, facts.sensor = "HDL-64E";
+    facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels,
+    facts.sensor = "HDL-64E";
     return {facts, run};
 }
 
-v1::SpawnActorsRequest spawn_request(const std::vector<std::pair<std::string, std::string>>& name_and_source) {
+v1::SpawnActorsRequest spawn_request(
+    const std::vector<std::pair<std::string, std::string>>& name_and_source) {
     v1::SpawnActorsRequest request;
     for (const auto& [name, source] : name_and_source) {
         v1::Spawn& spawn = *request.add_actors();
@@ -98,7 +103,9 @@ protected:
         left = answer.left();
         return status;
     }
-    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) { return ScanClient(address()).render(request); }
+    v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
+        return ScanClient(address()).render(request);
+    }
     std::vector<std::string> listed() {
         const v1::ListScenesResponse scenes = ScanClient(address()).list_scenes();
         std::vector<std::string> names;
@@ -120,24 +127,33 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
 
     const relidar::Run run = load_run(folder / "small"), asset = load_run(folder / "assets" / "van-1");
     DrivingScene edited = copy_track(run.driving(), "car", {places[0].second});
-    for (const std::size_t i : {1u, 2u}) edited = insert_track(std::move(edited), asset.driving(), "van-1", {places[i].second});
+    for (const std::size_t i : {1u, 2u})
+        edited = insert_track(std::move(edited), asset.driving(), "van-1", {places[i].second});
     edited = remove_track(std::move(edited), "car");
     ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
-    const RenderedScan truth = renderer.render(configured_sensor(run.config, run.sequence), {0.5, {{0.5}, {at_x(0.0)}}});
+    const RenderedScan truth =
+        renderer.render(configured_sensor(run.config, run.sequence), {0.5, {{0.5}, {at_x(0.0)}}});
     EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
     EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
     EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
 
-    std::vector<std::int32_t> expected;   // of the edited run: 1, 2, 3; the small run has two instances, so that spawned ones follow from 2
+    // of the edited run: 1, 2, 3; the small run has two instances, so that spawned ones
+    // follow from 2
+    std::vector<std::int32_t> expected;
     for (std::size_t i = 0; i < truth.image.range_m.size(); ++i)
         if (truth.image.drop_prob[i] < 0.5f && truth.image.range_m[i] > 0.0f)
-            expected.push_back(truth.instance[i] < 1 ? truth.instance[i] : std::int32_t(answer.actors(truth.instance[i] - 1).instance()));
+            expected.push_back(truth.instance[i] < 1
+                                   ? truth.instance[i]
+                                   : std::int32_t(answer.actors(truth.instance[i] - 1).instance()));
     EXPECT_EQ(values<std::int32_t>(scan.points().instance()), expected);
-    for (const std::int32_t actor : {1, 2, 3}) EXPECT_GT(std::ranges::count(truth.instance, actor), 0) << actor;
+    for (const std::int32_t actor : {1, 2, 3})
+        EXPECT_GT(std::ranges::count(truth.instance, actor), 0) << actor;
 
     const v1::LidarScan before = scan_of(standing());
-    EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Contains(1)) << "as the log has them";
-    EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Each(testing::Lt(2))) << "nowhere where none is named";
+    EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Contains(1))
+        << "as the log has them";
+    EXPECT_THAT(values<std::int32_t>(before.points().instance()), testing::Each(testing::Lt(2)))
+        << "nowhere where none is named";
 }
 
 TEST_F(Spawn, IsListedUntilItIsTakenOut) {
@@ -174,18 +190,24 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
     const grpc::Status status = stub()->RenderLidar(&context, request, &scan);
     EXPECT_EQ(status.error_code(), Code::NOT_FOUND);
     EXPECT_THAT(status.error_message(), HasSubstr("actors.actors[0].name: found \"a\""));
-    EXPECT_EQ(spawned({{"again", "asset van-1"}}).actors(0).instance(), answer.actors(0).instance()) << "the place was free";
+    EXPECT_EQ(spawned({{"again", "asset van-1"}}).actors(0).instance(), answer.actors(0).instance())
+        << "the place was free";
 }
 
 TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     start();
     spawned({{"mine", "car"}});
-    expect_refused(spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS, "spawning \"mine\": found an actor of that name");
+    expect_refused(spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS,
+                   "spawning \"mine\": found an actor of that name");
     expect_refused(spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS, "spawning \"mine\"");
-    expect_refused(spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS, "spawning \"x\"");
-    expect_refused(spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS, "which is an actor of the run");
-    expect_refused(spawn_request({{"x", "cat"}}), Code::NOT_FOUND, "actors[0].actor: found \"cat\", expected one that is there, as \"c");
-    expect_refused(spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND, "actors[0].asset: found \"van-2\", expected one that is");
+    expect_refused(spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
+                   "spawning \"x\"");
+    expect_refused(spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS,
+                   "which is an actor of the run");
+    expect_refused(spawn_request({{"x", "cat"}}), Code::NOT_FOUND,
+                   "actors[0].actor: found \"cat\", expected one that is there, as \"c");
+    expect_refused(spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
+                   "actors[0].asset: found \"van-2\", expected one that is");
     expect_refused(spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
     expect_refused(spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither actor nor asset");
     expect_refused(spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
@@ -193,13 +215,15 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     expect_refused({}, Code::INVALID_ARGUMENT, "reading actors: found none");
     expect_refused(spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
     std::vector<std::pair<std::string, std::string>> many;
-    for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i) many.emplace_back(fmt::format("n{}", i), "car");
+    for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i)
+        many.emplace_back(fmt::format("n{}", i), "car");
     expect_refused(spawn_request(many), Code::RESOURCE_EXHAUSTED, "found 4096 places");
     v1::SpawnActorsRequest elsewhere = spawn_request({{"x", "car"}});
     elsewhere.set_scene("nowhere");
     expect_refused(elsewhere, Code::NOT_FOUND, "reading scene: found \"nowhere\"");
     std::uint32_t left = 0;
-    for (const std::vector<std::string>& names : {std::vector<std::string>{"x"}, {"mine", "mine"}, {"car"}, {""}}) {
+    for (const std::vector<std::string>& names :
+         {std::vector<std::string>{"x"}, {"mine", "mine"}, {"car"}, {""}}) {
         const grpc::Status status = despawn(names, left);
         EXPECT_EQ(status.error_code(), Code::NOT_FOUND) << names[0];
         EXPECT_THAT(status.error_message(), HasSubstr("despawning \"" + names[0] + "\""));
@@ -252,7 +276,8 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     const SensorChoice sensor = configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
     const auto ranges = [&] {
         std::vector<float> range_m;
-        scenes.use(0, {}, [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
+        scenes.use(0, {},
+                   [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
         return range_m;
     };
     const std::vector<float> truth = ranges();
@@ -265,7 +290,8 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         }
         return std::string();
     };
-    EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), HasSubstr("MiB of device memory with them"));
+    EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}),
+                HasSubstr("MiB of device memory with them"));
     EXPECT_TRUE(scenes.spawned().taken(0).empty());
     EXPECT_EQ(scenes.spawned().count_places(0), 0u);
     EXPECT_EQ(ranges(), truth);
@@ -281,7 +307,8 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
         actors.take(1, {{fmt::format("{}", i), car}});
         sizes.push_back(actors.count_places(1));
     }
-    EXPECT_THAT(sizes, ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
+    EXPECT_THAT(sizes,
+                ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
     EXPECT_EQ(actors.count_places(0), 0u) << "of another scene";
     actors.give_back(1, {"1", "3"});
     EXPECT_EQ(actors.take(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
@@ -291,15 +318,16 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
 TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {
     const std::filesystem::path model = folder / "assets" / "van-1" / "model.safetensors";
     std::filesystem::resize_file(model, std::filesystem::file_size(model) / 2);
-    start();   // which reads no more of assets than what they say of themselves
+    start();  // which reads no more of assets than what they say of themselves
     expect_refused(spawn_request({{"x", "asset van-1"}}), Code::FAILED_PRECONDITION, "van-1");
     EXPECT_EQ(spawned({{"y", "car"}}).actors_size(), 1) << "the scene is as it was";
 }
 
 TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
     save_asset(plate_asset("van-1"), folder / "others" / "van-1");
-    const std::string message =
-        error_message<UsageError>([&] { AssetShelf({(folder / "assets").string(), (folder / "others").string()}); });
+    const std::string message = error_message<UsageError>([&] {
+        AssetShelf({(folder / "assets").string(), (folder / "others").string()});
+    });
     EXPECT_THAT(message, HasSubstr("found van-1 in"));
     EXPECT_THAT(data_error([&] { AssetShelf({folder.string() + "/nowhere"}); }), HasSubstr("nowhere"));
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What documents name exists: links and anchors, files and folders, headers, kernels, settings, commands and their options. Only code is
-// looked at (`spans` and fenced blocks), except for links and names of documents. A name in capitals (RUN, FILE.csv) or with <...> in it is
-// a placeholder; other placeholders stand in kPlaceholders.
+// What documents name exists: links and anchors, files and folders, headers, kernels,
+// settings, commands and their options. Only code is looked at (`spans` and fenced
+// blocks), except for links and names of documents. A name in capitals (RUN, FILE.csv) or
+// with <...> in it is a placeholder; other placeholders stand in kPlaceholders.
 #include <algorithm>
 #include <functional>
 #include <regex>
@@ -19,28 +20,34 @@ using Names = std::set<std::string>;
 
 /// Names that stand for others, or for what is made elsewhere.
 const Names kPlaceholders = {
-    "relidar/room/name.hpp", "src/room", "RELIDAR_UPPER",   // any header, any room, any macro
-    "kernel_params.hpp", "relidarTargets.cmake",                                     // made by the build
-    "scores.md",                                                                     // written by `relidar eval --table`
+    "relidar/room/name.hpp",
+    "src/room",
+    "RELIDAR_UPPER",  // any header, any room, any macro
+    "kernel_params.hpp",
+    "relidarTargets.cmake",  // made by the build
+    "scores.md",             // written by `relidar eval --table`
 };
 
-const Names kSourceExtensions = {".cpp", ".hpp", ".h", ".glsl", ".comp", ".rgen", ".md", ".cmake", ".sh", ".py", ".js", ".css", ".proto"};
+const Names kSourceExtensions = {".cpp",   ".hpp", ".h",  ".glsl", ".comp", ".rgen", ".md",
+                                 ".cmake", ".sh",  ".py", ".js",   ".css",  ".proto"};
 
-/// Endings that make `word.ending` a file that the program writes or reads, where a section of the settings has the word's name.
-const Names kFileEndings = {"json", "toml", "csv", "npz", "safetensors", "jsonl", "html", "png", "exr", "ply", "pcd", "log", "txt", "svg"};
+/// Endings that make `word.ending` a file that the program writes or reads, where a
+/// section of the settings has the word's name.
+const Names kFileEndings = {"json", "toml", "csv", "npz", "safetensors", "jsonl", "html",
+                            "png",  "exr",  "ply", "pcd", "log",         "txt",   "svg"};
 
 /// A `span` or a line of a fenced block; lines that end in a backslash are joined.
 struct Code {
     std::string text;
-    std::size_t line = 0;   ///< counted from 1
-    bool is_command = true;   ///< false in blocks of another language than the shell's
+    std::size_t line = 0;    ///< counted from 1
+    bool is_command = true;  ///< false in blocks of another language than the shell's
 };
 
 /// A document taken apart.
 struct Document {
     std::string path;
     std::vector<Code> code;
-    std::vector<Code> prose;   ///< lines without their code
+    std::vector<Code> prose;  ///< lines without their code
     Names anchors;
 };
 
@@ -48,13 +55,15 @@ std::string anchor_of(const std::string& heading) {
     std::string anchor;
     for (const char c : heading) {
         const auto byte = static_cast<unsigned char>(c);
-        if (std::isalnum(byte) || byte >= 0x80 || c == '_' || c == '-') anchor += static_cast<char>(std::tolower(byte));
+        if (std::isalnum(byte) || byte >= 0x80 || c == '_' || c == '-')
+            anchor += static_cast<char>(std::tolower(byte));
         else if (c == ' ') anchor += '-';
     }
     return anchor;
 }
 
-/// Reads the block whose opening fence is line `i`; returns the line of its closing fence.
+/// Reads the block whose opening fence is line `i`; returns the line of its closing
+/// fence.
 std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Document& document) {
     const std::string language = lines[i].substr(3);
     const bool shell = language.empty() || language == "sh" || language == "bash";
@@ -70,7 +79,8 @@ std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Doc
 }
 
 /// Reads a paragraph, lines [begin, end): a span may go on in the next line.
-void read_paragraph(const std::vector<std::string>& lines, std::size_t begin, std::size_t end, Document& document) {
+void read_paragraph(const std::vector<std::string>& lines, std::size_t begin, std::size_t end,
+                    Document& document) {
     Code span;
     bool inside = false;
     for (std::size_t i = begin; i < end; ++i) {
@@ -100,9 +110,13 @@ Document read_document(const SourceFile& file) {
             i = read_block(lines, i, document);
             continue;
         }
-        if (lines[i].starts_with("#")) document.anchors.insert(anchor_of(lines[i].substr(lines[i].find_first_not_of("# "))));
-        std::size_t end = i + 1;   // a heading, a row of a table and an item of a list close their spans themselves
-        while (end < lines.size() && !lines[end].empty() && !lines[end].starts_with("```") && !lines[end].starts_with("#")) ++end;
+        if (lines[i].starts_with("#"))
+            document.anchors.insert(anchor_of(lines[i].substr(lines[i].find_first_not_of("# "))));
+        // a heading, a row of a table and an item of a list close their spans themselves
+        std::size_t end = i + 1;
+        while (end < lines.size() && !lines[end].empty() && !lines[end].starts_with("```") &&
+               !lines[end].starts_with("#"))
+            ++end;
         read_paragraph(lines, i, end, document);
         for (std::size_t k = i + 1; k < end; ++k) i = k;
     }
@@ -118,10 +132,11 @@ struct Program {
 struct Known {
     const SourceTree& tree;
     Names folders, top_folders, settings, sections;
-    std::map<std::string, Program> programs;   ///< by name
+    std::map<std::string, Program> programs;  ///< by name
 };
 
-/// First groups of all matches in the sources of a folder, joined by a dot where there are two.
+/// First groups of all matches in the sources of a folder, joined by a dot where there
+/// are two.
 Names matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
     Names found;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
@@ -142,24 +157,28 @@ Known names_of(const SourceTree& tree) {
     }
     known.settings = matches_in(tree, "src/run/config/", std::regex(R"re(\bf\(\s*"(\w+)\.(\w+)")re"));
     const std::regex term(R"(\bTERM\(\d+u, \w+, (\w+),)");
-    for (const std::string& weight : matches_in(tree, "include/relidar/diff/loss_terms.h", term)) known.settings.insert("loss." + weight);
+    for (const std::string& weight : matches_in(tree, "include/relidar/diff/loss_terms.h", term))
+        known.settings.insert("loss." + weight);
     for (const std::string& key : known.settings) known.sections.insert(key.substr(0, key.find('.')));
     const std::regex option(R"re("(?:-\w,)?(--[a-z][\w-]*)")re");
-    const std::map<std::string, std::string> folders{{"relidar", "tools/relidar/"}, {"relidar-dev", "tools/relidar_dev/"}};
+    const std::map<std::string, std::string> folders{{"relidar", "tools/relidar/"},
+                                                     {"relidar-dev", "tools/relidar_dev/"}};
     for (const auto& [name, sources] : folders) {
         Program& program = known.programs[name];
         program.commands = matches_in(tree, sources, std::regex(R"re(\bapp\.add_subcommand\(\s*"(\w+)")re"));
         program.options = matches_in(tree, sources, option);
         program.options.insert("--help");
     }
-    known.programs["relidar-dev"].options.merge(matches_in(tree, "tools/relidar/options.cpp", option));   // those that both have
+    // those that both have
+    known.programs["relidar-dev"].options.merge(matches_in(tree, "tools/relidar/options.cpp", option));
     return known;
 }
 
 bool is_placeholder(const std::string& name) {
     static const std::regex kPattern(R"(<|>|\$|~|(^|/)[A-Z][A-Z0-9_]*(\.\w+)?(/|$))");
     const std::string file = fs::path(name).filename().string();
-    return kPlaceholders.contains(name) || (std::regex_search(name, kPattern) && file != "README.md" && file != "LICENSE");
+    return kPlaceholders.contains(name) ||
+           (std::regex_search(name, kPattern) && file != "README.md" && file != "LICENSE");
 }
 
 /// `a.{hpp,cpp}` as a.hpp and a.cpp.
@@ -169,7 +188,8 @@ std::vector<std::string> without_braces(const std::string& name) {
     std::vector<std::string> names;
     std::istringstream choices(name.substr(open + 1, close - open - 1));
     for (std::string choice; std::getline(choices, choice, ',');) {
-        for (const std::string& rest : without_braces(name.substr(close + 1))) names.push_back(name.substr(0, open) + choice + rest);
+        for (const std::string& rest : without_braces(name.substr(close + 1)))
+            names.push_back(name.substr(0, open) + choice + rest);
     }
     return names;
 }
@@ -184,7 +204,8 @@ std::regex pattern_of(const std::string& name) {
     return std::regex(pattern + "$");
 }
 
-/// Whether a file or folder has this path, or where `anywhere` is set a path that ends so.
+/// Whether a file or folder has this path, or where `anywhere` is set a path that ends
+/// so.
 bool has_path(const Known& known, const std::string& name, bool anywhere) {
     if (known.tree.contains(name) || known.folders.contains(name)) return true;
     if (name.find('*') == std::string::npos && !anywhere) return false;
@@ -195,37 +216,46 @@ bool has_path(const Known& known, const std::string& name, bool anywhere) {
 }
 
 bool occurs(const Known& known, const std::string& prefix, const std::string& word) {
-    for (auto it = known.tree.lower_bound(prefix); it != known.tree.end() && it->first.starts_with(prefix); ++it) {
-        const bool text = has_extension(it->first, {".cpp", ".hpp", ".h", ".py", ".sh", ".cmake", ".txt", ""});
-        if (text && !it->first.starts_with("tests/structure/") && contains_word(it->second.text, word)) return true;
+    for (auto it = known.tree.lower_bound(prefix); it != known.tree.end() && it->first.starts_with(prefix);
+         ++it) {
+        const bool text =
+            has_extension(it->first, {".cpp", ".hpp", ".h", ".py", ".sh", ".cmake", ".txt", ""});
+        if (text && !it->first.starts_with("tests/structure/") && contains_word(it->second.text, word))
+            return true;
     }
     return false;
 }
 
-/// A kernel, a part of a stage, or one of the names under which times are told (`accel/build`).
+/// A kernel, a part of a stage, or one of the names under which times are told
+/// (`accel/build`).
 bool is_kernel(const Known& known, const std::string& name) {
-    return has_path(known, "shaders/" + name + ".comp", false) || has_path(known, "src/" + name, false) || occurs(known, "src/", name) ||
-           occurs(known, "tools/", name);
+    return has_path(known, "shaders/" + name + ".comp", false) || has_path(known, "src/" + name, false) ||
+           occurs(known, "src/", name) || occurs(known, "tools/", name);
 }
 
 /// Files, folders, headers and kernels.
-void check_paths(const Known& known, const Document& document, const Code& code, const std::function<void(std::string)>& wrong) {
+void check_paths(const Known& known, const Document& document, const Code& code,
+                 const std::function<void(std::string)>& wrong) {
     static const std::regex kPath(R"([\w.*{},<>$~/+-]+)");
     for (std::sregex_iterator match(code.text.begin(), code.text.end(), kPath), end; match != end; ++match) {
         std::string word = match->str();
-        while (!word.empty() && (word.back() == '.' || word.back() == ',' || word.back() == '/' || word.back() == '>')) word.pop_back();
+        while (!word.empty() &&
+               (word.back() == '.' || word.back() == ',' || word.back() == '/' || word.back() == '>'))
+            word.pop_back();
         while (word.starts_with("<") || word.starts_with("./")) word.erase(0, word.starts_with("<") ? 1 : 2);
-        if (word.starts_with("relidar/tools/")) word.erase(0, 8);   // as in script_of()
+        if (word.starts_with("relidar/tools/")) word.erase(0, 8);  // as in script_of()
         if (word.empty() || word.front() == '/' || is_placeholder(word)) continue;
         for (const std::string& name : without_braces(word)) {
             const bool source = kSourceExtensions.contains(fs::path(name).extension().string());
-            const std::string here = (fs::path(document.path).parent_path() / name).lexically_normal().generic_string();
+            const std::string here =
+                (fs::path(document.path).parent_path() / name).lexically_normal().generic_string();
             const std::string top = folder(name, 0);
             if (source) {
                 if (!has_path(known, name, true) && !has_path(known, here, false)) wrong("no file " + name);
             } else if (known.top_folders.contains(top)) {
                 if (!has_path(known, name, false)) wrong("no file or folder " + name);
-            } else if (known.folders.contains("shaders/" + name.substr(0, name.rfind('/'))) && fs::path(name).extension().empty()) {
+            } else if (known.folders.contains("shaders/" + name.substr(0, name.rfind('/'))) &&
+                       fs::path(name).extension().empty()) {
                 if (!is_kernel(known, name)) wrong("no kernel " + name);
             }
         }
@@ -234,9 +264,12 @@ void check_paths(const Known& known, const Document& document, const Code& code,
 
 void check_settings(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
     static const std::regex kSetting(R"((^|[^\w/-])([a-z]+)\.([a-z][a-z0-9_]*)(?![\w(*.]))");
-    for (std::sregex_iterator match(code.text.begin(), code.text.end(), kSetting), end; match != end; ++match) {
+    for (std::sregex_iterator match(code.text.begin(), code.text.end(), kSetting), end; match != end;
+         ++match) {
         const std::string section = (*match)[2], key = (*match)[3];
-        if (!known.sections.contains(section) || kFileEndings.contains(key) || kSourceExtensions.contains("." + key)) continue;
+        if (!known.sections.contains(section) || kFileEndings.contains(key) ||
+            kSourceExtensions.contains("." + key))
+            continue;
         if (!known.settings.contains(section + "." + key)) wrong("no setting " + section + "." + key);
     }
 }
@@ -247,7 +280,8 @@ std::vector<std::string> words_of(const std::string& command) {
     std::istringstream in(command);
     for (std::string word; in >> word && word != "#";) {
         if (word.starts_with("[")) word.erase(0, 1);
-        if (!words.empty() || word.find('=') == std::string::npos || word.starts_with("--")) words.push_back(word);
+        if (!words.empty() || word.find('=') == std::string::npos || word.starts_with("--"))
+            words.push_back(word);
     }
     return words;
 }
@@ -259,35 +293,48 @@ std::string option_of(const std::string& word) {
 }
 
 /// Reports options among the words that neither the program has nor `has_option` knows.
-void check_options(const Program& program, const std::vector<std::string>& words, const std::function<bool(const std::string&)>& has_option,
+void check_options(const Program& program, const std::vector<std::string>& words,
+                   const std::function<bool(const std::string&)>& has_option,
                    const std::function<void(std::string)>& wrong) {
     for (const std::string& word : words) {
         const std::string option = option_of(word);
-        if (option.empty() || program.options.contains(option) || kPlaceholders.contains(option) || has_option(option)) continue;
+        if (option.empty() || program.options.contains(option) || kPlaceholders.contains(option) ||
+            has_option(option))
+            continue;
         wrong("no option " + option);
     }
 }
 
-/// Path of the script or benchmark of ours that a command begins with, whether it exists or not; empty for other programs.
+/// Path of the script or benchmark of ours that a command begins with, whether it exists
+/// or not; empty for other programs.
 std::string script_of(const std::string& word) {
     const std::string program = fs::path(word).filename().string();
     if (program.starts_with("relidar_bench_")) return "tools/bench/" + program.substr(14) + ".cpp";
-    for (const std::string prefix : {"./", "relidar/", ""})   // relidar/: the folder that tools/dev/bundle packs
+    // relidar/: the folder that tools/dev/bundle packs
+    for (const std::string prefix : {"./", "relidar/", ""})
         if (word.starts_with(prefix + "tools/")) return word.substr(prefix.size());
     return "";
 }
 
-/// One command: of relidar, of a script or program of ours; other programs are not looked at.
-void check_command(const Known& known, const std::vector<std::string>& words, const std::function<void(std::string)>& wrong) {
+/// One command: of relidar, of a script or program of ours; other programs are not looked
+/// at.
+void check_command(const Known& known, const std::vector<std::string>& words,
+                   const std::function<void(std::string)>& wrong) {
     if (words.empty()) return;
     const Program& relidar = known.programs.at("relidar");
     if (const std::string script = script_of(words[0]); !script.empty()) {
         const auto file = known.tree.find(script);
-        if (file == known.tree.end()) return script.ends_with(".cpp") ? wrong("no program " + words[0]) : void();   // see check_paths()
-        return check_options(relidar, words, [&](const std::string& option) { return contains_word(file->second.text, option); }, wrong);
+        // see check_paths()
+        if (file == known.tree.end())
+            return script.ends_with(".cpp") ? wrong("no program " + words[0]) : void();
+        return check_options(
+            relidar, words,
+            [&](const std::string& option) { return contains_word(file->second.text, option); }, wrong);
     }
-    if (words[0].starts_with("--"))   // an option by itself may be anybody's of ours
-        return check_options(relidar, words, [&](const std::string& option) { return occurs(known, "tools/", option); }, wrong);
+    if (words[0].starts_with("--"))  // an option by itself may be anybody's of ours
+        return check_options(
+            relidar, words, [&](const std::string& option) { return occurs(known, "tools/", option); },
+            wrong);
     std::string name = "relidar";
     auto word = std::ranges::find_if(words, [&](const std::string& w) {
         const std::string file = fs::path(w).filename().string();
@@ -299,32 +346,39 @@ void check_command(const Known& known, const std::vector<std::string>& words, co
     else if (relidar.commands.contains(words[0])) word = words.begin();
     if (word == words.end()) return;
     const Program& program = known.programs.at(name);
-    if (std::regex_match(*word, std::regex("[a-z]+")) && !program.commands.contains(*word)) wrong("no command " + name + " " + *word);
-    check_options(program, {word, words.end()}, [](const std::string&) { return false; }, wrong);
+    if (std::regex_match(*word, std::regex("[a-z]+")) && !program.commands.contains(*word))
+        wrong("no command " + name + " " + *word);
+    check_options(
+        program, {word, words.end()}, [](const std::string&) { return false; }, wrong);
 }
 
 void check_commands(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
     static const std::regex kEnd(R"(\s*(&&|\|\||[|;])\s*)");
     const std::string text = code.text.substr(0, code.text.find(" #"));
-    for (std::sregex_token_iterator command(text.begin(), text.end(), kEnd, -1), end; command != end; ++command)
+    for (std::sregex_token_iterator command(text.begin(), text.end(), kEnd, -1), end; command != end;
+         ++command)
         check_command(known, words_of(*command), wrong);
 }
 
 /// Environment variables and options of CMake.
 void check_variables(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
     static const std::regex kVariable(R"(\bRELIDAR_[A-Z0-9_]*[A-Z0-9]\b(?!\*))");
-    for (std::sregex_iterator match(code.text.begin(), code.text.end(), kVariable), end; match != end; ++match)
-        if (!kPlaceholders.contains(match->str()) && !occurs(known, "", match->str())) wrong("no variable or option " + match->str());
+    for (std::sregex_iterator match(code.text.begin(), code.text.end(), kVariable), end; match != end;
+         ++match)
+        if (!kPlaceholders.contains(match->str()) && !occurs(known, "", match->str()))
+            wrong("no variable or option " + match->str());
 }
 
-void check_links(const Known& known, const std::map<std::string, Document>& documents, const Document& document, const Code& line,
-                 const std::function<void(std::string)>& wrong) {
+void check_links(const Known& known, const std::map<std::string, Document>& documents,
+                 const Document& document, const Code& line, const std::function<void(std::string)>& wrong) {
     static const std::regex kLink(R"(\]\(([^)\s]*)\))");
     for (std::sregex_iterator match(line.text.begin(), line.text.end(), kLink), end; match != end; ++match) {
         const std::string link = (*match)[1], target = link.substr(0, link.find('#'));
         if (link.find("://") != std::string::npos) continue;
         const std::string path =
-            target.empty() ? document.path : (fs::path(document.path).parent_path() / target).lexically_normal().generic_string();
+            target.empty()
+                ? document.path
+                : (fs::path(document.path).parent_path() / target).lexically_normal().generic_string();
         if (!has_path(known, path.ends_with('/') ? path.substr(0, path.size() - 1) : path, false)) {
             wrong("no file " + path);
         } else if (link.find('#') != std::string::npos && documents.contains(path) &&
@@ -339,7 +393,8 @@ Code documents_named_in(const Code& line) {
     static const std::regex kTarget(R"(\]\([^)]*\))"), kDocument(R"([\w/.-]+\.md\b)");
     const std::string text = std::regex_replace(line.text, kTarget, "]");
     Code names{"", line.line, false};
-    for (std::sregex_iterator match(text.begin(), text.end(), kDocument), end; match != end; ++match) names.text += match->str() + " ";
+    for (std::sregex_iterator match(text.begin(), text.end(), kDocument), end; match != end; ++match)
+        names.text += match->str() + " ";
     return names;
 }
 
@@ -347,11 +402,13 @@ Code documents_named_in(const Code& line) {
 void check_comments(const Known& known, const SourceFile& file, Violations& violations) {
     static const std::regex kComment(R"(^\s*(//|#))");
     for (std::size_t i = 0; i < file.lines.size(); ++i) {
-        if (file.lines[i].find(".md") == std::string::npos || !std::regex_search(file.lines[i], kComment)) continue;
+        if (file.lines[i].find(".md") == std::string::npos || !std::regex_search(file.lines[i], kComment))
+            continue;
         const Document document{file.path, {}, {}, {}};
-        check_paths(known, document, documents_named_in({file.lines[i], i + 1, false}), [&](const std::string& what) {
-            violations.push_back(file.path + ":" + std::to_string(i + 1) + ": " + what);
-        });
+        check_paths(known, document, documents_named_in({file.lines[i], i + 1, false}),
+                    [&](const std::string& what) {
+                        violations.push_back(file.path + ":" + std::to_string(i + 1) + ": " + what);
+                    });
     }
 }
 
@@ -368,11 +425,10 @@ Violations check_documents(const SourceTree& tree) {
     if (known.settings.empty() || known.programs.at("relidar").commands.empty())
         violations.push_back("src/run/config:1: settings or commands were not found");
     for (const auto& [path, document] : documents) {
-        if (path == "docs/changelog.md") continue;   // names what is gone
+        if (path == "docs/changelog.md") continue;  // names what is gone
         const auto reporter = [&](const Code& code) {
-            return [&violations, where = path + ":" + std::to_string(code.line) + ": "](const std::string& what) {
-                violations.push_back(where + what);
-            };
+            return [&violations, where = path + ":" + std::to_string(code.line) + ": "](
+                       const std::string& what) { violations.push_back(where + what); };
         };
         for (const Code& code : document.code) {
             check_paths(known, document, code, reporter(code));

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// What exchange_test.cpp must find, and must not: threads of a workgroup hand values on through a buffer.
+// What exchange_test.cpp must find, and must not: threads of a workgroup hand values on
+// through a buffer.
 #version 460
 #extension GL_GOOGLE_include_directive : require
-#include "relidar/base/lang.h"
 #include "../../shaders/base/kernel.glsl"
+#include "relidar/base/lang.h"
 struct ExchangeParams {
-    Uints keys;      // in place
-    Uints source;    // read alone
-    Uints result;    // written alone
+    Uints keys;    // in place
+    Uints source;  // read alone
+    Uints result;  // written alone
 };
 RELIDAR_PARAMS(ExchangeParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };

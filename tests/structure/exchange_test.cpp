@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// No kernel exchanges values between its threads by accesses that a card may answer from a subgroup's own cache.
+// No kernel exchanges values between its threads by accesses that a card may answer from
+// a subgroup's own cache.
 #include "spirv_exchange.hpp"
 
 #include <gmock/gmock.h>
 
-#include "exchange_incoherent.h"
 #include "exchange_coherent.h"
+#include "exchange_incoherent.h"
 #include "gpu/kernel.hpp"
 
 namespace relidar::structure {
@@ -15,18 +16,22 @@ using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 using ::testing::UnorderedElementsAreArray;
 
-TEST(Exchange, AccessesThatACacheMayAnswerAreFound) { EXPECT_THAT(incoherent_exchanges(exchange_incoherent), ElementsAre("keys")); }
+TEST(Exchange, AccessesThatACacheMayAnswerAreFound) {
+    EXPECT_THAT(incoherent_exchanges(exchange_incoherent), ElementsAre("keys"));
+}
 TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
 
-/// Kernels with barriers for something else, in which each thread updates its own elements; forward/sort_hits loads all before its
-/// barriers, and stores behind them.
+/// Kernels with barriers for something else, in which each thread updates its own
+/// elements; forward/sort_hits loads all before its barriers, and stores behind them.
 struct OwnElements {
     const char* kernel;
     std::vector<std::string> members;
 };
-const OwnElements kOwnElements[] = {
-    {"diff/accel/bvh_wide_scan", {"tiles"}}, {"diff/forward/sort_hits", {"lists.hits"}}, {"diff/loss/geometry_loss", {"upstream"}},
-    {"diff/loss/surfel_loss", {"d_surfels.mean"}}, {"diff/network/conv", {"to.values"}}};
+const OwnElements kOwnElements[] = {{"diff/accel/bvh_wide_scan", {"tiles"}},
+                                    {"diff/forward/sort_hits", {"lists.hits"}},
+                                    {"diff/loss/geometry_loss", {"upstream"}},
+                                    {"diff/loss/surfel_loss", {"d_surfels.mean"}},
+                                    {"diff/network/conv", {"to.values"}}};
 
 TEST(Exchange, NoKernelDoesSo) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -34,7 +39,9 @@ TEST(Exchange, NoKernelDoesSo) {
         for (const OwnElements& allowed : kOwnElements)
             if (kernel.name.substr(0, kernel.name.find('@')) == allowed.kernel) own = allowed.members;
         EXPECT_THAT(incoherent_exchanges(kernel.words), UnorderedElementsAreArray(own))
-            << kernel.name << ": an exchange needs coherent accesses (diff/accel/bvh_forest.glsl); own elements a line in kOwnElements";
+            << kernel.name
+            << ": an exchange needs coherent accesses (diff/accel/bvh_forest.glsl); own elements a line in "
+               "kOwnElements";
     }
 }
 

@@ -11,13 +11,17 @@ namespace {
 
 using Names = std::set<std::string>;
 
-/// The rooms of src/, include/relidar/ and shaders/. A room includes only itself and the rooms before it.
-const std::vector<std::string> kRooms = {"base", "gpu", "log", "scene", "diff", "run", "simulate", "score", "train"};
+/// The rooms of src/, include/relidar/ and shaders/. A room includes only itself and the
+/// rooms before it.
+const std::vector<std::string> kRooms = {"base", "gpu",      "log",   "scene", "diff",
+                                         "run",  "simulate", "score", "train"};
 
-/// Folders whose private headers other rooms include directly. Everything else is reached through the public headers.
+/// Folders whose private headers other rooms include directly. Everything else is reached
+/// through the public headers.
 const std::vector<std::string> kOpenFolders = {"src/base/", "src/gpu/", "src/diff/traversal/"};
 
-/// Headers of other libraries, and the folders that may include them. Headers that are not listed are open to all.
+/// Headers of other libraries, and the folders that may include them. Headers that are
+/// not listed are open to all.
 const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries = {
     {"volk", {"src/gpu/"}},
     {"vulkan/", {"src/gpu/"}},
@@ -37,13 +41,16 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries =
     {"Eigen/", {"src/base/", "src/log/", "src/scene/", "src/score/"}},
 };
 
-const std::string kPublic = "include/relidar/", kUmbrella = kPublic + "relidar.hpp", kReaders = "src/log/readers/";
+const std::string kPublic = "include/relidar/", kUmbrella = kPublic + "relidar.hpp",
+                  kReaders = "src/log/readers/";
 
-/// Public headers for people who build their own trainer. <relidar/relidar.hpp> does not include them.
-const Names kTrainerHeaders = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp", "run/stage_options.hpp",
-                               "run/checkpoint.hpp"};
+/// Public headers for people who build their own trainer. <relidar/relidar.hpp> does not
+/// include them.
+const Names kTrainerHeaders = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp",
+                               "run/stage_options.hpp", "run/checkpoint.hpp"};
 /// Headers of diff/ that hold options and are part of <relidar/relidar.hpp>.
-const Names kOptionHeaders = {"diff/densify_options.hpp", "diff/loss_options.hpp", "diff/loss_terms.h", "diff/network.hpp"};
+const Names kOptionHeaders = {"diff/densify_options.hpp", "diff/loss_options.hpp", "diff/loss_terms.h",
+                              "diff/network.hpp"};
 
 bool is_library(const std::string& path) {
     return path.starts_with("src/") || path.starts_with("shaders/") || path.starts_with(kPublic);
@@ -55,50 +62,68 @@ std::size_t room_of(const std::string& path) {
     return std::size_t(std::ranges::find(kRooms, name) - kRooms.begin());
 }
 
-/// Reader of a file below src/log/readers/, or nothing for the registry, which includes all of them.
+/// Reader of a file below src/log/readers/, or nothing for the registry, which includes
+/// all of them.
 std::string reader_of(const std::string& path) {
-    return path.starts_with(kReaders) && path.find('/', kReaders.size()) != std::string::npos ? folder(path, 3) : "";
+    return path.starts_with(kReaders) && path.find('/', kReaders.size()) != std::string::npos
+               ? folder(path, 3)
+               : "";
 }
 
 bool starts_with_any(const std::string& text, const std::vector<std::string>& prefixes) {
     return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
-/// Says what is wrong with an include between two files of the library, or returns nothing.
+/// Says what is wrong with an include between two files of the library, or returns
+/// nothing.
 std::string judge_library(const std::string& from, const std::string& to) {
     const std::size_t from_room = room_of(from), to_room = room_of(to);
     if (from == kUmbrella) return "";
     if (from_room == kRooms.size()) return from + " is in none of the nine rooms";
     if (to_room > from_room)
-        return kRooms[from_room] + " may not include " + (to_room < kRooms.size() ? kRooms[to_room] : folder(to, 1));
+        return kRooms[from_room] + " may not include " +
+               (to_room < kRooms.size() ? kRooms[to_room] : folder(to, 1));
     const bool is_shared = to.find("/shared/") != std::string::npos;
-    if (from.starts_with(kPublic) && !to.starts_with(kPublic)) return "a public header includes only public headers";
-    if (from.starts_with("shaders/") && !to.starts_with("shaders/") && !to.ends_with(".h")) return "shaders include no C++";
+    if (from.starts_with(kPublic) && !to.starts_with(kPublic))
+        return "a public header includes only public headers";
+    if (from.starts_with("shaders/") && !to.starts_with("shaders/") && !to.ends_with(".h"))
+        return "shaders include no C++";
     if (!reader_of(from).empty() && !reader_of(to).empty() && reader_of(from) != reader_of(to))
         return "readers do not include each other";
     if (from_room != to_room && to.starts_with("src/") && !starts_with_any(to, kOpenFolders))
-        return "another room is reached only through its public headers, <relidar/" + kRooms[to_room] + "/...>";
-    if (from.starts_with("src/") && to.starts_with("shaders/") && !is_shared) return "C++ includes only shaders/*/shared";
+        return "another room is reached only through its public headers, <relidar/" + kRooms[to_room] +
+               "/...>";
+    if (from.starts_with("src/") && to.starts_with("shaders/") && !is_shared)
+        return "C++ includes only shaders/*/shared";
     return "";
 }
 
 /// Says what is wrong with an include, or returns nothing.
 std::string judge(const std::string& from, const std::string& to) {
     const bool is_public = to.starts_with(kPublic);
-    if (is_library(from)) return is_library(to) ? judge_library(from, to) : "the library includes nothing of " + folder(to, 0);
-    const std::string top = folder(from, 0), part = folder(from, 1), to_part = folder(to, 0) + "/" + folder(to, 1);
-    const bool is_benchmark_street = to == "src/scene/benchmark_street.hpp";   // one scene for all benchmarks
+    if (is_library(from))
+        return is_library(to) ? judge_library(from, to) : "the library includes nothing of " + folder(to, 0);
+    const std::string top = folder(from, 0), part = folder(from, 1),
+                      to_part = folder(to, 0) + "/" + folder(to, 1);
+    // one scene for all benchmarks
+    const bool is_benchmark_street = to == "src/scene/benchmark_street.hpp";
     if (top == "tools") {
-        const bool is_command = part == "relidar" && (to_part == "tools/view" || to_part == "tools/serve" || is_benchmark_street);
-        const bool is_measurement = (part == "relidar_dev" && (to_part == "tools/relidar" || to_part == "tools/serve")) ||
-                                    ((part == "relidar_dev" || part == "bench") && folder(to, 0) == "src");
+        const bool is_command =
+            part == "relidar" && (to_part == "tools/view" || to_part == "tools/serve" || is_benchmark_street);
+        const bool is_measurement =
+            (part == "relidar_dev" && (to_part == "tools/relidar" || to_part == "tools/serve")) ||
+            ((part == "relidar_dev" || part == "bench") && folder(to, 0) == "src");
         const bool is_sibling = to_part == "tools/" + part || to_part == "tools/network";
-        return is_public || is_sibling || is_command || is_measurement ? "" : "tools see only include/relidar";
+        return is_public || is_sibling || is_command || is_measurement ? ""
+                                                                       : "tools see only include/relidar";
     }
     if (top == "tests" && part == "reference") {
         const bool is_test = stem(from).ends_with("_test");
-        if (to_part == "tests/reference" || (is_test && (to_part == "tests/support" || is_benchmark_street))) return "";
-        return is_public && !to.ends_with(".h") ? "" : "the reference includes nothing of src/, shaders/ or other tests";
+        if (to_part == "tests/reference" || (is_test && (to_part == "tests/support" || is_benchmark_street)))
+            return "";
+        return is_public && !to.ends_with(".h")
+                   ? ""
+                   : "the reference includes nothing of src/, shaders/ or other tests";
     }
     return "";
 }
@@ -115,7 +140,8 @@ public:
         std::vector<std::string> best;
         for (const Include& include : includes_of(tree_, tree_.at(path))) {
             if (std::ranges::find(open_, include.target) != open_.end()) {
-                cycles_.push_back(path + ":" + std::to_string(include.line) + ": cycle of includes back to " + include.target);
+                cycles_.push_back(path + ":" + std::to_string(include.line) + ": cycle of includes back to " +
+                                  include.target);
                 continue;
             }
             const std::vector<std::string>& tail = longest_from(include.target);
@@ -135,7 +161,9 @@ private:
     Violations cycles_;
 };
 
-bool is_code(const std::string& path) { return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"}); }
+bool is_code(const std::string& path) {
+    return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"});
+}
 
 }  // namespace
 
@@ -150,7 +178,8 @@ Violations check_library_headers(const SourceTree& tree) {
             const std::string header = match[1];
             for (const auto& [library, folders] : kLibraries)
                 if (header.starts_with(library) && !starts_with_any(path, folders))
-                    violations.push_back(path + ":" + std::to_string(i + 1) + ": <" + header + "> is not allowed here");
+                    violations.push_back(path + ":" + std::to_string(i + 1) + ": <" + header +
+                                         "> is not allowed here");
         }
     }
     return violations;
@@ -163,7 +192,8 @@ Violations check_include_edges(const SourceTree& tree) {
         for (const Include& include : includes_of(tree, file)) {
             const std::string wrong = judge(path, include.target);
             if (!wrong.empty())
-                violations.push_back(path + ":" + std::to_string(include.line) + ": includes " + include.target + ": " + wrong);
+                violations.push_back(path + ":" + std::to_string(include.line) + ": includes " +
+                                     include.target + ": " + wrong);
         }
     }
     return violations;
@@ -171,8 +201,10 @@ Violations check_include_edges(const SourceTree& tree) {
 
 Violations check_umbrella(const SourceTree& tree) {
     const auto is_deep = [](const std::string& name) {
-        return kTrainerHeaders.contains(name) || (name.starts_with("diff/") && !kOptionHeaders.contains(name)) ||
-               (name.ends_with(".h") && !name.starts_with("scene/primitives") && !kOptionHeaders.contains(name));
+        return kTrainerHeaders.contains(name) ||
+               (name.starts_with("diff/") && !kOptionHeaders.contains(name)) ||
+               (name.ends_with(".h") && !name.starts_with("scene/primitives") &&
+                !kOptionHeaders.contains(name));
     };
     Violations violations;
     Names visited{kUmbrella};
@@ -194,7 +226,8 @@ Violations check_umbrella(const SourceTree& tree) {
 }
 
 Violations check_include_chains(const SourceTree& tree) {
-    constexpr std::size_t kLongest = 8, kLongestOfTests = 10;   // tests stand on top: the oracle, then a generator of scenes
+    // tests stand on top: the oracle, then a generator of scenes
+    constexpr std::size_t kLongest = 8, kLongestOfTests = 10;
     Violations violations;
     Chains chains(tree);
     for (const auto& [path, file] : tree) {

@@ -7,7 +7,8 @@
 namespace relidar::structure {
 namespace {
 
-bool any_file(const SourceTree& tree, const std::string& prefix, const std::vector<std::string>& extensions, const std::string& word) {
+bool any_file(const SourceTree& tree, const std::string& prefix, const std::vector<std::string>& extensions,
+              const std::string& word) {
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
         const SourceFile& file = it->second;
         if (file.path.starts_with("tests/structure/") || !has_extension(file.path, extensions)) continue;
@@ -28,13 +29,15 @@ Violations check_kernels(const SourceTree& tree) {
     const auto readme = tree.find("shaders/README.md");
     for (const auto& [path, file] : tree) {
         if (folder(path, 0) != "shaders" || !has_extension(path, {".comp"})) continue;
-        const std::string name = path.substr(8, path.size() - 8 - 5), word = stem(path);   // shaders/ and .comp
+        // shaders/ and .comp
+        const std::string name = path.substr(8, path.size() - 8 - 5), word = stem(path);
         const std::string place = name.substr(0, name.rfind('/'));
         if (!any_file(tree, "src/" + place + "/", {".cpp"}, word))
             violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of src/" + place);
         const bool has_tests = has_folder(tree, "tests/" + place + "/");
         if (!any_file(tree, has_tests ? "tests/" + place + "/" : "tests/", {".cpp"}, word))
-            violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" + (has_tests ? "/" + place : ""));
+            violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" +
+                                 (has_tests ? "/" + place : ""));
         if (readme == tree.end() || !contains_word(readme->second.text, name))
             violations.push_back(path + ":1: no row '" + name + "' in shaders/README.md");
     }
@@ -42,11 +45,14 @@ Violations check_kernels(const SourceTree& tree) {
 }
 
 Violations check_bare_pointers(const SourceTree& tree) {
-    static const std::regex begin(R"(struct (\w+) \{.*)"), member(R"(    (Floats|Uints|U?[Vv]ec\ds) (\w+);.*)");
+    static const std::regex begin(R"(struct (\w+) \{.*)"),
+        member(R"(    (Floats|Uints|U?[Vv]ec\ds) (\w+);.*)");
     Violations violations;
     for (const auto& [path, file] : tree) {
-        if (!has_extension(path, {".h"}) || !(path.starts_with("shaders/") || path.starts_with("include/relidar/"))) continue;
-        std::map<std::string, std::string> first_of;   // kind -> the struct's first pointer of it
+        if (!has_extension(path, {".h"}) ||
+            !(path.starts_with("shaders/") || path.starts_with("include/relidar/")))
+            continue;
+        std::map<std::string, std::string> first_of;  // kind -> the struct's first pointer of it
         std::string owner;
         for (std::size_t i = 0; i < file.lines.size(); ++i) {
             std::smatch match;
@@ -56,8 +62,10 @@ Violations check_bare_pointers(const SourceTree& tree) {
             } else if (std::regex_match(file.lines[i], match, member)) {
                 const auto [first, is_first] = first_of.try_emplace(match[1], match[2]);
                 if (!is_first)
-                    violations.push_back(path + ":" + std::to_string(i + 1) + ": " + owner + "::" + std::string(match[2]) + " takes what " +
-                                         first->second + " is given: both are bare " + std::string(match[1]) + ", expected RELIDAR_OF");
+                    violations.push_back(path + ":" + std::to_string(i + 1) + ": " + owner +
+                                         "::" + std::string(match[2]) + " takes what " + first->second +
+                                         " is given: both are bare " + std::string(match[1]) +
+                                         ", expected RELIDAR_OF");
             }
         }
     }
@@ -65,14 +73,17 @@ Violations check_bare_pointers(const SourceTree& tree) {
 }
 
 Violations check_primitive_questions(const SourceTree& tree) {
-    static const std::regex question(R"(.*([=!]= *Primitive::\w+|\bPrimitive::\w+ *[=!]=|case Primitive::|log_scale_w\.empty\(\)).*)");
+    static const std::regex question(
+        R"(.*([=!]= *Primitive::\w+|\bPrimitive::\w+ *[=!]=|case Primitive::|log_scale_w\.empty\(\)).*)");
     Violations violations;
     for (const auto& [path, file] : tree) {
         const std::string top = folder(path, 0);
-        if ((top != "src" && top != "include" && top != "tools") || !has_extension(path, {".cpp", ".hpp"})) continue;
+        if ((top != "src" && top != "include" && top != "tools") || !has_extension(path, {".cpp", ".hpp"}))
+            continue;
         for (std::size_t i = 0; i < file.lines.size(); ++i)
             if (std::regex_match(file.lines[i], question))
-                violations.push_back(path + ":" + std::to_string(i + 1) + ": asks which primitive it is, expected a column of kind_of()");
+                violations.push_back(path + ":" + std::to_string(i + 1) +
+                                     ": asks which primitive it is, expected a column of kind_of()");
     }
     return violations;
 }

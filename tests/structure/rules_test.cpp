@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each rule of rules.hpp finds what it is there to find: small trees with one planted violation each.
+// Each rule of rules.hpp finds what it is there to find: small trees with one planted
+// violation each.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -61,39 +62,45 @@ TEST(Reader, FindsFunctions) {
 }
 
 TEST(Rules, IncludeUpwardsIsFound) {
-    const SourceTree tree = make_tree({{"include/relidar/log/sensor.hpp", "#include <relidar/scene/scene.hpp>\n"},
-                                       {"include/relidar/scene/scene.hpp", ""},
-                                       {"shaders/gpu/a.glsl", "#include \"../diff/b.glsl\"\n"},
-                                       {"shaders/diff/b.glsl", ""},
-                                       {"src/other/c.cpp", "#include <relidar/log/sensor.hpp>\n"}});
-    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("log may not include scene"), HasSubstr("gpu may not include diff"),
-                                                       HasSubstr("none of the nine rooms")));
+    const SourceTree tree =
+        make_tree({{"include/relidar/log/sensor.hpp", "#include <relidar/scene/scene.hpp>\n"},
+                   {"include/relidar/scene/scene.hpp", ""},
+                   {"shaders/gpu/a.glsl", "#include \"../diff/b.glsl\"\n"},
+                   {"shaders/diff/b.glsl", ""},
+                   {"src/other/c.cpp", "#include <relidar/log/sensor.hpp>\n"}});
+    EXPECT_THAT(check_include_edges(tree),
+                ElementsAre(HasSubstr("log may not include scene"), HasSubstr("gpu may not include diff"),
+                            HasSubstr("none of the nine rooms")));
 }
 
 TEST(Rules, IncludePastPublicHeadersIsFound) {
     const SourceTree tree = make_tree({{"src/diff/forward/a.cpp", "#include \"scene/sorted.hpp\"\n"},
                                        {"src/scene/sorted.hpp", ""},
                                        {"include/relidar/diff/a.hpp", "#include \"scene/sorted.hpp\"\n"}});
-    EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("a public header includes only public headers"),
-                                                       HasSubstr("public headers, <relidar/scene/...>")));
+    EXPECT_THAT(check_include_edges(tree),
+                ElementsAre(HasSubstr("a public header includes only public headers"),
+                            HasSubstr("public headers, <relidar/scene/...>")));
 }
 
 TEST(Rules, IncludeBetweenReadersIsFound) {
-    const SourceTree tree = make_tree({{"src/log/readers/once/a.cpp", "#include \"log/readers/bag/b.hpp\"\n"},
-                                       {"src/log/readers/bag/b.hpp", ""},
-                                       {"src/log/readers/registry.cpp", "#include \"log/readers/bag/b.hpp\"\n"}});
+    const SourceTree tree =
+        make_tree({{"src/log/readers/once/a.cpp", "#include \"log/readers/bag/b.hpp\"\n"},
+                   {"src/log/readers/bag/b.hpp", ""},
+                   {"src/log/readers/registry.cpp", "#include \"log/readers/bag/b.hpp\"\n"}});
     EXPECT_THAT(check_include_edges(tree), ElementsAre(HasSubstr("once/a.cpp:1")));
 }
 
 TEST(Rules, InfrastructureMayBeIncludedDirectly) {
-    const SourceTree tree = make_tree({{"src/diff/forward/a.cpp", "#include \"gpu/stream.hpp\"\n#include \"diff/shared/forward.h\"\n"},
-                                       {"src/gpu/stream.hpp", ""},
-                                       {"shaders/diff/shared/forward.h", ""}});
+    const SourceTree tree = make_tree(
+        {{"src/diff/forward/a.cpp", "#include \"gpu/stream.hpp\"\n#include \"diff/shared/forward.h\"\n"},
+         {"src/gpu/stream.hpp", ""},
+         {"shaders/diff/shared/forward.h", ""}});
     EXPECT_THAT(check_include_edges(tree), IsEmpty());
 }
 
 TEST(Rules, LibraryOutsideItsFolderIsFound) {
-    const SourceTree tree = make_tree({{"src/base/codecs/a.cpp", "#include <png.h>\n"}, {"src/simulate/b.cpp", "#include <png.h>\n"}});
+    const SourceTree tree = make_tree(
+        {{"src/base/codecs/a.cpp", "#include <png.h>\n"}, {"src/simulate/b.cpp", "#include <png.h>\n"}});
     EXPECT_THAT(check_library_headers(tree), ElementsAre(HasSubstr("src/simulate/b.cpp:1: <png.h>")));
 }
 
@@ -117,19 +124,22 @@ TEST(Rules, ReferenceTestsMayUseTestSupport) {
 }
 
 TEST(Rules, CycleIsFound) {
-    const SourceTree tree = make_tree({{"src/gpu/a.hpp", "#include \"b.hpp\"\n"}, {"src/gpu/b.hpp", "#include \"a.hpp\"\n"}});
+    const SourceTree tree =
+        make_tree({{"src/gpu/a.hpp", "#include \"b.hpp\"\n"}, {"src/gpu/b.hpp", "#include \"a.hpp\"\n"}});
     EXPECT_THAT(check_include_chains(tree), ElementsAre(HasSubstr("cycle")));
 }
 
 TEST(Rules, LongChainIsFound) {
     std::map<std::string, std::string> files;
-    for (int i = 0; i < 9; ++i) files["src/gpu/f" + std::to_string(i) + ".hpp"] = "#include \"f" + std::to_string(i + 1) + ".hpp\"\n";
+    for (int i = 0; i < 9; ++i)
+        files["src/gpu/f" + std::to_string(i) + ".hpp"] = "#include \"f" + std::to_string(i + 1) + ".hpp\"\n";
     EXPECT_THAT(check_include_chains(make_tree(files)), ElementsAre(HasSubstr("chain of 9")));
 }
 
 TEST(Rules, KernelWithoutCompanyIsFound) {
     EXPECT_EQ(check_kernels(make_tree({{"shaders/loss/bce.comp", ""}})).size(), 3u);
-    const SourceTree bound_elsewhere = make_tree({{"shaders/loss/bce.comp", ""}, {"src/forward/a.cpp", "bce"}, {"tests/a.cpp", "bce"}});
+    const SourceTree bound_elsewhere =
+        make_tree({{"shaders/loss/bce.comp", ""}, {"src/forward/a.cpp", "bce"}, {"tests/a.cpp", "bce"}});
     EXPECT_THAT(check_kernels(bound_elsewhere), ElementsAre(HasSubstr("no binding"), HasSubstr("no row")));
     const SourceTree complete = make_tree({{"shaders/diff/loss/bce.comp", ""},
                                            {"shaders/README.md", "| diff/loss/bce | cross-entropy |"},
@@ -139,37 +149,43 @@ TEST(Rules, KernelWithoutCompanyIsFound) {
 }
 
 TEST(Rules, TwoBarePointersOfOneKindAreFound) {
-    const SourceTree tree = make_tree({{"shaders/diff/shared/a.h", "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
-                                                              "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
+    const SourceTree tree =
+        make_tree({{"shaders/diff/shared/a.h",
+                    "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
+                    "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
     EXPECT_THAT(check_bare_pointers(tree), ElementsAre(HasSubstr("a.h:4: P::y takes what x is given")));
 }
 
 TEST(Rules, QuestionForAPrimitiveIsFound) {
-    const SourceTree tree = make_tree({{"src/edit/a.cpp", "Primitive p = Primitive::surfel;\nif (p == Primitive::gaussian) f();\n"},
-                                       {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
-                                       {"src/edit/c.cpp", "if (kind_of(p).has_normals) f();\n"},
-                                       {"tests/edit/d.cpp", "EXPECT_TRUE(p == Primitive::gaussian);\n"}});
+    const SourceTree tree = make_tree(
+        {{"src/edit/a.cpp", "Primitive p = Primitive::surfel;\nif (p == Primitive::gaussian) f();\n"},
+         {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
+         {"src/edit/c.cpp", "if (kind_of(p).has_normals) f();\n"},
+         {"tests/edit/d.cpp", "EXPECT_TRUE(p == Primitive::gaussian);\n"}});
     EXPECT_THAT(check_primitive_questions(tree), ElementsAre(HasSubstr("a.cpp:2:"), HasSubstr("b.cpp:1:")));
 }
 
 TEST(Rules, BudgetsAreCounted) {
     std::string body;
     for (int i = 0; i < 60; ++i) body += "    step();\n";
-    const SourceTree tree = make_tree({{"src/core/long_function.cpp", "void f() {\n" + body + "}\n"},
-                                       {"src/core/many.cpp", "void g(int a, int b, int c, int d, int e, int f, int g, int h) {}\n"},
-                                       {"shaders/loss/long.comp", std::string(201, '\n')},
-                                       {"src/core/wide.hpp", "//" + std::string(139, '-') + "\n"}});
+    const SourceTree tree = make_tree(
+        {{"src/core/long_function.cpp", "void f() {\n" + body + "}\n"},
+         {"src/core/many.cpp", "void g(int a, int b, int c, int d, int e, int f, int g, int h) {}\n"},
+         {"shaders/loss/long.comp", std::string(201, '\n')},
+         {"src/core/wide.hpp", "//" + std::string(139, '-') + "\n"}});
     EXPECT_EQ(check_budgets(tree).size(), 4u);
 }
 
 TEST(Rules, VulkanNameIsFound) {
-    const SourceTree tree = make_tree({{"src/forward/a.cpp", "// VkBuffer\nVkBuffer b;\n"}, {"src/gpu/a.cpp", "VkBuffer b;\n"}});
+    const SourceTree tree =
+        make_tree({{"src/forward/a.cpp", "// VkBuffer\nVkBuffer b;\n"}, {"src/gpu/a.cpp", "VkBuffer b;\n"}});
     EXPECT_THAT(check_vulkan_names(tree), ElementsAre(HasSubstr("a.cpp:2: VkBuffer")));
 }
 
 TEST(Rules, UncommentedFunctionIsFound) {
     const SourceTree tree =
-        make_tree({{"include/relidar/a.hpp", "/// Does.\nint f(int x);\nint g(int x);\n\nint h(int x);\nint k;  ///< a count\n"}});
+        make_tree({{"include/relidar/a.hpp",
+                    "/// Does.\nint f(int x);\nint g(int x);\n\nint h(int x);\nint k;  ///< a count\n"}});
     EXPECT_THAT(check_face_comments(tree), ElementsAre(HasSubstr("a.hpp:5: h")));
 }
 
@@ -180,7 +196,8 @@ TEST(Rules, MissingLicenceIsFound) {
 
 TEST(Rules, MirrorIsFound) {
     const std::string host = std::string("deb.") + "debian.org";
-    EXPECT_THAT(check_mirror_names(make_tree({{"tools/go", "x http://" + host + "/y\n"}})), ElementsAre(HasSubstr(host)));
+    EXPECT_THAT(check_mirror_names(make_tree({{"tools/go", "x http://" + host + "/y\n"}})),
+                ElementsAre(HasSubstr(host)));
 }
 
 TEST(Rules, ReadmeCallingNothingIsFound) {
@@ -193,65 +210,86 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
 
 /// What is wrong in a document of a small checkout.
 Violations wrong_in(const std::string& document) {
-    return check_documents(make_tree({{"docs/a.md", document},
-                                      {"docs/b.md", "# Two words, and `code`\n"},
-                                      {"README.md", ""},
-                                      {"src/run/config/fields.hpp", "f(\"train.iterations\", c.n);"},
-                                      {"include/relidar/diff/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
-                                      {"shaders/loss/bce.comp", ""},
-                                      {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
-                                      {"tools/relidar/train.cpp",
-                                       "app.add_subcommand(\"train\", x); add(\"--out\"); getenv(\"RELIDAR_X\")"},
-                                      {"tools/relidar_dev/a.cpp", "app.add_subcommand(\"bench\", x); add(\"--slow\")"}}));
+    return check_documents(
+        make_tree({{"docs/a.md", document},
+                   {"docs/b.md", "# Two words, and `code`\n"},
+                   {"README.md", ""},
+                   {"src/run/config/fields.hpp", "f(\"train.iterations\", c.n);"},
+                   {"include/relidar/diff/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
+                   {"shaders/loss/bce.comp", ""},
+                   {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
+                   {"tools/relidar/train.cpp",
+                    "app.add_subcommand(\"train\", x); add(\"--out\"); getenv(\"RELIDAR_X\")"},
+                   {"tools/relidar_dev/a.cpp", "app.add_subcommand(\"bench\", x); add(\"--slow\")"}}));
 }
 
 TEST(Documents, NamesThatExistAreRight) {
-    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and `src/run/config/fields.{hpp,h}`\n").size(), 1u);
-    EXPECT_THAT(wrong_in("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, `config.train.iterations`\n"), IsEmpty());
-    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, `<relidar/diff/loss_terms.h>`\n"),
+    EXPECT_THAT(wrong_in("See [b](b.md#two-words-and-code), [here](../README.md), b.md and "
+                         "`src/run/config/fields.{hpp,h}`\n")
+                    .size(),
+                1u);
+    EXPECT_THAT(wrong_in("`train.iterations=3`, `loss.intensity_ssim`, `loss.*`, `train.csv`, "
+                         "`config.train.iterations`\n"),
                 IsEmpty());
-    EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like this\nRELIDAR_X=1 cmake --build x\n```\n"),
+    EXPECT_THAT(wrong_in("`relidar train LOG --out\nrun`, `tools/bench/card.sh --quick`, `loss/bce`, "
+                         "`<relidar/diff/loss_terms.h>`\n"),
+                IsEmpty());
+    EXPECT_THAT(wrong_in("```sh\nmpirun --np 2 relidar train LOG \\\n  --out run   # --like "
+                         "this\nRELIDAR_X=1 cmake --build x\n```\n"),
                 IsEmpty());
     EXPECT_THAT(wrong_in("`src/<kind>/*.cpp`, `RUN/a.cpp`, `shaders/*/*.comp`\n"), IsEmpty());
 }
 
 TEST(Documents, EachProgramHasItsOwnCommandsAndOptions) {
     EXPECT_THAT(wrong_in("`relidar-dev bench --slow`, `build/relidar-dev bench`\n"), IsEmpty());
-    EXPECT_THAT(wrong_in("`relidar bench`, `relidar-dev train`, `relidar train --slow`, `relidar-dev bench --like`\n"),
-                ElementsAre(HasSubstr("no command relidar bench"), HasSubstr("no command relidar-dev train"),
-                            HasSubstr("no option --slow"), HasSubstr("no option --like")));
+    EXPECT_THAT(
+        wrong_in(
+            "`relidar bench`, `relidar-dev train`, `relidar train --slow`, `relidar-dev bench --like`\n"),
+        ElementsAre(HasSubstr("no command relidar bench"), HasSubstr("no command relidar-dev train"),
+                    HasSubstr("no option --slow"), HasSubstr("no option --like")));
 }
 
 TEST(Documents, NamesThatDoNotExistAreFound) {
-    EXPECT_THAT(wrong_in("\n[b](c.md) [b](b.md#three)\n"),
-                ElementsAre(HasSubstr("docs/a.md:2: no file docs/c.md"), HasSubstr("no heading for b.md#three")));
+    EXPECT_THAT(
+        wrong_in("\n[b](c.md) [b](b.md#three)\n"),
+        ElementsAre(HasSubstr("docs/a.md:2: no file docs/c.md"), HasSubstr("no heading for b.md#three")));
     EXPECT_THAT(wrong_in("see formats.md, `src/conf`, `config.hpp`\n").size(), 3u);
     EXPECT_THAT(wrong_in("`loss/mse` and `shaders/*/mse.comp`\n"),
                 ElementsAre(HasSubstr("no kernel loss/mse"), HasSubstr("no file shaders/*/mse.comp")));
     EXPECT_THAT(wrong_in("`train.steps`, `loss.ssim`, `loss.x=0`\n").size(), 3u);
     EXPECT_THAT(wrong_in("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
-                ElementsAre(HasSubstr("a.md:2: no command relidar run"), HasSubstr("a.md:3: no option --in"), HasSubstr("--outs")));
-    EXPECT_THAT(wrong_in("`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n").size(), 5u);
-    EXPECT_THAT(check_documents(make_tree({{"a.md", ""}, {"src/a.cpp", "int a;\n/// as b.md and a.md say\n"}})),
-                ElementsAre(HasSubstr("src/a.cpp:2: no file b.md"), HasSubstr("settings or commands were not found")));
+                ElementsAre(HasSubstr("a.md:2: no command relidar run"), HasSubstr("a.md:3: no option --in"),
+                            HasSubstr("--outs")));
+    EXPECT_THAT(
+        wrong_in("`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n")
+            .size(),
+        5u);
+    EXPECT_THAT(
+        check_documents(make_tree({{"a.md", ""}, {"src/a.cpp", "int a;\n/// as b.md and a.md say\n"}})),
+        ElementsAre(HasSubstr("src/a.cpp:2: no file b.md"),
+                    HasSubstr("settings or commands were not found")));
 }
 
 TEST(Umbrella, IncludesNoTrainerHeaderThroughOthers) {
-    const SourceTree tree = make_tree({{"include/relidar/relidar.hpp", "#include <relidar/run/config.hpp>\n"},
-                                       {"include/relidar/run/config.hpp", "#include <relidar/diff/loss_options.hpp>\n"},
-                                       {"include/relidar/diff/loss_options.hpp",
-                                        "#include <relidar/diff/loss_terms.h>\n#include <relidar/gpu/stream.hpp>\n"},
-                                       {"include/relidar/diff/loss_terms.h", ""},
-                                       {"include/relidar/gpu/stream.hpp", ""}});
-    EXPECT_THAT(check_umbrella(tree), ElementsAre(HasSubstr("loss_options.hpp:2: includes include/relidar/gpu/stream.hpp")));
+    const SourceTree tree =
+        make_tree({{"include/relidar/relidar.hpp", "#include <relidar/run/config.hpp>\n"},
+                   {"include/relidar/run/config.hpp", "#include <relidar/diff/loss_options.hpp>\n"},
+                   {"include/relidar/diff/loss_options.hpp",
+                    "#include <relidar/diff/loss_terms.h>\n#include <relidar/gpu/stream.hpp>\n"},
+                   {"include/relidar/diff/loss_terms.h", ""},
+                   {"include/relidar/gpu/stream.hpp", ""}});
+    EXPECT_THAT(check_umbrella(tree),
+                ElementsAre(HasSubstr("loss_options.hpp:2: includes include/relidar/gpu/stream.hpp")));
 }
 
 TEST(InstalledNames, OfSourcesAreFound) {
-    const SourceTree tree = make_tree({{"include/relidar/a.hpp", "// docs/method.md, relidar/b.hpp\n// src/a.cpp\n// docs/gone.md\n"},
-                                       {"include/relidar/b.hpp", ""},
-                                       {"src/a.cpp", ""},
-                                       {"docs/method.md", ""}});
-    EXPECT_THAT(check_installed_names(tree), ElementsAre(HasSubstr("a.hpp:2: names src/a.cpp"), HasSubstr("a.hpp:3: names docs/gone.md")));
+    const SourceTree tree = make_tree(
+        {{"include/relidar/a.hpp", "// docs/method.md, relidar/b.hpp\n// src/a.cpp\n// docs/gone.md\n"},
+         {"include/relidar/b.hpp", ""},
+         {"src/a.cpp", ""},
+         {"docs/method.md", ""}});
+    EXPECT_THAT(check_installed_names(tree),
+                ElementsAre(HasSubstr("a.hpp:2: names src/a.cpp"), HasSubstr("a.hpp:3: names docs/gone.md")));
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct that they share, in every kernel that uses it. And no
-// kernel needs what not every device has.
+// Host and shaders see the same bytes: every struct that they share, in every kernel that
+// uses it. And no kernel needs what not every device has.
 #include <algorithm>
 #include <cstddef>
 #include <map>
@@ -22,7 +22,8 @@ namespace {
 
 std::map<std::string, StructLayout> host_layouts() {
     std::map<std::string, StructLayout> layouts;
-    for (const HostMember& row : kHostMembers) layouts[row.type][row.member] = static_cast<std::uint32_t>(row.offset);
+    for (const HostMember& row : kHostMembers)
+        layouts[row.type][row.member] = static_cast<std::uint32_t>(row.offset);
     return layouts;
 }
 
@@ -35,7 +36,7 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
         const std::map<std::string, StructLayout> seen = read_spirv_layouts(kernel.words);
         for (const auto& [type, layout] : seen) {
             const auto ours = host.find(type);
-            if (ours == host.end()) continue;   // a block of the shader's own
+            if (ours == host.end()) continue;  // a block of the shader's own
             EXPECT_EQ(layout, ours->second) << type << " in " << kernel.name;
             unseen.erase(type);
         }
@@ -59,25 +60,38 @@ struct Addresses {
 class AddressReader {
 public:
     explicit AddressReader(std::span<const std::uint32_t> words) {
-        spirv_detail::for_each_instruction(words, [&](std::uint32_t op, std::span<const std::uint32_t> o) { read(op, o); });
+        spirv_detail::for_each_instruction(
+            words, [&](std::uint32_t op, std::span<const std::uint32_t> o) { read(op, o); });
         for (const std::uint32_t entry : entries_) found_.n_in_arrays += holds_address(entry);
     }
     Addresses found() const { return found_; }
 
 private:
     enum : std::uint32_t {
-        type_array = 28, type_runtime_array = 29, type_struct = 30, type_pointer = 32, constant = 43,
-        constant_composite = 44, function_parameter = 55, load = 61, bitcast = 124, equal = 170, not_equal = 171, storage = 5349
+        type_array = 28,
+        type_runtime_array = 29,
+        type_struct = 30,
+        type_pointer = 32,
+        constant = 43,
+        constant_composite = 44,
+        function_parameter = 55,
+        load = 61,
+        bitcast = 124,
+        equal = 170,
+        not_equal = 171,
+        storage = 5349
     };
-    std::set<std::uint32_t> addresses_, entries_;   ///< types of addresses and of entries of arrays
+    std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of entries of arrays
     std::map<std::uint32_t, std::vector<std::uint32_t>> members_;
-    std::set<std::uint32_t> constants_, values_, bits_;   ///< values_ are addresses, bits_ the same as vectors
+    /// values_ are addresses, bits_ the same as vectors
+    std::set<std::uint32_t> constants_, values_, bits_;
     Addresses found_;
 
     bool holds_address(std::uint32_t type) const {
         if (addresses_.contains(type)) return true;
         const auto at = members_.find(type);
-        return at != members_.end() && std::ranges::any_of(at->second, [&](std::uint32_t member) { return holds_address(member); });
+        return at != members_.end() &&
+               std::ranges::any_of(at->second, [&](std::uint32_t member) { return holds_address(member); });
     }
     void read(std::uint32_t op, std::span<const std::uint32_t> o) {
         if (op == type_pointer && o[1] == storage) addresses_.insert(o[0]);
@@ -88,22 +102,27 @@ private:
         if ((op == load || op == function_parameter) && addresses_.contains(o[0])) values_.insert(o[1]);
         if (op == bitcast && values_.contains(o[2])) bits_.insert(o[1]);
         if (op != equal && op != not_equal) return;
-        if ((bits_.contains(o[2]) && constants_.contains(o[3])) || (bits_.contains(o[3]) && constants_.contains(o[2])))
+        if ((bits_.contains(o[2]) && constants_.contains(o[3])) ||
+            (bits_.contains(o[3]) && constants_.contains(o[2])))
             ++found_.n_compared;
     }
 };
 
-/// Newer lavapipe reads through an address even in a branch that no lane takes. So no address that a kernel reads through is 0: the
-/// stream replaces those of the parameters, arrays hold none, and kernels do not look for 0.
+/// Newer lavapipe reads through an address even in a branch that no lane takes. So no
+/// address that a kernel reads through is 0: the stream replaces those of the parameters,
+/// arrays hold none, and kernels do not look for 0.
 TEST(Kernels, GetNoAddressZero) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const Addresses found = AddressReader(kernel.words).found();
-        EXPECT_EQ(found.n_compared, 0) << kernel.name << ": compares an address with a constant, expected is_null()";
-        EXPECT_EQ(found.n_in_arrays, 0) << kernel.name << ": reads addresses from memory, which may be 0 there";
+        EXPECT_EQ(found.n_compared, 0)
+            << kernel.name << ": compares an address with a constant, expected is_null()";
+        EXPECT_EQ(found.n_in_arrays, 0)
+            << kernel.name << ": reads addresses from memory, which may be 0 there";
     }
 }
 
-/// Offsets of addresses, against those of the host's struct: a whole kernel's parameters are known by hand.
+/// Offsets of addresses, against those of the host's struct: a whole kernel's parameters
+/// are known by hand.
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())
@@ -111,8 +130,10 @@ TEST(Kernels, AddressesOfParametersAreFound) {
         return std::vector<std::uint32_t>();
     };
     EXPECT_THAT(addresses("gpu/copy"), testing::ElementsAre(0u, 8u));
-    EXPECT_THAT(addresses("scene/activate"), testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
-    for (const EmbeddedKernel& kernel : embedded_kernels()) EXPECT_FALSE(gpu::parameter_addresses(kernel.words).empty()) << kernel.name;
+    EXPECT_THAT(addresses("scene/activate"),
+                testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
+    for (const EmbeddedKernel& kernel : embedded_kernels())
+        EXPECT_FALSE(gpu::parameter_addresses(kernel.words).empty()) << kernel.name;
 }
 
 }  // namespace

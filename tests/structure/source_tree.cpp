@@ -13,13 +13,15 @@ namespace fs = std::filesystem;
 namespace relidar::structure {
 namespace {
 
-const std::set<std::string> kSkippedFolders = {".git", "build", "demo", "runs", ".cache", ".vscode", ".idea", "data", "__pycache__"};
+const std::set<std::string> kSkippedFolders = {".git",    "build", "demo", "runs",       ".cache",
+                                               ".vscode", ".idea", "data", "__pycache__"};
 
 bool is_skipped(const fs::path& root, const fs::directory_entry& entry) {
     const std::string name = entry.path().filename().string();
-    // tools/demo is a script, demo/ the folder it writes; tests/data and the like hold no sources.
-    return entry.is_directory() &&
-           (kSkippedFolders.contains(name) || (entry.path().parent_path() == root && name.starts_with("cmake-build")));
+    // tools/demo is a script, demo/ the folder it writes; tests/data and the like hold no
+    // sources.
+    return entry.is_directory() && (kSkippedFolders.contains(name) ||
+                                    (entry.path().parent_path() == root && name.starts_with("cmake-build")));
 }
 
 std::string read_text(const fs::path& path) {
@@ -29,10 +31,12 @@ std::string read_text(const fs::path& path) {
     return std::move(text).str();
 }
 
-/// Position after a raw string literal whose R stands at `begin`, or begin if none starts there.
+/// Position after a raw string literal whose R stands at `begin`, or begin if none starts
+/// there.
 std::size_t end_of_raw_string(const std::string& text, std::size_t begin) {
     if (text.compare(begin, 2, "R\"") != 0) return begin;
-    if (begin > 0 && (std::isalnum(static_cast<unsigned char>(text[begin - 1])) || text[begin - 1] == '_')) return begin;
+    if (begin > 0 && (std::isalnum(static_cast<unsigned char>(text[begin - 1])) || text[begin - 1] == '_'))
+        return begin;
     const std::size_t open = text.find('(', begin);
     if (open == std::string::npos || open - begin > 18) return begin;
     const std::string closing = ")" + text.substr(begin + 2, open - begin - 2) + "\"";
@@ -49,8 +53,8 @@ std::size_t end_of_quoted(const std::string& text, std::size_t begin) {
 }
 
 bool is_digit_separator(const std::string& text, std::size_t i) {
-    return text[i] == '\'' && i > 0 && std::isxdigit(static_cast<unsigned char>(text[i - 1])) && i + 1 < text.size() &&
-           std::isxdigit(static_cast<unsigned char>(text[i + 1]));
+    return text[i] == '\'' && i > 0 && std::isxdigit(static_cast<unsigned char>(text[i - 1])) &&
+           i + 1 < text.size() && std::isxdigit(static_cast<unsigned char>(text[i + 1]));
 }
 
 /// Position after the comment or literal that starts at i, or i if none does.
@@ -117,7 +121,8 @@ private:
         if (c == ';' && parentheses_ == 0) return end_statement();
         if (c == '(') ++parentheses_;
         if (c == ')') --parentheses_;
-        if (c == ':' && (header_ == "public" || header_ == "private" || header_ == "protected")) return header_.clear();
+        if (c == ':' && (header_ == "public" || header_ == "private" || header_ == "protected"))
+            return header_.clear();
         if (header_.empty() && std::isspace(static_cast<unsigned char>(c))) return;
         if (header_.empty()) header_line_ = line_;
         header_ += c;
@@ -132,10 +137,13 @@ private:
         header_.clear();
     }
 
-    bool declares_here() const { return scopes_.empty() || scopes_.back().kind == Kind::outer || scopes_.back().kind == Kind::type; }
+    bool declares_here() const {
+        return scopes_.empty() || scopes_.back().kind == Kind::outer || scopes_.back().kind == Kind::type;
+    }
 
     void open() {
-        const bool initialiser = at_ > 0 && !std::isspace(static_cast<unsigned char>(code_[at_ - 1])) && code_[at_ - 1] != ')';
+        const bool initialiser =
+            at_ > 0 && !std::isspace(static_cast<unsigned char>(code_[at_ - 1])) && code_[at_ - 1] != ')';
         Scope scope;
         if (!declares_here() || parentheses_ > 0 || initialiser) scope.kind = Kind::inner;
         else scope = classify(collapse_spaces(header_));
@@ -147,11 +155,15 @@ private:
     }
 
     Scope classify(const std::string& header) const {
-        static const std::regex kType(R"(^(?:template ?<.*> ?)?(?:typedef )?(struct|class|union|enum)\b[^(]*$)");
-        static const std::regex kTypeName(R"((?:struct|class|union|enum(?: class)?) +(?:alignas ?\([^)]*\) *)?(\w+))");
+        static const std::regex kType(
+            R"(^(?:template ?<.*> ?)?(?:typedef )?(struct|class|union|enum)\b[^(]*$)");
+        static const std::regex kTypeName(
+            R"((?:struct|class|union|enum(?: class)?) +(?:alignas ?\([^)]*\) *)?(\w+))");
         Scope scope;
         std::smatch match;
-        if (header.starts_with("namespace") || header.starts_with("inline namespace") || header.starts_with("extern")) return scope;
+        if (header.starts_with("namespace") || header.starts_with("inline namespace") ||
+            header.starts_with("extern"))
+            return scope;
         if (std::regex_search(header, kType) || header.starts_with("layout")) {
             scope.kind = Kind::type;
             if (std::regex_search(header, match, kTypeName)) scope.name = match[1];
@@ -174,7 +186,8 @@ private:
         std::smatch match;
         if (std::regex_search(header, match, kName)) {
             function.name = match[1];
-            function.n_arguments = count_arguments(header, static_cast<std::size_t>(match.position(0) + match.length(0)) - 1);
+            function.n_arguments =
+                count_arguments(header, static_cast<std::size_t>(match.position(0) + match.length(0)) - 1);
         }
         return function;
     }
@@ -195,9 +208,11 @@ private:
     }
 
     void end_statement() {
-        static const std::regex kNoFunction(R"(^(using|typedef|static_assert|friend|return|RELIDAR_|layout)|^(?!.*operator)[^(]*=)");
+        static const std::regex kNoFunction(
+            R"(^(using|typedef|static_assert|friend|return|RELIDAR_|layout)|^(?!.*operator)[^(]*=)");
         const std::string header = collapse_spaces(header_);
-        if (declares_here() && header.find('(') != std::string::npos && !std::regex_search(header, kNoFunction)) {
+        if (declares_here() && header.find('(') != std::string::npos &&
+            !std::regex_search(header, kNoFunction)) {
             Function function = describe(header);
             function.last_line = line_;
             found_.push_back(std::move(function));
@@ -210,7 +225,7 @@ private:
     int line_ = 1;
     int parentheses_ = 0;
     std::vector<int> saved_parentheses_;
-    std::string header_;   ///< text since the last statement or brace
+    std::string header_;  ///< text since the last statement or brace
     int header_line_ = 1;
     std::vector<Scope> scopes_;
     std::vector<Function> found_;
@@ -260,7 +275,14 @@ std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file)
         if (!std::regex_search(file.lines[i], match, kInclude)) continue;
         std::vector<fs::path> bases = {"include"};
         if (match[1] == "\"")
-            bases = {fs::path(file.path).parent_path(), "src", "shaders", "include", "tests", "tests/support", "tools/relidar", ""};
+            bases = {fs::path(file.path).parent_path(),
+                     "src",
+                     "shaders",
+                     "include",
+                     "tests",
+                     "tests/support",
+                     "tools/relidar",
+                     ""};
         for (const fs::path& base : bases) {
             const std::string target = (base / match[2].str()).lexically_normal().generic_string();
             if (!tree.contains(target)) continue;

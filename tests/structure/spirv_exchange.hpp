@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays through which threads of one launch exchange values. On cards whose compute units have caches of their own, what one subgroup
-// stores in a buffer another sees only by coherent accesses on both sides, whatever barriers stand between. This reads a compiled
-// kernel and names the members of its parameters that it loads and stores, has a barrier for, and does not access coherently.
+// Arrays through which threads of one launch exchange values. On cards whose compute
+// units have caches of their own, what one subgroup stores in a buffer another sees only
+// by coherent accesses on both sides, whatever barriers stand between. This reads a
+// compiled kernel and names the members of its parameters that it loads and stores, has a
+// barrier for, and does not access coherently.
 #pragma once
 
 #include <cstdint>
@@ -17,18 +19,20 @@ namespace relidar::structure {
 
 namespace spirv_detail {
 
-/// What is known of the result of an instruction: the member of the parameters it comes from, and whether it is reached coherently.
+/// What is known of the result of an instruction: the member of the parameters it comes
+/// from, and whether it is reached coherently.
 struct Origin {
-    std::string member;   ///< "keys", "wide.order"; empty: none
-    bool in_array = false;   ///< the array itself, not the pointer to it
+    std::string member;     ///< "keys", "wide.order"; empty: none
+    bool in_array = false;  ///< the array itself, not the pointer to it
     bool coherent = false;
-    bool parameters = false;   ///< the pointer to the block of parameters, or its place in the push constants
+    /// the pointer to the block of parameters, or its place in the push constants
+    bool parameters = false;
 };
 
 struct Accesses {
     bool loaded = false;
     bool stored = false;
-    bool coherent = true;   ///< all of them
+    bool coherent = true;  ///< all of them
 };
 
 class ExchangeReader {
@@ -65,7 +69,8 @@ private:
     std::map<std::uint32_t, std::string> names_;
     std::map<std::uint32_t, std::map<std::uint32_t, std::string>> member_names_;
     std::set<std::uint32_t> coherent_structs_;
-    std::map<std::uint32_t, std::pair<std::uint32_t, std::uint32_t>> pointers_;   ///< type -> storage class, pointee
+    /// type -> storage class, pointee
+    std::map<std::uint32_t, std::pair<std::uint32_t, std::uint32_t>> pointers_;
     std::map<std::uint32_t, std::uint32_t> constants_;
     std::map<std::uint32_t, std::uint32_t> type_of_;
     std::map<std::uint32_t, std::vector<std::uint32_t>> struct_members_;
@@ -75,7 +80,8 @@ private:
 
     bool points_to_coherent(std::uint32_t type) const {
         const auto p = pointers_.find(type);
-        return p != pointers_.end() && p->second.first == kPhysicalStorage && coherent_structs_.count(p->second.second);
+        return p != pointers_.end() && p->second.first == kPhysicalStorage &&
+               coherent_structs_.count(p->second.second);
     }
 
     void chain(std::span<const std::uint32_t> o) {
@@ -87,7 +93,8 @@ private:
             std::uint32_t type = pointers_[type_of_[o[2]]].second;
             for (std::size_t k = 3; k < o.size(); ++k) {
                 const std::uint32_t index = constants_[o[k]];
-                if (k > 3) from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];   // the first is `value`
+                // the first is `value`
+                if (k > 3) from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];
                 type = struct_members_[type].size() > index ? struct_members_[type][index] : 0;
             }
         } else if (!from.member.empty()) {
@@ -106,14 +113,30 @@ private:
 
     void visit(std::uint32_t code, std::span<const std::uint32_t> o) {
         switch (code) {
-            case Name: names_[o[0]] = read_string(o.subspan(1)); break;
-            case MemberName: member_names_[o[0]][o[1]] = read_string(o.subspan(2)); break;
-            case MemberDecorate: if (o[2] == kCoherent) coherent_structs_.insert(o[0]); break;
-            case OpTypeStruct: struct_members_[o[0]].assign(o.begin() + 1, o.end()); break;
-            case TypePointer: pointers_[o[0]] = {o[1], o[2]}; break;
-            case Constant: constants_[o[1]] = o[2]; break;
-            case Variable: type_of_[o[1]] = o[0]; break;
-            case AccessChain: chain(o); break;
+            case Name:
+                names_[o[0]] = read_string(o.subspan(1));
+                break;
+            case MemberName:
+                member_names_[o[0]][o[1]] = read_string(o.subspan(2));
+                break;
+            case MemberDecorate:
+                if (o[2] == kCoherent) coherent_structs_.insert(o[0]);
+                break;
+            case OpTypeStruct:
+                struct_members_[o[0]].assign(o.begin() + 1, o.end());
+                break;
+            case TypePointer:
+                pointers_[o[0]] = {o[1], o[2]};
+                break;
+            case Constant:
+                constants_[o[1]] = o[2];
+                break;
+            case Variable:
+                type_of_[o[1]] = o[0];
+                break;
+            case AccessChain:
+                chain(o);
+                break;
             case Load:
                 access(o[2], false);
                 type_of_[o[1]] = o[0];
@@ -121,20 +144,27 @@ private:
                 origins_[o[1]].in_array = false;
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
-            case Bitcast:   // a pointer to a pointer of another type, through uvec2
+            case Bitcast:  // a pointer to a pointer of another type, through uvec2
                 origins_[o[1]] = origins_[o[2]];
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
-            case Store: access(o[0], true); break;
-            case ControlBarrier: case MemoryBarrier: barrier_ = true; break;
-            default: break;
+            case Store:
+                access(o[0], true);
+                break;
+            case ControlBarrier:
+            case MemoryBarrier:
+                barrier_ = true;
+                break;
+            default:
+                break;
         }
     }
 };
 
 }  // namespace spirv_detail
 
-/// Members of the parameters through which a kernel exchanges values between its threads without coherent accesses.
+/// Members of the parameters through which a kernel exchanges values between its threads
+/// without coherent accesses.
 inline std::vector<std::string> incoherent_exchanges(std::span<const std::uint32_t> words) {
     return spirv_detail::ExchangeReader().read(words);
 }

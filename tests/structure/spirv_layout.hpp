@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Offsets of struct members as a compiled shader sees them, to be compared with offsetof on the host, and the capabilities it needs.
-// Reads OpCapability, OpName, OpMemberName, OpMemberDecorate Offset and OpTypeStruct of a SPIR-V module; nothing else.
+// Offsets of struct members as a compiled shader sees them, to be compared with offsetof
+// on the host, and the capabilities it needs. Reads OpCapability, OpName, OpMemberName,
+// OpMemberDecorate Offset and OpTypeStruct of a SPIR-V module; nothing else.
 #pragma once
 
 #include <cstddef>
@@ -21,16 +22,24 @@ namespace spirv_detail {
 
 constexpr std::uint32_t kMagic = 0x07230203u;
 constexpr std::size_t kHeaderWords = 5;
-enum Opcode : std::uint32_t { OpName = 5, OpMemberName = 6, OpCapability = 17, OpTypeStruct = 30, OpMemberDecorate = 72 };
+enum Opcode : std::uint32_t {
+    OpName = 5,
+    OpMemberName = 6,
+    OpCapability = 17,
+    OpTypeStruct = 30,
+    OpMemberDecorate = 72
+};
 constexpr std::uint32_t kDecorationOffset = 35;
 
 /// Calls read(opcode, operands) for each instruction of a module.
 template <class Read>
 void for_each_instruction(std::span<const std::uint32_t> words, Read read) {
-    if (words.size() < kHeaderWords || words[0] != kMagic) throw std::runtime_error("reading SPIR-V: no magic number");
+    if (words.size() < kHeaderWords || words[0] != kMagic)
+        throw std::runtime_error("reading SPIR-V: no magic number");
     for (std::size_t at = kHeaderWords; at < words.size();) {
         const std::size_t n_words = words[at] >> 16;
-        if (n_words == 0 || at + n_words > words.size()) throw std::runtime_error("reading SPIR-V: the module is cut");
+        if (n_words == 0 || at + n_words > words.size())
+            throw std::runtime_error("reading SPIR-V: the module is cut");
         read(words[at] & 0xffffu, words.subspan(at + 1, n_words - 1));
         at += n_words;
     }
@@ -57,7 +66,8 @@ struct Struct {
     std::map<std::uint32_t, std::uint32_t> member_offset;
 };
 
-inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t> operands, std::map<std::uint32_t, Struct>& structs) {
+inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t> operands,
+                             std::map<std::uint32_t, Struct>& structs) {
     const auto need = [&](std::size_t n) {
         if (operands.size() < n) throw std::runtime_error("reading SPIR-V: an instruction is too short");
     };
@@ -80,15 +90,18 @@ inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t
 
 }  // namespace spirv_detail
 
-/// Layouts of the structs with offsets in a module, by the name they have in the source. glslang emits a second, undecorated
-/// copy of a struct that is used as a local: those are left out.
+/// Layouts of the structs with offsets in a module, by the name they have in the source.
+/// glslang emits a second, undecorated copy of a struct that is used as a local: those
+/// are left out.
 /// @param words [n] the module, host byte order
-/// @throws std::runtime_error where it is no SPIR-V, is cut, or lays one struct out in two ways
+/// @throws std::runtime_error where it is no SPIR-V, is cut, or lays one struct out in
+/// two ways
 inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
     using namespace spirv_detail;
     std::map<std::uint32_t, Struct> structs;
-    for_each_instruction(
-        words, [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) { read_instruction(opcode, operands, structs); });
+    for_each_instruction(words, [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) {
+        read_instruction(opcode, operands, structs);
+    });
     std::map<std::string, StructLayout> layouts;
     for (const auto& [id, type] : structs) {
         if (type.n_members == 0 || type.member_offset.size() != type.n_members) continue;
@@ -98,7 +111,8 @@ inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const st
             layout[name == type.member_name.end() ? "#" + std::to_string(member) : name->second] = offset;
         }
         const auto [known, is_new] = layouts.emplace(type.name, layout);
-        if (!is_new && known->second != layout) throw std::runtime_error("reading SPIR-V: two layouts of struct " + type.name);
+        if (!is_new && known->second != layout)
+            throw std::runtime_error("reading SPIR-V: two layouts of struct " + type.name);
     }
     return layouts;
 }
@@ -108,9 +122,11 @@ constexpr std::uint32_t kCapabilityInt64 = 11;
 /// Capabilities a module declares, by their numbers in the SPIR-V specification.
 inline std::set<std::uint32_t> read_spirv_capabilities(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> capabilities;
-    spirv_detail::for_each_instruction(words, [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) {
-        if (opcode == spirv_detail::OpCapability && !operands.empty()) capabilities.insert(operands[0]);
-    });
+    spirv_detail::for_each_instruction(words,
+                                       [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) {
+                                           if (opcode == spirv_detail::OpCapability && !operands.empty())
+                                               capabilities.insert(operands[0]);
+                                       });
     return capabilities;
 }
 

@@ -40,7 +40,8 @@ std::vector<std::uint32_t> compile(const std::string& source) {
     if (mkdtemp(folder.data()) == nullptr) throw std::runtime_error("no temporary folder");
     const fs::path in = fs::path(folder) / "a.comp", out = fs::path(folder) / "a.spv";
     std::ofstream(in) << source;
-    const int status = std::system(("glslangValidator --quiet --target-env vulkan1.3 -o " + out.string() + " " + in.string()).c_str());
+    const int status = std::system(
+        ("glslangValidator --quiet --target-env vulkan1.3 -o " + out.string() + " " + in.string()).c_str());
     std::ifstream file(out, std::ios::binary);
     const std::string bytes{std::istreambuf_iterator<char>(file), {}};
     fs::remove_all(folder);
@@ -56,9 +57,11 @@ TEST(SpirvLayout, ReadsScalarOffsets) {
     const std::map<std::string, StructLayout> layouts = read_spirv_layouts(words);
     ASSERT_TRUE(layouts.contains("Params"));
     EXPECT_THAT(layouts.at("Params"),
-                UnorderedElementsAre(Pair("samples", 0u), Pair("address", 8u), Pair("n", 16u), Pair("origin", 20u), Pair("gain", 32u)));
+                UnorderedElementsAre(Pair("samples", 0u), Pair("address", 8u), Pair("n", 16u),
+                                     Pair("origin", 20u), Pair("gain", 32u)));
     ASSERT_TRUE(layouts.contains("Sample"));
-    EXPECT_THAT(layouts.at("Sample"), UnorderedElementsAre(Pair("direction", 0u), Pair("range_m", 12u), Pair("channel", 16u)));
+    EXPECT_THAT(layouts.at("Sample"),
+                UnorderedElementsAre(Pair("direction", 0u), Pair("range_m", 12u), Pair("channel", 16u)));
 }
 
 TEST(SpirvLayout, ReadsCapabilities) {
@@ -70,19 +73,23 @@ TEST(SpirvLayout, ReadsCapabilities) {
 TEST(SpirvLayout, RefusesWhatIsNoModule) {
     EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{}), std::runtime_error);
     EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{1, 2, 3, 4, 5, 6}), std::runtime_error);
-    EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{0x07230203u, 0, 0, 0, 0, (9u << 16) | 5u}), std::runtime_error);
-    EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{0x07230203u, 0, 0, 0, 0, 0}), std::runtime_error);
+    EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{0x07230203u, 0, 0, 0, 0, (9u << 16) | 5u}),
+                 std::runtime_error);
+    EXPECT_THROW(read_spirv_layouts(std::vector<std::uint32_t>{0x07230203u, 0, 0, 0, 0, 0}),
+                 std::runtime_error);
 }
 
 TEST(SpirvLayout, RefusesTwoLayoutsOfOneStruct) {
     const std::uint32_t a = 'A';
     const auto type = [&](std::uint32_t id, std::uint32_t offset) {
-        return std::vector<std::uint32_t>{(3u << 16) | 5u,  id, a, (4u << 16) | 6u, id, 0, 'x', (5u << 16) | 72u, id, 0, 35, offset,
-                                          (3u << 16) | 30u, id, 9};
+        return std::vector<std::uint32_t>{
+            (3u << 16) | 5u,  id, a, (4u << 16) | 6u, id, 0, 'x', (5u << 16) | 72u, id, 0, 35, offset,
+            (3u << 16) | 30u, id, 9};
     };
     std::vector<std::uint32_t> words = {0x07230203u, 0, 0, 0, 0};
     for (const auto& part : {type(1, 0), type(2, 0)}) words.insert(words.end(), part.begin(), part.end());
-    EXPECT_THAT(read_spirv_layouts(words), UnorderedElementsAre(Pair("A", UnorderedElementsAre(Pair("x", 0u)))));
+    EXPECT_THAT(read_spirv_layouts(words),
+                UnorderedElementsAre(Pair("A", UnorderedElementsAre(Pair("x", 0u)))));
     const auto other = type(3, 4);
     words.insert(words.end(), other.begin(), other.end());
     EXPECT_THROW(read_spirv_layouts(words), std::runtime_error);

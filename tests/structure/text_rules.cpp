@@ -23,14 +23,16 @@ bool is_comment(const std::string& line) {
     return begin != std::string::npos && line.compare(begin, 2, "//") == 0;
 }
 
-/// Needs no sentence: operators, constructors, accessors without arguments, members defined on their own line, deleted ones.
+/// Needs no sentence: operators, constructors, accessors without arguments, members
+/// defined on their own line, deleted ones.
 bool explains_itself(const Function& function) {
-    if (function.name.starts_with("operator") || function.name.starts_with("~") || function.header.ends_with("= delete") ||
-        function.header.ends_with("= default")) {
+    if (function.name.starts_with("operator") || function.name.starts_with("~") ||
+        function.header.ends_with("= delete") || function.header.ends_with("= default")) {
         return true;
     }
     if (function.scope.empty()) return false;
-    return function.name == function.scope || function.n_arguments == 0 || (function.has_body && function.n_lines() == 1);
+    return function.name == function.scope || function.n_arguments == 0 ||
+           (function.has_body && function.n_lines() == 1);
 }
 
 bool has_trailing_comment(const SourceFile& file, const Function& function) {
@@ -41,14 +43,17 @@ bool has_trailing_comment(const SourceFile& file, const Function& function) {
 }
 
 void check_face(const SourceFile& file, Violations& violations) {
-    std::set<int> ends_of_explained;   // a run of declarations without an empty line shares the comment above it
+    // a run of declarations without an empty line shares the comment above it
+    std::set<int> ends_of_explained;
     for (const Function& function : functions_of(file)) {
-        const bool below_comment = function.first_line > 1 && is_comment(file.lines[static_cast<std::size_t>(function.first_line) - 2]);
+        const bool below_comment = function.first_line > 1 &&
+                                   is_comment(file.lines[static_cast<std::size_t>(function.first_line) - 2]);
         const bool in_run = ends_of_explained.contains(function.first_line - 1);
         if (below_comment || in_run || explains_itself(function) || has_trailing_comment(file, function)) {
             ends_of_explained.insert(function.last_line);
         } else {
-            violations.push_back(at(file.path, static_cast<std::size_t>(function.first_line)) + function.name + " has no comment");
+            violations.push_back(at(file.path, static_cast<std::size_t>(function.first_line)) +
+                                 function.name + " has no comment");
         }
     }
 }
@@ -69,14 +74,16 @@ Violations check_vulkan_names(const SourceTree& tree) {
     Violations violations;
     for (const auto& [path, file] : tree) {
         const std::string top = folder(path, 0);
-        if (top != "src" && top != "include" && top != "tools" && path.find("tests/reference/") != 0) continue;
+        if (top != "src" && top != "include" && top != "tools" && path.find("tests/reference/") != 0)
+            continue;
         if (path.starts_with("src/gpu/") || path.starts_with("src/diff/accel/")) continue;
         if (!has_extension(path, {".cpp", ".hpp", ".h"})) continue;
         const std::vector<std::string> lines = split_lines(file.code);
         for (std::size_t i = 0; i < lines.size(); ++i) {
             std::smatch match;
             if (std::regex_search(lines[i], match, kName))
-                violations.push_back(at(path, i + 1) + match[1].str() + " outside src/gpu and src/diff/accel");
+                violations.push_back(at(path, i + 1) + match[1].str() +
+                                     " outside src/gpu and src/diff/accel");
         }
     }
     return violations;
@@ -97,11 +104,13 @@ Violations check_installed_names(const SourceTree& tree) {
         if (!path.starts_with("include/relidar/")) continue;
         for (std::size_t i = 0; i < file.lines.size(); ++i) {
             if (file.lines[i].starts_with("#include")) continue;
-            for (std::sregex_iterator name(file.lines[i].begin(), file.lines[i].end(), kFile), end; name != end; ++name) {
+            for (std::sregex_iterator name(file.lines[i].begin(), file.lines[i].end(), kFile), end;
+                 name != end; ++name) {
                 const std::string text = name->str();
                 const std::string beside = path.substr(0, path.rfind('/') + 1) + text;
                 const bool is_document = text.starts_with("docs/") && tree.contains(text);
-                const bool is_header = tree.contains("include/" + text) || tree.contains("include/relidar/" + text);
+                const bool is_header =
+                    tree.contains("include/" + text) || tree.contains("include/relidar/" + text);
                 if (!is_document && !is_header && !tree.contains(beside))
                     violations.push_back(at(path, i + 1) + "names " + text + ", which is not installed");
             }
@@ -114,12 +123,15 @@ Violations check_licence_lines(const SourceTree& tree) {
     Violations violations;
     for (const auto& [path, file] : tree) {
         const bool script = file.text.starts_with("#!");
-        const bool source = has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl", ".cmake", ".py", ".sh", ".in"});
+        const bool source =
+            has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl", ".cmake", ".py", ".sh", ".in"});
         if (!script && !source && !path.ends_with("CMakeLists.txt")) continue;
         const std::size_t n = std::min<std::size_t>(file.lines.size(), 3);
         const bool named =
             std::any_of(file.lines.begin(), file.lines.begin() + static_cast<std::ptrdiff_t>(n),
-                        [](const std::string& line) { return line.find("SPDX-License-Identifier: Apache-2.0") != std::string::npos; });
+                        [](const std::string& line) {
+                            return line.find("SPDX-License-Identifier: Apache-2.0") != std::string::npos;
+                        });
         if (!named) violations.push_back(at(path, 1) + "no SPDX-License-Identifier line at the top");
     }
     return violations;
@@ -158,7 +170,8 @@ Violations check_readme(const SourceTree& tree) {
         } else if (inside) {
             const std::string script = called_script(line);
             const bool ours = script.starts_with("tools/") || script.starts_with(".ci/");
-            if (ours && !tree.contains(script)) violations.push_back(at("README.md", i + 1) + "calls " + script + ", which does not exist");
+            if (ours && !tree.contains(script))
+                violations.push_back(at("README.md", i + 1) + "calls " + script + ", which does not exist");
         }
     }
     if (n_blocks == 0) violations.push_back("README.md:1: no block marked <!-- runnable -->");

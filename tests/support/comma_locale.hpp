@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// While it lives, the program's locale writes 1234.5 as "1.234,5": C++ streams always, printf and strtod where the machine has such a
-// locale installed. What relidar writes and reads must not notice.
+// While it lives, the program's locale writes 1234.5 as "1.234,5": C++ streams always,
+// printf and strtod where the machine has such a locale installed. What relidar writes
+// and reads must not notice.
 #pragma once
 
 #include <clocale>
@@ -12,8 +13,10 @@ namespace relidar::test {
 class CommaLocale {
 public:
     CommaLocale()
-        : c_before_(std::setlocale(LC_ALL, nullptr)), cpp_before_(std::locale::global(std::locale(std::locale::classic(), new Comma))) {
-        for (const char* name : {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "nl_NL.UTF-8", "es_ES.UTF-8", "it_IT.UTF-8", "pl_PL.UTF-8"})
+        : c_before_(std::setlocale(LC_ALL, nullptr)),
+          cpp_before_(std::locale::global(std::locale(std::locale::classic(), new Comma))) {
+        for (const char* name : {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "nl_NL.UTF-8", "es_ES.UTF-8",
+                                 "it_IT.UTF-8", "pl_PL.UTF-8"})
             if (std::setlocale(LC_ALL, name)) break;
     }
     ~CommaLocale() {

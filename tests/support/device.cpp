@@ -18,12 +18,14 @@ Traversal wanted_traversal() {
     const std::string name = text ? text : "";
     if (name == "ray_query") return Traversal::ray_query;
     if (name == "software") return Traversal::software;
-    if (!name.empty()) throw UsageError("RELIDAR_TEST_TRAVERSAL: found \"" + name + "\", expected ray_query or software");
+    if (!name.empty())
+        throw UsageError("RELIDAR_TEST_TRAVERSAL: found \"" + name + "\", expected ray_query or software");
     return Traversal::automatic;
 }
 
-/// Opened by the first test that asks, closed after the last one, while main() still runs: when a program exits, its static objects may
-/// go after those of the validation layer, which then no longer knows the device.
+/// Opened by the first test that asks, closed after the last one, while main() still
+/// runs: when a program exits, its static objects may go after those of the validation
+/// layer, which then no longer knows the device.
 class ProcessDevice : public testing::Environment {
 public:
     Device* find() {
@@ -46,7 +48,8 @@ private:
     std::string failure_;
 };
 
-ProcessDevice* const process_device = static_cast<ProcessDevice*>(testing::AddGlobalTestEnvironment(new ProcessDevice));
+ProcessDevice* const process_device =
+    static_cast<ProcessDevice*>(testing::AddGlobalTestEnvironment(new ProcessDevice));
 
 }  // namespace
 
@@ -59,12 +62,15 @@ void DeviceTest::SetUp() {
         return;
     }
     const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
-    if (required && std::string(required) == "1") FAIL() << "RELIDAR_REQUIRE_GPU=1, but " << process_device->failure();
+    if (required && std::string(required) == "1")
+        FAIL() << "RELIDAR_REQUIRE_GPU=1, but " << process_device->failure();
     GTEST_SKIP() << process_device->failure();
 }
 
 void DeviceTest::TearDown() {
-    if (device_) EXPECT_EQ(validation_messages(*device_), messages_before_) << "the validation layer complained (see stderr)";
+    if (device_)
+        EXPECT_EQ(validation_messages(*device_), messages_before_)
+            << "the validation layer complained (see stderr)";
 }
 
 }  // namespace relidar::test

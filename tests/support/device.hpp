@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// One device a test process, with validation as the environment says, opened for the traversal that RELIDAR_TEST_TRAVERSAL names
-// (ray_query or software; ctest runs the suites that trace once with each), else the one a user would get. No device is a skip for a
-// user and a failure where RELIDAR_REQUIRE_GPU=1 (CI). Any validation message fails the test in which it appears.
+// One device a test process, with validation as the environment says, opened for the
+// traversal that RELIDAR_TEST_TRAVERSAL names (ray_query or software; ctest runs the
+// suites that trace once with each), else the one a user would get. No device is a skip
+// for a user and a failure where RELIDAR_REQUIRE_GPU=1 (CI). Any validation message fails
+// the test in which it appears.
 #pragma once
 
 #include <gtest/gtest.h>

@@ -12,7 +12,8 @@
 
 namespace relidar::test {
 
-/// A network of single pixels with drawn weights, so that its output depends on all of its inputs.
+/// A network of single pixels with drawn weights, so that its output depends on all of
+/// its inputs.
 inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
     RefineOptions options;
     options.network = "pixel";
@@ -21,7 +22,8 @@ inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
     network.residual = false;
     refine::initialise(network, plan, seed);
     network.residual = true;
-    for (std::size_t c = 0; c < network.inputs.size(); ++c) network.normalisation.insert(network.normalisation.end(), {1.0f, 0.0f});
+    for (std::size_t c = 0; c < network.inputs.size(); ++c)
+        network.normalisation.insert(network.normalisation.end(), {1.0f, 0.0f});
     return network;
 }
 
@@ -29,7 +31,8 @@ inline DropNetwork network_of_rays(std::uint64_t seed = 1) {
 inline DropNetwork network_that_never_drops() {
     DropNetwork network = network_of_rays();
     std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
-    network.parameters[*refine::UnetPlan(network).tail.bias] = -40.0f;   // rendered logits are within 9.3 of 0
+    // rendered logits are within 9.3 of 0
+    network.parameters[*refine::UnetPlan(network).tail.bias] = -40.0f;
     return network;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structs that kernels fill as the numbers they hold, one behind the other: to compare them, lane by lane.
+// Structs that kernels fill as the numbers they hold, one behind the other: to compare
+// them, lane by lane.
 #pragma once
 
 #include <cstring>

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients against central differences, row by row: a row is one parameter of one surfel (mean [3], rotation [4], ...). The error of
-// a row is |difference - analytic| over the row's norm; a table reports the worst row of each group and how many rows were not zero.
-// Links (i) and (ii) of the gradient chain in docs/architecture.md section 9 use the same table.
+// Gradients against central differences, row by row: a row is one parameter of one surfel
+// (mean [3], rotation [4], ...). The error of a row is |difference - analytic| over the
+// row's norm; a table reports the worst row of each group and how many rows were not
+// zero. Links (i) and (ii) of the gradient chain in docs/architecture.md section 9 use
+// the same table.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +20,7 @@ namespace relidar::test {
 
 /// Rows of one parameter group and what was found.
 struct GradientGroup {
-    std::vector<std::vector<double>> expected;   ///< [rows][components]
+    std::vector<std::vector<double>> expected;  ///< [rows][components]
     std::vector<std::vector<double>> actual;
 
     /// Euclidean norm of a row.
@@ -33,16 +35,20 @@ struct GradientGroup {
         return largest;
     }
     std::size_t nonzero_rows() const {
-        return std::size_t(std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
+        return std::size_t(
+            std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
     }
-    /// Rows with an expected gradient (above the small-row bound) for which nothing was accumulated.
+    /// Rows with an expected gradient (above the small-row bound) for which nothing was
+    /// accumulated.
     std::size_t missing_rows() const {
         const double bound = kSmallRow * largest_row();
         std::size_t missing = 0;
-        for (std::size_t i = 0; i < expected.size(); ++i) missing += norm(expected[i]) > bound && norm(actual[i]) == 0.0;
+        for (std::size_t i = 0; i < expected.size(); ++i)
+            missing += norm(expected[i]) > bound && norm(actual[i]) == 0.0;
         return missing;
     }
-    /// Worst |actual - expected| / max(|expected|, small-row bound); infinite where a value is not finite.
+    /// Worst |actual - expected| / max(|expected|, small-row bound); infinite where a
+    /// value is not finite.
     double worst_error() const {
         const double bound = kSmallRow * largest_row();
         double worst = 0.0;
@@ -71,11 +77,11 @@ public:
         return worst;
     }
     void print(const std::string& title) const {
-        std::printf("%s\n  %-16s %8s %8s %8s %14s %14s\n", title.c_str(), "group", "rows", "nonzero", "missing", "largest row",
-                    "worst rel.");
+        std::printf("%s\n  %-16s %8s %8s %8s %14s %14s\n", title.c_str(), "group", "rows", "nonzero",
+                    "missing", "largest row", "worst rel.");
         for (const auto& [name, g] : groups_)
-            std::printf("  %-16s %8zu %8zu %8zu %14.4e %14.3e\n", name.c_str(), g.expected.size(), g.nonzero_rows(), g.missing_rows(),
-                        g.largest_row(), g.worst_error());
+            std::printf("  %-16s %8zu %8zu %8zu %14.4e %14.3e\n", name.c_str(), g.expected.size(),
+                        g.nonzero_rows(), g.missing_rows(), g.largest_row(), g.worst_error());
         std::fflush(stdout);
     }
 
@@ -83,12 +89,14 @@ private:
     std::map<std::string, GradientGroup> groups_;
 };
 
-/// d(sum of terms)/d(component) by central differences; the terms are differenced one by one before they are summed, which keeps
-/// the cancellation error that of one term.
-/// @param set    set(k, offset) gives component k of the parameter its present value plus offset; called with h, -h, 0
+/// d(sum of terms)/d(component) by central differences; the terms are differenced one by
+/// one before they are summed, which keeps the cancellation error that of one term.
+/// @param set    set(k, offset) gives component k of the parameter its present value plus
+/// offset; called with h, -h, 0
 /// @param terms  the loss, as a list of terms, at the parameters as they are set
 inline std::vector<double> central_differences(int components, const std::function<void(int, double)>& set,
-                                               const std::function<std::vector<double>()>& terms, double h = kDifferenceStep) {
+                                               const std::function<std::vector<double>()>& terms,
+                                               double h = kDifferenceStep) {
     std::vector<double> result;
     for (int k = 0; k < components; ++k) {
         set(k, h);
@@ -104,10 +112,12 @@ inline std::vector<double> central_differences(int components, const std::functi
 }
 
 /// The same for a parameter that lies in memory as consecutive doubles.
-inline std::vector<double> central_differences(double* parameter, int components, const std::function<std::vector<double>()>& terms,
+inline std::vector<double> central_differences(double* parameter, int components,
+                                               const std::function<std::vector<double>()>& terms,
                                                double h = kDifferenceStep) {
     const std::vector<double> start(parameter, parameter + components);
-    return central_differences(components, [&](int k, double offset) { parameter[k] = start[std::size_t(k)] + offset; }, terms, h);
+    return central_differences(
+        components, [&](int k, double offset) { parameter[k] = start[std::size_t(k)] + offset; }, terms, h);
 }
 
 }  // namespace relidar::test

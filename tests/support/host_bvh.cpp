@@ -6,8 +6,8 @@
 #include <limits>
 #include <numeric>
 
-#include "gpu/stream.hpp"
 #include "diff/shared/accel.h"
+#include "gpu/stream.hpp"
 
 namespace relidar::test {
 namespace {
@@ -21,7 +21,8 @@ struct Box {
 
 using Indices = std::vector<std::uint32_t>;
 
-/// One tree: appends nodes, and primitives in leaf order. Children of a node lie together.
+/// One tree: appends nodes, and primitives in leaf order. Children of a node lie
+/// together.
 class Builder {
 public:
     Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order)
@@ -48,7 +49,8 @@ private:
 
     Indices take_half(Indices& primitives) const {
         Box centres;
-        for (const std::uint32_t p : primitives) centres.grow({boxes_[p].low + boxes_[p].high, boxes_[p].low + boxes_[p].high});
+        for (const std::uint32_t p : primitives)
+            centres.grow({boxes_[p].low + boxes_[p].high, boxes_[p].low + boxes_[p].high});
         const glm::vec3 size = centres.high - centres.low;
         const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
         const auto middle = primitives.begin() + std::ptrdiff_t(primitives.size() / 2);
@@ -64,7 +66,8 @@ private:
         std::vector<Indices> parts{std::move(primitives)};
         while (parts.size() < RELIDAR_BVH_WIDTH) {
             const auto largest =
-                std::max_element(parts.begin(), parts.end(), [](const Indices& a, const Indices& b) { return a.size() < b.size(); });
+                std::max_element(parts.begin(), parts.end(),
+                                 [](const Indices& a, const Indices& b) { return a.size() < b.size(); });
             if (largest->size() <= RELIDAR_BVH_LEAF_SIZE) break;
             Indices half = take_half(*largest);
             parts.push_back(std::move(half));
@@ -75,11 +78,12 @@ private:
     void fill(std::uint32_t at, Indices primitives) {
         shared::BvhNode node{};
         const Box whole = bounds(primitives);
-        const std::vector<Indices> parts = primitives.empty() ? std::vector<Indices>{} : split(std::move(primitives));
+        const std::vector<Indices> parts =
+            primitives.empty() ? std::vector<Indices>{} : split(std::move(primitives));
         node.origin = parts.empty() ? glm::vec3(0.0f) : whole.low;
         node.first_leaf = static_cast<std::uint32_t>(order_.size());
-        const auto n_inner = static_cast<std::uint32_t>(
-            std::count_if(parts.begin(), parts.end(), [](const Indices& p) { return p.size() > RELIDAR_BVH_LEAF_SIZE; }));
+        const auto n_inner = static_cast<std::uint32_t>(std::count_if(
+            parts.begin(), parts.end(), [](const Indices& p) { return p.size() > RELIDAR_BVH_LEAF_SIZE; }));
         node.first_child = static_cast<std::uint32_t>(nodes_.size());
         nodes_.resize(nodes_.size() + n_inner);
         for (int axis = 0; axis < 3; ++axis) set_axis(node, axis, parts, whole);
@@ -90,7 +94,8 @@ private:
                 continue;
             }
             const auto offset = static_cast<std::uint32_t>(order_.size()) - node.first_leaf;
-            node.leaves[slot / 4] |= (offset | static_cast<std::uint32_t>(parts[slot].size()) << 5) << (8 * (slot % 4));
+            node.leaves[slot / 4] |= (offset | static_cast<std::uint32_t>(parts[slot].size()) << 5)
+                                     << (8 * (slot % 4));
             order_.insert(order_.end(), parts[slot].begin(), parts[slot].end());
         }
         nodes_[at] = node;
@@ -99,10 +104,12 @@ private:
     }
 
     /// Quantises the children's boxes along an axis, outward in exact arithmetic.
-    void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts, const Box& whole) const {
+    void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts,
+                  const Box& whole) const {
         shared::uint* const low = axis == 0 ? node.low_x : axis == 1 ? node.low_y : node.low_z;
         shared::uint* const high = axis == 0 ? node.high_x : axis == 1 ? node.high_y : node.high_z;
-        const double origin = double(node.origin[axis]), extent = parts.empty() ? 0.0 : double(whole.high[axis]) - origin;
+        const double origin = double(node.origin[axis]),
+                     extent = parts.empty() ? 0.0 : double(whole.high[axis]) - origin;
         const int exponent = extent > 0.0 ? std::max(1, 127 + int(std::ceil(std::log2(extent / 255.0)))) : 0;
         const double step = exponent ? std::exp2(exponent - 127) : 1.0;
         node.exponents |= static_cast<std::uint32_t>(exponent) << (8 * axis);
@@ -110,8 +117,10 @@ private:
             std::uint32_t q_low = 255, q_high = 0;
             if (slot < parts.size()) {
                 const Box box = bounds(parts[slot]);
-                q_low = static_cast<std::uint32_t>(std::clamp(std::floor((double(box.low[axis]) - origin) / step), 0.0, 255.0));
-                q_high = static_cast<std::uint32_t>(std::clamp(std::ceil((double(box.high[axis]) - origin) / step), 0.0, 255.0));
+                q_low = static_cast<std::uint32_t>(
+                    std::clamp(std::floor((double(box.low[axis]) - origin) / step), 0.0, 255.0));
+                q_high = static_cast<std::uint32_t>(
+                    std::clamp(std::ceil((double(box.high[axis]) - origin) / step), 0.0, 255.0));
             }
             low[slot / 4] |= q_low << (8 * (slot % 4));
             high[slot / 4] |= q_high << (8 * (slot % 4));
@@ -122,8 +131,8 @@ private:
 /// Boxes of all surfels, in their models' frames.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
-    const std::vector<Constant> constants{{ConstantId::BOXES, 1u},
-                                          {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
+    const std::vector<Constant> constants{
+        {ConstantId::BOXES, 1u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
     const Kernel<shared::ProxyParams> proxies(device, "diff/accel/proxies", constants);
     const Array<float, shared::SurfelBoxes> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
@@ -140,8 +149,8 @@ std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     const std::vector<float> values = boxes.download();
     std::vector<Box> result;
     for (std::size_t i = 0; i < scene.size(); ++i)
-        result.push_back(
-            {{values[6 * i], values[6 * i + 1], values[6 * i + 2]}, {values[6 * i + 3], values[6 * i + 4], values[6 * i + 5]}});
+        result.push_back({{values[6 * i], values[6 * i + 1], values[6 * i + 2]},
+                          {values[6 * i + 3], values[6 * i + 4], values[6 * i + 5]}});
     return result;
 }
 
@@ -173,7 +182,8 @@ HostBvh::HostBvh(Device& device, const DeviceScene& scene) {
         for (std::uint32_t i = 0; i < model.count; ++i)
             if (own[i].finite()) usable.push_back(i), whole.grow(own[i]);
         model_box.push_back(whole);
-        root_of_model.push_back(usable.empty() ? RELIDAR_BVH_NO_NODE : Builder(own, nodes, order).build(usable));
+        root_of_model.push_back(usable.empty() ? RELIDAR_BVH_NO_NODE
+                                               : Builder(own, nodes, order).build(usable));
     }
     Indices placed;
     std::vector<Box> instance_box;

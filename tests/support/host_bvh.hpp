@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A two-level tree in the layout of shared/bvh.h, built on the host by recursive object median: tests of the traversal alone, which
-// must not depend on the device's builder. Boxes are the device's own (diff/accel/proxies).
+// A two-level tree in the layout of shared/bvh.h, built on the host by recursive object
+// median: tests of the traversal alone, which must not depend on the device's builder.
+// Boxes are the device's own (diff/accel/proxies).
 #pragma once
 
 #include <memory>

@@ -14,7 +14,8 @@ namespace relidar::test {
 enum class Outputs { image, normal, distortion, likelihood, all };
 
 /// Rounded to float, so that a kernel can be given exactly the same.
-inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed, Outputs outputs = Outputs::image) {
+inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed,
+                                                             Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
     const auto draw = [&](float scale, bool wanted) { return wanted ? scale * normal(random) : 0.0f; };
@@ -23,10 +24,12 @@ inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std:
     for (reference::PixelGradient& g : gradients) {
         g.depth = draw(0.3f, image);
         for (double* x : {&g.weight, &g.intensity, &g.hit_logit, &g.drop_logit}) *x = draw(1.0f, image);
-        for (int k = 0; k < 3; ++k) g.normal[k] = draw(1.0f, outputs == Outputs::normal || outputs == Outputs::all);
+        for (int k = 0; k < 3; ++k)
+            g.normal[k] = draw(1.0f, outputs == Outputs::normal || outputs == Outputs::all);
         g.distortion = draw(1.0f, outputs == Outputs::distortion || outputs == Outputs::all);
     }
-    for (reference::PixelGradient& g : gradients) g.likelihood = draw(1.0f, outputs == Outputs::likelihood || outputs == Outputs::all);
+    for (reference::PixelGradient& g : gradients)
+        g.likelihood = draw(1.0f, outputs == Outputs::likelihood || outputs == Outputs::all);
     return gradients;
 }
 

@@ -5,19 +5,22 @@ namespace relidar::test {
 
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements) {
     SceneAndPoses result;
-    std::vector<reference::Placement> ranges;   // of the models
+    std::vector<reference::Placement> ranges;  // of the models
     for (const reference::Placement& p : placements) {
         std::uint32_t model = 0;
-        while (model < ranges.size() && (ranges[model].first != p.first || ranges[model].count != p.count)) ++model;
+        while (model < ranges.size() && (ranges[model].first != p.first || ranges[model].count != p.count))
+            ++model;
         if (model == ranges.size()) {
             ranges.push_back(p);
-            result.scene.models.push_back({"model " + std::to_string(model), static_cast<std::uint32_t>(result.original.size()), p.count});
+            result.scene.models.push_back({"model " + std::to_string(model),
+                                           static_cast<std::uint32_t>(result.original.size()), p.count});
             for (std::uint32_t i = 0; i < p.count; ++i) result.original.push_back(p.first + i);
         }
         result.scene.instances.push_back({model, ""});
         const reference::Motion& m = p.motion;
         result.world_from_instance.push_back(
-            {.world_from_model = p.world_from_model, .motion = {m.velocity, m.turn_rate, m.middle_s, m.half_span_s}});
+            {.world_from_model = p.world_from_model,
+             .motion = {m.velocity, m.turn_rate, m.middle_s, m.half_span_s}});
     }
     result.scene.surfels = take(surfels, result.original);
     return result;

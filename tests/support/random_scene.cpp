@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random scenes with margins: surfels are drawn in a corridor in front of the sensor, facing it within 50 degrees; rays are drawn
-// into it and kept where all margins hold (the discontinuities of M1, M2, M4 and of the intensity clamp).
+// Random scenes with margins: surfels are drawn in a corridor in front of the sensor,
+// facing it within 50 degrees; rays are drawn into it and kept where all margins hold
+// (the discontinuities of M1, M2, M4 and of the intensity clamp).
 #include "random_scene.hpp"
 
 #include <cmath>
@@ -14,52 +15,65 @@ namespace {
 
 using Random = std::mt19937_64;
 
-double uniform(Random& random, double low, double high) { return std::uniform_real_distribution<double>(low, high)(random); }
+double uniform(Random& random, double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(random);
+}
 
 glm::dvec3 unit_vector(Random& random) {
     std::normal_distribution<double> normal;
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
-/// Quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x or +x, the in-plane angle and the length arbitrary.
+/// Quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x or +x, the
+/// in-plane angle and the length arbitrary.
 glm::dvec4 facing_rotation(Random& random, double cone_rad) {
-    const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad), side = uniform(random, 0.0, 1.0);
+    const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad),
+                 side = uniform(random, 0.0, 1.0);
     const glm::dvec3 tilt_axis(0.0, std::cos(angle), std::sin(angle));
     const glm::dquat to_x = glm::angleAxis(side < 0.5 ? kPi / 2 : -kPi / 2, glm::dvec3(0, 1, 0));
-    const glm::dquat q = glm::angleAxis(tilt, tilt_axis) * to_x * glm::angleAxis(uniform(random, 0.0, 2.0 * kPi), glm::dvec3(0, 0, 1));
+    const glm::dquat q = glm::angleAxis(tilt, tilt_axis) * to_x *
+                         glm::angleAxis(uniform(random, 0.0, 2.0 * kPi), glm::dvec3(0, 0, 1));
     return uniform(random, 0.5, 2.0) * glm::dvec4(q.w, q.x, q.y, q.z);
 }
 
-reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm::dvec3& high, const RandomSceneOptions& options) {
+reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm::dvec3& high,
+                                const RandomSceneOptions& options) {
     std::normal_distribution<double> normal;
     reference::Surfel s;
     s.mean = {uniform(random, low.x, high.x), uniform(random, low.y, high.y), uniform(random, low.z, high.z)};
     s.rotation = facing_rotation(random, 50.0 / 180.0 * kPi);
-    const double size = std::log(uniform(random, 0.15, 0.5)), stretch = uniform(random, 0.0, 1.0) < 0.25 ? std::log(2.0) : 0.0;
+    const double size = std::log(uniform(random, 0.15, 0.5)),
+                 stretch = uniform(random, 0.0, 1.0) < 0.25 ? std::log(2.0) : 0.0;
     s.log_scale = {size + stretch, size - stretch};
     const double opacity = uniform(random, options.opacity_low, options.opacity_high);
     s.opacity_logit = std::log(opacity / (1.0 - opacity));
-    if (options.primitive == Primitive::gaussian) s.log_scale_w = size + uniform(random, std::log(0.2), std::log(1.5));
+    if (options.primitive == Primitive::gaussian)
+        s.log_scale_w = size + uniform(random, std::log(0.2), std::log(1.5));
     for (int k = 0; k < kShFloats; ++k) s.sh[k] = (k % kShCoefficients == 0 ? 0.8 : 0.15) * normal(random);
     return s;
 }
 
-/// Every surfel of an instance the ray's line could matter to: not cut or clamped by a hair, not grazing, not at the near plane.
-bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray, const reference::LocalRay<double>& local,
-                      const reference::Settings& settings, const Margins& m) {
+/// Every surfel of an instance the ray's line could matter to: not cut or clamped by a
+/// hair, not grazing, not at the near plane.
+bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
+                      const reference::LocalRay<double>& local, const reference::Settings& settings,
+                      const Margins& m) {
     const reference::DoubleRecord r = reference::make_record(surfel);
     const bool is_flat = r.primitive == Primitive::surfel;
     const double facing = is_flat ? glm::dot(r.normal, local.direction) / glm::length(ray.direction) : 1.0;
     const reference::PlaneHit<double> met = reference::meet(r, local);
-    const double t = met.t, log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
+    const double t = met.t,
+                 log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
-    if (log_alpha < std::log(double(settings.image.alpha_min))) return true;   // skipped: the rest cannot matter
+    // skipped: the rest cannot matter
+    if (log_alpha < std::log(double(settings.image.alpha_min))) return true;
     return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
 }
 
 /// Order, stop and intensity clamp along the sorted hits.
-bool hits_are_smooth(const reference::World& world, const reference::Settings& settings, const reference::Ray& ray, const Margins& m) {
+bool hits_are_smooth(const reference::World& world, const reference::Settings& settings,
+                     const reference::Ray& ray, const Margins& m) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<reference::Hit> hits;
     brute.next_hits(ray, {}, 1 << 20, hits);
@@ -69,18 +83,22 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
         if (i > 0 && hits[i].t - hits[i - 1].t < m.separation_m) return false;
         if (std::abs(s.raw_intensity) < m.intensity) return false;
         transmittance *= 1.0 - s.alpha;
-        if (std::abs(std::log(transmittance / double(settings.image.transmittance_min))) < m.log_stop) return false;
+        if (std::abs(std::log(transmittance / double(settings.image.transmittance_min))) < m.log_stop)
+            return false;
         if (transmittance < double(settings.image.transmittance_min)) return true;
     }
     return true;
 }
 
-/// Surfels, placements and view origin, all rounded to float where the library stores floats.
+/// Surfels, placements and view origin, all rounded to float where the library stores
+/// floats.
 RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     RandomScene scene;
     std::vector<reference::Surfel> surfels;
-    for (int i = 0; i < options.background_surfels; ++i) surfels.push_back(random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
-    for (int i = 0; i < options.actor_surfels; ++i) surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
+    for (int i = 0; i < options.background_surfels; ++i)
+        surfels.push_back(random_surfel(random, {2, -0.6, -0.6}, {10, 0.6, 0.6}, options));
+    for (int i = 0; i < options.actor_surfels; ++i)
+        surfels.push_back(random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
     for (int i = 0; i < options.wide_surfels; ++i) {
         surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
         if (options.primitive == Primitive::gaussian) surfels[std::size_t(i)].log_scale_w = std::log(0.5);
@@ -96,40 +114,47 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
         const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
         scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
         if (options.moving)
-            scene.world.instances.back().motion = {5.0 * unit_vector(random), options.turn_rate * unit_vector(random),
+            scene.world.instances.back().motion = {5.0 * unit_vector(random),
+                                                   options.turn_rate * unit_vector(random),
                                                    double(float(0.01 * i)), double(0.05f)};
     }
     scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));
     return scene;
 }
 
-/// Draws rays into the corridor and keeps those with margins, until there are enough or too many were drawn.
-void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins,
-              RandomScene& scene) {
+/// Draws rays into the corridor and keeps those with margins, until there are enough or
+/// too many were drawn.
+void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings,
+              const Margins& margins, RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
-        const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3));
+        const glm::dvec3 origin(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3),
+                                uniform(random, -0.3, 0.3));
         const glm::dvec3 towards(8.0, uniform(random, -0.8, 0.8), uniform(random, -0.8, 0.8));
-        reference::Ray ray{glm::dvec3(glm::vec3(origin)), glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
+        reference::Ray ray{glm::dvec3(glm::vec3(origin)),
+                           glm::dvec3(glm::vec3(glm::normalize(towards - origin)))};
         if (options.moving) ray.time_s = double(float(uniform(random, -0.07, 0.07)));
         if (keeps_margins(scene.world, settings, ray, margins)) scene.rays.push_back(ray);
     }
 }
 
 /// Ranges about what the rays render.
-void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings, RandomScene& scene) {
+void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings,
+                         RandomScene& scene) {
     Random random(options.seed + 1000);
     std::normal_distribution<double> normal;
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
         const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
         const double off = 0.3 * normal(random);
-        if (i % 7 != 3 && p.hits > 0) scene.rays[i].measured_m = double(float(std::max(p.depth / p.weight + off, 0.5)));
+        if (i % 7 != 3 && p.hits > 0)
+            scene.rays[i].measured_m = double(float(std::max(p.depth / p.weight + off, 0.5)));
     }
 }
 
 }  // namespace
 
-bool keeps_margins(const reference::World& world, const reference::Settings& settings, const reference::Ray& ray, const Margins& margins) {
+bool keeps_margins(const reference::World& world, const reference::Settings& settings,
+                   const reference::Ray& ray, const Margins& margins) {
     for (const reference::Placement& p : world.instances) {
         const auto local = reference::to_model(p.at(ray.time_s), ray);
         for (std::uint32_t s = p.first; s < p.first + p.count; ++s)
@@ -138,9 +163,11 @@ bool keeps_margins(const reference::World& world, const reference::Settings& set
     return hits_are_smooth(world, settings, ray, margins);
 }
 
-RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings, const Margins& margins) {
+RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
+                              const Margins& margins) {
     Random random(options.seed);
-    for (int attempt = 0; attempt < 50; ++attempt) {   // one unlucky surfel (say, an intensity near 0) can spoil every ray
+    // one unlucky surfel (say, an intensity near 0) can spoil every ray
+    for (int attempt = 0; attempt < 50; ++attempt) {
         RandomScene scene = random_surfels(random, options);
         reference::Settings viewed = settings;
         viewed.view_origin = scene.view_origin;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street driven through with four LiDARs that have little in common: one that spins, a window that mirrors sweep, a rosette,
-// and one of wide beams with two returns.
+// The synthetic street driven through with four LiDARs that have little in common: one
+// that spins, a window that mirrors sweep, a rosette, and one of wide beams with two
+// returns.
 #pragma once
 
 #include <filesystem>
@@ -19,11 +20,14 @@ inline std::string write_rig(const std::filesystem::path& folder) {
     std::ofstream beams(folder / "top.csv");
     beams << "elevation_deg\n";
     for (int i = 0; i < 24; ++i) beams << 3.0 - 28.0 * i / 23.0 << "\n";
-    std::ofstream(folder / "front.json") << R"({"window": {"rows": 48, "columns": 240, "left_deg": 60, "right_deg": -60, "top_deg": 8,
+    std::ofstream(folder / "front.json")
+        << R"({"window": {"rows": 48, "columns": 240, "left_deg": 60, "right_deg": -60, "top_deg": 8,
         "bottom_deg": -16, "max_range_m": 100}})";
-    std::ofstream(folder / "flower.json") << R"({"rosette": {"rays": 8000, "deflection_deg": 9.6, "first_hz": 121.57, "second_hz": -77.73,
+    std::ofstream(folder / "flower.json")
+        << R"({"rosette": {"rays": 8000, "deflection_deg": 9.6, "first_hz": 121.57, "second_hz": -77.73,
         "min_range_m": 1, "max_range_m": 200}})";
-    std::ofstream(folder / "wide.json") << R"({"window": {"rows": 32, "columns": 360, "left_deg": 180, "right_deg": -179, "top_deg": 6,
+    std::ofstream(folder / "wide.json")
+        << R"({"window": {"rows": 32, "columns": 360, "left_deg": 180, "right_deg": -179, "top_deg": 6,
         "bottom_deg": -20, "divergence_mrad": 9}})";
     std::ofstream(folder / "rig.json") << R"({"sensors": [
         {"name": "top", "sensor": "top.csv:600x10", "translation_m": [0, 0, 0]},

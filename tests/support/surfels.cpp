@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Conversions between the library's Surfels and the oracle's, both ways (docs/method.md section 2 names the 58 numbers).
+// Conversions between the library's Surfels and the oracle's, both ways (docs/method.md
+// section 2 names the 58 numbers).
 #include "surfels.hpp"
 
 namespace relidar::test {
@@ -15,7 +16,8 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         if (kind_of(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
         if (surfels.bends) {
             const Gait& gait = surfels.gait[i];
-            s.gait_phase = double(gait.phase), s.gait_sharpness = double(gait.sharpness), s.gait_swing = glm::dvec3(gait.swing);
+            s.gait_phase = double(gait.phase), s.gait_sharpness = double(gait.sharpness),
+            s.gait_swing = glm::dvec3(gait.swing);
         }
         for (int k = 0; k < kShFloats; ++k) s.sh[k] = double(surfels.sh[i * kShFloats + k]);
     }
@@ -42,19 +44,22 @@ Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
 
 std::vector<reference::FloatRecord> to_records(const Surfels& surfels) {
     std::vector<reference::FloatRecord> records;
-    for (const reference::Surfel& s : to_reference(surfels)) records.push_back(reference::make_float_record(s));
+    for (const reference::Surfel& s : to_reference(surfels))
+        records.push_back(reference::make_float_record(s));
     return records;
 }
 
 std::vector<reference::Ray> to_reference(const WorldRays& rays) {
     std::vector<reference::Ray> result;
-    for (std::size_t i = 0; i < rays.size(); ++i) 
+    for (std::size_t i = 0; i < rays.size(); ++i)
         result.push_back({glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), 0.0,
                           rays.time_s.empty() ? 0.0 : double(rays.time_s[i])});
     return result;
 }
 
-WorldRays to_world_rays(const RayTable& table) { return {to_vector(table.origin), to_vector(table.direction)}; }
+WorldRays to_world_rays(const RayTable& table) {
+    return {to_vector(table.origin), to_vector(table.direction)};
+}
 
 Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order) {
     Surfels result;

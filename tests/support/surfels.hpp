@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between the library's arrays (float, structure of arrays) and the oracle's surfels and records (double, one struct each), so that
-// a test gives the very same numbers to a kernel and to the reference.
+// Between the library's arrays (float, structure of arrays) and the oracle's surfels and
+// records (double, one struct each), so that a test gives the very same numbers to a
+// kernel and to the reference.
 #pragma once
 
 #include <vector>

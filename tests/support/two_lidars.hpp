@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street driven through with two LiDARs that sweep together: its own, and one that hangs 1.2 m behind and to the left, turned
-// and tilted.
+// The synthetic street driven through with two LiDARs that sweep together: its own, and
+// one that hangs 1.2 m behind and to the left, turned and tilted.
 #pragma once
 
 #include <relidar/log/clouds.hpp>
@@ -14,7 +14,8 @@ inline Sequence two_lidar_street(const SyntheticOptions& options) {
     street.lidars[0].name = "front";
     Lidar rear{"rear",
                one.lidars[0].sensor,
-               {glm::angleAxis(1.3, glm::dvec3(0, 0, 1)) * glm::angleAxis(0.1, glm::dvec3(1, 0, 0)), {-1.2, 0.5, -0.2}}};
+               {glm::angleAxis(1.3, glm::dvec3(0, 0, 1)) * glm::angleAxis(0.1, glm::dvec3(1, 0, 0)),
+                {-1.2, 0.5, -0.2}}};
     rear.sensor.beams.resize(rear.sensor.beams.size() / 2);  // its beams look at the upper half
     street.lidars.push_back(rear);
     street.frames.clear();
@@ -22,7 +23,8 @@ inline Sequence two_lidar_street(const SyntheticOptions& options) {
     const PoseTrack track = street.world_from_sensor(1);
     for (const Frame& frame : one.frames) {
         street.frames.push_back(frame);
-        street.frames.push_back({frame.index, frame.time_s, cast_synthetic_street(options, rays, track, frame.time_s), 1});
+        street.frames.push_back(
+            {frame.index, frame.time_s, cast_synthetic_street(options, rays, track, frame.time_s), 1});
     }
     check_sequence(street);
     return street;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches (train/gather_columns): groups of columns, or a window of whole columns, with their rays and targets, wrapping around; every
-// n-th ray where there is no image order; targets with the rays; refused where structural similarity has no image.
+// Batches (train/gather_columns): groups of columns, or a window of whole columns, with
+// their rays and targets, wrapping around; every n-th ray where there is no image order;
+// targets with the rays; refused where structural similarity has no image.
 #include "train/frames/batch.hpp"
 
 #include <set>
@@ -27,9 +28,10 @@ std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::u
         targets.push_back({float(i), 0.5f, 1.0f});
     }
     std::vector<FrameData> frames(1);
-    frames[0].arrays = std::make_shared<FrameArrays>(FrameArrays{{device, std::span<const DeviceRay>(rays), "rays"},
-                                                                 {device, std::span<const DeviceTarget>(targets), "targets"},
-                                                                 {}});
+    frames[0].arrays =
+        std::make_shared<FrameArrays>(FrameArrays{{device, std::span<const DeviceRay>(rays), "rays"},
+                                                  {device, std::span<const DeviceTarget>(targets), "targets"},
+                                                  {}});
     frames[0].n_rays = rows * columns;
     frames[0].n_returned = frames[0].n_known = rows * columns;
     if (image) frames[0].image = {rows, columns, true};
@@ -45,7 +47,7 @@ Config config_for(const std::string& batch, int n_rays) {
 
 TEST_F(Batch, WindowsOfColumnsAreImages) {
     const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true);
-    BatchSampler sampler(device(), config_for("columns", 45), frames);   // 11 columns
+    BatchSampler sampler(device(), config_for("columns", 45), frames);  // 11 columns
     Stream stream(device());
     Random random(3);
     std::set<int> firsts;
@@ -70,12 +72,13 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
 }
 
-/// 53 columns are no multiple of anything: batches are images all the same, and every column is drawn as often as any other.
+/// 53 columns are no multiple of anything: batches are images all the same, and every
+/// column is drawn as often as any other.
 TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kTaken = kColumns / kStride;
     constexpr int kTrials = 2000;
     const std::vector<FrameData> frames = numbered_frame(device(), kRows, kColumns, true);
-    BatchSampler sampler(device(), config_for("rays", 30), frames);   // every 5th
+    BatchSampler sampler(device(), config_for("rays", 30), frames);  // every 5th
     Stream stream(device());
     Random random(7);
     std::vector<int> drawn(kColumns, 0);
@@ -90,20 +93,22 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
         const std::vector<DeviceTarget> targets = batch.targets.targets->download();
         for (std::uint32_t k = 0; k < kRows * kTaken; ++k) {
             ASSERT_EQ(rays[k].origin.y, float(k / kTaken));
-            const std::uint32_t group = k % kTaken / 4, within = k % kTaken % 4;   // fours of neighbours, the last one cut
-            ASSERT_EQ(std::uint32_t(rays[k].origin.z), (std::uint32_t(rays[0].origin.z) + group * 4 * kStride + within) % kColumns);
+            // fours of neighbours, the last one cut
+            const std::uint32_t group = k % kTaken / 4, within = k % kTaken % 4;
+            ASSERT_EQ(std::uint32_t(rays[k].origin.z),
+                      (std::uint32_t(rays[0].origin.z) + group * 4 * kStride + within) % kColumns);
             ASSERT_EQ(targets[k].range_m, rays[k].origin.x);
             if (k < kTaken) ++drawn[std::size_t(rays[k].origin.z)];
         }
     }
-    const double expected = double(kTrials) * kTaken / kColumns;   // 377, standard deviation about 17
+    const double expected = double(kTrials) * kTaken / kColumns;  // 377, standard deviation about 17
     for (std::uint32_t c = 0; c < kColumns; ++c) EXPECT_NEAR(drawn[c], expected, 85.0) << "column " << c;
 }
 
 TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
     for (const bool image : {true, false}) {
         const std::vector<FrameData> frames = numbered_frame(device(), 3, 60, image);
-        BatchSampler sampler(device(), config_for("rays", 36), frames);   // every 5th
+        BatchSampler sampler(device(), config_for("rays", 36), frames);  // every 5th
         Stream stream(device());
         std::vector<int> taken(180, 0);
         for (std::uint32_t k = 0; k < 5; ++k) {
@@ -125,21 +130,25 @@ TEST_F(Batch, StridesBeyondTheColumnsTakeOne) {
     const std::vector<FrameData> frames = numbered_frame(device(), 8, 5, true);
     Stream stream(device());
     Random random(3);
-    const SampledBatch one = BatchSampler(device(), config_for("rays", 3), frames).sample(stream, frames[0], random);
+    const SampledBatch one =
+        BatchSampler(device(), config_for("rays", 3), frames).sample(stream, frames[0], random);
     EXPECT_EQ(one.rays.n_rays, 8u);
     EXPECT_EQ(one.rays.columns, 1u);
 }
 
 TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
-    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true), list = numbered_frame(device(), 4, 50, false);
+    const std::vector<FrameData> frames = numbered_frame(device(), 4, 50, true),
+                                 list = numbered_frame(device(), 4, 50, false);
     Stream stream(device());
     Random random(3);
-    const SampledBatch some = BatchSampler(device(), config_for("rays", 40), list).sample(stream, list[0], random);
+    const SampledBatch some =
+        BatchSampler(device(), config_for("rays", 40), list).sample(stream, list[0], random);
     EXPECT_EQ(some.rays.stride, 5u);
     EXPECT_EQ(some.rays.n_rays, 40u);
     EXPECT_FALSE(some.targets.image.is_image());
     for (const char* batch : {"rays", "columns"}) {
-        const SampledBatch all = BatchSampler(device(), config_for(batch, 0), frames).sample(stream, frames[0], random);
+        const SampledBatch all =
+            BatchSampler(device(), config_for(batch, 0), frames).sample(stream, frames[0], random);
         EXPECT_EQ(all.rays.n_rays, 200u);
         EXPECT_TRUE(all.targets.image.circular);
         EXPECT_EQ(all.targets.image.columns, 50u);
@@ -148,7 +157,8 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
 
 /// What rays measured goes with them, where the forward pass looks for it.
 TEST_F(Batch, RaysBringTheirTargets) {
-    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true), cloud = numbered_frame(device(), 1, 50, false);
+    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
+                                 cloud = numbered_frame(device(), 1, 50, false);
     for (const auto& [frames, way] : {std::pair(&image, "columns"), {&image, "rays"}, {&cloud, "rays"}}) {
         BatchSampler sampler(device(), config_for(way, 17), *frames);
         Stream stream(device());
@@ -169,7 +179,8 @@ TEST_F(Batch, RaysBringTheirTargets) {
 }
 
 TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
-    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true), cloud = numbered_frame(device(), 1, 50, false);
+    const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
+                                 cloud = numbered_frame(device(), 1, 50, false);
     for (const std::string setting : {"loss.intensity_ssim", "loss.normal"}) {
         Config config = config_for("rays", 40);
         set_key(config, setting, "0.15");
@@ -180,11 +191,12 @@ TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
         stream.finish();
         EXPECT_EQ(batch.targets.image.columns, 10u) << setting;
         EXPECT_EQ(batch.window.stride, 1u) << setting;
-        EXPECT_EQ(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
-                  "setting " + setting + ": found a sensor without image order, expected rows and columns, or 0");
+        EXPECT_EQ(
+            error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
+            "setting " + setting + ": found a sensor without image order, expected rows and columns, or 0");
     }
     Config config = config_for("rays", 40);
-    config.loss.distortion = 0.15f;   // a ray's own
+    config.loss.distortion = 0.15f;  // a ray's own
     BatchSampler(device(), config, cloud);
 }
 

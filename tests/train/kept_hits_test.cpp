@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training keeps as many hits of a ray as almost all rays have, and what is kept changes nothing of what is learnt.
+// Training keeps as many hits of a ray as almost all rays have, and what is kept changes
+// nothing of what is learnt.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>
@@ -47,7 +48,8 @@ protected:
         for (const int position : split.train) {
             const Frame& frame = street.frames[std::size_t(position)];
             const PoseTrack track = street.world_from_sensor(frame.lidar);
-            renderer.place(place_instances(scene, street, moment_of(frame)), glm::vec3(track.at(frame.time_s).translation));
+            renderer.place(place_instances(scene, street, moment_of(frame)),
+                           glm::vec3(track.at(frame.time_s).translation));
             const RayTable table = nominal_rays(street.lidar_of(frame), frame.time_s);
             WorldRays rays;
             for (std::size_t i = 0; i < table.size(); ++i) {
@@ -57,7 +59,8 @@ protected:
             }
             const std::vector<std::uint32_t> hits = renderer.forward(rays).hits;
             for (std::size_t k = 0; k < counts.size(); ++k)
-                shares[k] += double(std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > counts[k]; }));
+                shares[k] += double(
+                    std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > counts[k]; }));
             n_rays += hits.size();
         }
         for (double& share : shares) share /= double(n_rays);
@@ -68,8 +71,10 @@ protected:
 TEST_F(KeptHits, GrowUntilNoRayHasMore) {
     const Trained trained = train(1);
     ASSERT_GT(trained.kept_hits, 2u);
-    const std::vector<double> shares = share_beyond(trained.scene, {trained.kept_hits, trained.kept_hits / 2});
-    EXPECT_LE(shares[0], 0.002) << trained.kept_hits << " are kept";   // none of what was seen while it trained
+    const std::vector<double> shares =
+        share_beyond(trained.scene, {trained.kept_hits, trained.kept_hits / 2});
+    // none of what was seen while it trained
+    EXPECT_LE(shares[0], 0.002) << trained.kept_hits << " are kept";
     EXPECT_GT(shares[1], 0.0) << "half of " << trained.kept_hits << " would have done";
 }
 

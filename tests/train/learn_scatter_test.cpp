@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A street whose sensor measures in steps of 1/64 with noise: what is learnt from training frames scatters as they do. (Held-out frames lie
-// farther from a scene that is not trained: it is made of the training frames' own points, noise and all.)
+// A street whose sensor measures in steps of 1/64 with noise: what is learnt from
+// training frames scatters as they do. (Held-out frames lie farther from a scene that is
+// not trained: it is made of the training frames' own points, noise and all.)
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -23,11 +24,15 @@ constexpr float kStep = 1.0f / 64.0f;
 /// Noise of a standard deviation of 0.05; a scene of its points, not trained.
 Run grainy_run() {
     Run run;
-    run.sequence = make_synthetic_street({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
+    run.sequence =
+        make_synthetic_street({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
     Random random(8);
     for (Frame& frame : run.sequence.frames)
         for (float& intensity : frame.scan.intensity)
-            intensity = std::max(std::round((intensity + 0.05f * static_cast<float>(random.normal())) / kStep), 0.0f) * kStep;
+            intensity =
+                std::max(std::round((intensity + 0.05f * static_cast<float>(random.normal())) / kStep),
+                         0.0f) *
+                kStep;
     run.split = split_frames(run.sequence, 5);
     run.config = make_preset("quick");
     run.scene = initialise_scene(run.sequence, run.split.train, run.config.init);
@@ -44,15 +49,18 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
     double real = 0.0, drawn = 0.0, n = 0.0;
     for (const int position : run.split.train) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const RenderedScan likely = exact.render(sensor, frame.time_s), stepped = renderer.render(sensor, frame.time_s),
+        const RenderedScan likely = exact.render(sensor, frame.time_s),
+                           stepped = renderer.render(sensor, frame.time_s),
                            sample = renderer.render(sensor, frame.time_s, {}, 4);
         EXPECT_EQ(sample.image.intensity, renderer.render(sensor, frame.time_s, {}, 4).image.intensity);
         for (std::size_t i = 0; i < likely.image.intensity.size(); ++i) {
             const float rendered = likely.image.intensity[i], value = sample.image.intensity[i];
-            ASSERT_EQ(stepped.image.intensity[i], std::round(rendered / kStep) * kStep) << "the likeliest scan has the log's steps";
+            ASSERT_EQ(stepped.image.intensity[i], std::round(rendered / kStep) * kStep)
+                << "the likeliest scan has the log's steps";
             if (sample.image.drop_prob[i] > 0.5f) continue;
             ASSERT_EQ(value, std::round(value / kStep) * kStep);
-            if (!(frame.scan.range_m[i] > 0.0f)) continue;   // of the same rays, so that surfaces do not differ
+            // of the same rays, so that surfaces do not differ
+            if (!(frame.scan.range_m[i] > 0.0f)) continue;
             real += std::pow(double(frame.scan.intensity[i] - rendered), 2);
             drawn += std::pow(double(value - rendered), 2);
             n += 1.0;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every loss term in a training: each has a value in the log under its name, with batches that are images and with single rays.
+// Every loss term in a training: each has a value in the log under its name, with batches
+// that are images and with single rays.
 #include <cmath>
 
 #include <relidar/log/dataset.hpp>
@@ -23,15 +24,18 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.loss.chamfer = 0.01f;
         config.loss.normal = batch == "columns" ? 0.05f : 0.0f;
         config.loss.distortion = config.loss.box = config.loss.likelihood = 0.01f;
-        config.loss.box_scale_share = 0.01f;   // so that some surfel is too large
+        config.loss.box_scale_share = 0.01f;  // so that some surfel is too large
         config.train.iterations = 3;
         config.train.rays_per_iteration = 1024;
-        const TrainResult result = train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
+        const TrainResult result = train(device(), street, split_frames(street, 0), config,
+                                         [](const TrainProgress&) { return true; });
         ASSERT_GT(result.scene.models.size(), 1u) << "an actor";
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const double term = result.log.back().terms[k];
-            const bool off = batch == "rays" && (std::string(kLossTermNames[k]) == "ssim" || std::string(kLossTermNames[k]) == "normal");
-            EXPECT_TRUE(std::isfinite(term) && (term > 0.0) != off) << kLossTermNames[k] << " " << term << ", " << batch;
+            const bool off = batch == "rays" && (std::string(kLossTermNames[k]) == "ssim" ||
+                                                 std::string(kLossTermNames[k]) == "normal");
+            EXPECT_TRUE(std::isfinite(term) && (term > 0.0) != off)
+                << kLossTermNames[k] << " " << term << ", " << batch;
         }
     }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// An iteration is recorded and submitted, nothing else: the host neither waits until the device has nothing left to do nor allocates
-// device memory, and what it must know of an iteration it still learns, a bounded number of iterations later.
+// An iteration is recorded and submitted, nothing else: the host neither waits until the
+// device has nothing left to do nor allocates device memory, and what it must know of an
+// iteration it still learns, a bounded number of iterations later.
 #include <algorithm>
 #include <limits>
 
@@ -42,9 +43,9 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         const auto iterate = [&](int from, int to) {
             for (int step = from; step <= to; ++step) loop.iterate(step, step % 7 == 0 && step < 75);
         };
-        iterate(1, 12);   // every frame was seen: arrays have their sizes
+        iterate(1, 12);  // every frame was seen: arrays have their sizes
         const std::uint64_t buffers = d.n_buffers, waits = d.n_full_waits;
-        iterate(13, 150);   // over lines of the log, a report that is full, and looks at the tree
+        iterate(13, 150);  // over lines of the log, a report that is full, and looks at the tree
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
         EXPECT_EQ(loop.take_lines().size(), 10u);
@@ -58,14 +59,15 @@ TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     int poisoned_step = 1;
     while (sampler.next() != 3) ++poisoned_step, sampler.random().next();
     Frame& frame = street.frames[std::size_t(split.train[3])];
-    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(), std::numeric_limits<float>::quiet_NaN());
+    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
+              std::numeric_limits<float>::quiet_NaN());
     TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
     int step = 0;
     const std::string message = error_message<DataError>([&] {
         while (step < 150) loop.iterate(++step);
     });
-    EXPECT_EQ(message.rfind("training, iteration " + std::to_string(poisoned_step) + ", frame " + std::to_string(frame.index) +
-                                ": the intensity loss is ",
+    EXPECT_EQ(message.rfind("training, iteration " + std::to_string(poisoned_step) + ", frame " +
+                                std::to_string(frame.index) + ": the intensity loss is ",
                             0),
               0u)
         << message;

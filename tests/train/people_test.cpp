@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// People as actors: on held-out frames they return about as often as they did, and what is masked instead is told.
+// People as actors: on held-out frames they return about as often as they did, and what
+// is masked instead is told.
 #include <cstdio>
 #include <map>
 #include <utility>
@@ -15,15 +16,17 @@ namespace {
 
 class People : public test::DeviceTest {};
 
-/// Points in a box, grown by a margin that labels and surfels need. @param range_m, returned [rays] of the frame
+/// Points in a box, grown by a margin that labels and surfels need. @param range_m,
+/// returned [rays] of the frame
 template <class Returned>
-int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box, const std::vector<float>& range_m,
-               const Returned& returned) {
+int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
+               const std::vector<float>& range_m, const Returned& returned) {
     int n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!returned(i)) continue;
         const WorldRay ray = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
-        n += box.holds(ray.origin_m + double(range_m[i]) * ray.direction, frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1);
+        n += box.holds(ray.origin_m + double(range_m[i]) * ray.direction,
+                       frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1);
     }
     return n;
 }
@@ -34,31 +37,38 @@ BoxTrack above_ground(BoxTrack box) {
     return box;
 }
 
-/// By the surface that is met (median range): the mean of the light puts up to a quarter of so slim a thing's points behind it.
+/// By the surface that is met (median range): the mean of the light puts up to a quarter
+/// of so slim a thing's points behind it.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
-    const Sequence street = make_synthetic_street(
-        {.seed = 3, .n_frames = 20, .rows = 64, .columns = 512, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true});
+    const Sequence street = make_synthetic_street({.seed = 3,
+                                                   .n_frames = 20,
+                                                   .rows = 64,
+                                                   .columns = 512,
+                                                   .range_noise_m = 0.01,
+                                                   .speed_mps = 5.0,
+                                                   .people = true});
     const Split split = split_frames(street, 6);
     Config config = make_preset("quick");
     config.train.iterations = 110;
     config.train.rays_per_iteration = 8192;
     config.train.refine_poses = "none";
-    const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result =
+        train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
-    std::map<std::string, std::pair<int, int>> counts;   // real, simulated
+    std::map<std::string, std::pair<int, int>> counts;  // real, simulated
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         for (const BoxTrack& labelled : street.boxes) {
             if (labelled.category == "Car") continue;
             const BoxTrack box = above_ground(labelled);
-            const int real =
-                returns_in(street, frame, box, to_vector(frame.scan.range_m), [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
+            const int real = returns_in(street, frame, box, to_vector(frame.scan.range_m),
+                                        [&](std::size_t i) { return frame.scan.range_m[i] > 0.0f; });
             const int simulated = returns_in(street, frame, box, scan.median_range_m, [&](std::size_t i) {
                 return scan.median_range_m[i] > 0.0f && scan.image.drop_prob[i] < 0.5f;
             });
-            std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index, labelled.category.c_str(), labelled.id.c_str(),
-                        real, simulated);
+            std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index,
+                        labelled.category.c_str(), labelled.id.c_str(), real, simulated);
             counts[labelled.category].first += real;
             counts[labelled.category].second += simulated;
         }
@@ -71,7 +81,8 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
 }
 
 TEST_F(People, WhoAreMaskedAreTold) {
-    const Sequence street = make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
+    const Sequence street =
+        make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.init.actor_classes = "Car";
@@ -79,9 +90,12 @@ TEST_F(People, WhoAreMaskedAreTold) {
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& line) { notes.push_back(line); };
-    train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; }, session);
+    train(
+        device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; },
+        session);
     ASSERT_EQ(notes.size(), 1u);
-    EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"), std::string::npos) << notes[0];
+    EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"), std::string::npos)
+        << notes[0];
 }
 
 }  // namespace

@@ -16,13 +16,15 @@ class PlaceHeldOut : public test::DeviceTest {};
 /// Trained with exact poses.
 Run trained_run(Device& device) {
     Run run;
-    run.sequence = make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 48, .columns = 512, .range_noise_m = 0.01});
+    run.sequence =
+        make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 48, .columns = 512, .range_noise_m = 0.01});
     run.split = split_frames(run.sequence, 4);
     run.config = make_preset("quick");
     run.config.train.iterations = 60;
     run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
-    run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
+    run.scene =
+        train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
     run.config.train.refine_poses = "sensor";
     return run;
 }
@@ -39,7 +41,8 @@ Run off_run(Device& device, const Twist& off) {
 }
 
 TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
-    const PoseTrack exact = make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
+    const PoseTrack exact =
+        make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
     const Twist off{0.03, -0.02, 0.02, 1e-3, -2e-3, 2e-3};
     relidar::Run run = off_run(device(), off);
     const relidar::Run before = run;

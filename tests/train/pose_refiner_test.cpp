@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pose refinement: moved rays (train/move_rays) against world_ray of the corrected track, gradients of the poses (train/knot_gradients)
-// against central differences through it,
-// Adam on a track, and the synthetic street with poses that are wrong by 5 cm and 0.3 degrees.
+// Pose refinement: moved rays (train/move_rays) against world_ray of the corrected track,
+// gradients of the poses (train/knot_gradients) against central differences through it,
+// Adam on a track, and the synthetic street with poses that are wrong by 5 cm and 0.3
+// degrees.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -15,24 +16,25 @@
 
 #include "../log/registration/street_poses.hpp"
 #include "../support/device.hpp"
+#include "train/frames/training_frames.hpp"
 #include "train/poses/moved_rays.hpp"
 #include "train/poses/pose_refiner.hpp"
-#include "train/frames/training_frames.hpp"
 
 namespace relidar {
 namespace {
 
 class Poses : public test::DeviceTest {};
 
-using test::PoseError;
 using test::error_of;
 using test::perturbed;
+using test::PoseError;
 
 constexpr double kDegree = kPi / 180.0;
 
 Sequence street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
     SyntheticOptions options;
-    options.n_frames = n_frames, options.rows = rows, options.columns = columns, options.moving_cars = moving_cars;
+    options.n_frames = n_frames, options.rows = rows, options.columns = columns,
+    options.moving_cars = moving_cars;
     return make_synthetic_street(options);
 }
 
@@ -44,11 +46,13 @@ Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     return twist;
 }
 
-/// A correction of every pose, as training would leave it: each pose is stepped once towards minus its sign.
+/// A correction of every pose, as training would leave it: each pose is stepped once
+/// towards minus its sign.
 TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& random) {
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
-        for (std::size_t k = 0; k < track.pose.size(); ++k) correction.add_gradient(k, 1.0, random_twist(random, 1.0, 1.0));
+        for (std::size_t k = 0; k < track.pose.size(); ++k)
+            correction.add_gradient(k, 1.0, random_twist(random, 1.0, 1.0));
         correction.step({.rate_m = 0.05, .rate_rad = 0.005});
     }
     return correction;
@@ -76,7 +80,8 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
                 const WorldRay expected = world_ray(corrected, frame.time_s, frame.scan.rays, i, rolling),
-                               uncorrected = world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, rolling);
+                               uncorrected = world_ray(street.world_from_vehicle, frame.time_s,
+                                                       frame.scan.rays, i, rolling);
                 farthest = std::max({farthest, glm::length(expected.origin_m - glm::dvec3(moved[i].origin)),
                                      glm::length(expected.direction - glm::dvec3(moved[i].direction))});
                 base = std::max(base, glm::length(expected.origin_m - uncorrected.origin_m));
@@ -87,7 +92,8 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     }
 }
 
-/// L = sum a . origin' + b . direction' over the batch, differentiated through the corrected track in double.
+/// L = sum a . origin' + b . direction' over the batch, differentiated through the
+/// corrected track in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
     const Sequence street = street_of(5, 8, 64);
     TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
@@ -99,26 +105,31 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     Random draw(5);
     for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
         Config config;
-        config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f, config.train.rays_per_iteration = 130;
+        config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f,
+        config.train.rays_per_iteration = 130;
         BatchSampler sampler(device(), config, frames.all());
         rays.move(stream, correction, frames[f]);
         const SampledBatch batch = sampler.sample(stream, frames[f], draw);
         std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
         for (float& x : upstream) x = normal(random);
-        const Array<float, shared::DeviceRayGradients> d_rays(device(), std::span<const float>(upstream), "ray gradients");
+        const Array<float, shared::DeviceRayGradients> d_rays(device(), std::span<const float>(upstream),
+                                                              "ray gradients");
         rays.sum_gradients(stream, frames[f], batch, d_rays);
         stream.finish();
-        const std::vector<PoseGradient> actual = rays.gradients_in(rays.gradient_rows().download(), frames[f]);
+        const std::vector<PoseGradient> actual =
+            rays.gradients_in(rays.gradient_rows().download(), frames[f]);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
         const std::vector<DeviceRay> all = frames[f].rays().download(frames[f].n_rays);
         const Frame& frame = street.frames[std::size_t(frames[f].position)];
-        std::vector<std::size_t> ids;   // by where the batch's rays lie among the frame's
+        std::vector<std::size_t> ids;  // by where the batch's rays lie among the frame's
         for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
             const DeviceRay& ray = batch_rays[batch.rays.first + std::size_t(k) * batch.rays.stride];
-            ids.push_back(
-                std::size_t(std::find_if(all.begin(), all.end(),
-                                         [&](const DeviceRay& r) { return r.direction == ray.direction && r.origin == ray.origin; }) -
-                            all.begin()));
+            ids.push_back(std::size_t(std::find_if(all.begin(), all.end(),
+                                                   [&](const DeviceRay& r) {
+                                                       return r.direction == ray.direction &&
+                                                              r.origin == ray.origin;
+                                                   }) -
+                                      all.begin()));
         }
         const auto loss = [&](const PoseTrack& track) {
             double sum = 0.0;
@@ -149,7 +160,8 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// A quadratic bowl around known corrections, seen through interpolation at two times a frame.
+/// A quadratic bowl around known corrections, seen through interpolation at two times a
+/// frame.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);
@@ -162,7 +174,7 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
     TrackCorrection correction(track);
     for (int i = 0; i < 2000; ++i) {
         for (std::size_t k = 0; k < 8; ++k) {
-            if (k == 5) continue;   // held out
+            if (k == 5) continue;  // held out
             Twist g;
             for (std::size_t j = 0; j < 6; ++j) g[j] = correction.at(k)[j] - wanted[k][j];
             correction.add_gradient(k, 1.0, g);
@@ -171,7 +183,9 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
     }
     for (std::size_t k = 0; k < 8; ++k)
         for (std::size_t j = 0; j < 6; ++j)
-            EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j], j < 3 ? 1e-3 : 1e-4) << k;
+            EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j],
+                        j < 3 ? 1e-3 : 1e-4)
+                << k;
     TrackCorrection strict(track);
     for (int i = 0; i < 200; ++i) {
         strict.add_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
@@ -198,10 +212,12 @@ std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config&
     const Split split = split_frames(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log(street, split, config);
-    const TrainResult result = train(device, street, split, config, [](const TrainProgress&) { return true; });
-    const std::pair<PoseError, PoseError> errors{before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
-    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", what, errors.first.median_m, errors.first.median_deg,
-                errors.second.median_m, errors.second.median_deg);
+    const TrainResult result =
+        train(device, street, split, config, [](const TrainProgress&) { return true; });
+    const std::pair<PoseError, PoseError> errors{
+        before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
+    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", what, errors.first.median_m,
+                errors.first.median_deg, errors.second.median_m, errors.second.median_deg);
     return errors;
 }
 
@@ -216,12 +232,14 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
 
 /// 5 cm and 0.3 degrees of noise end within 1 cm and 0.05 degrees.
 TEST_F(Poses, OfTheSensorComeBack) {
-    const PoseError after = errors_of_training(device(), refining("sensor", 40), "registration and gradients").second;
+    const PoseError after =
+        errors_of_training(device(), refining("sensor", 40), "registration and gradients").second;
     EXPECT_LT(after.median_m, 0.01);
     EXPECT_LT(after.median_deg, 0.05);
 }
 
-/// Of every scan the rays that end near a box: the others say nothing about it and cost most of the time.
+/// Of every scan the rays that end near a box: the others say nothing about it and cost
+/// most of the time.
 void keep_rays_near_boxes(Sequence& street, double margin_m) {
     for (Frame& frame : street.frames) {
         Scan& scan = frame.scan;
@@ -232,12 +250,14 @@ void keep_rays_near_boxes(Sequence& street, double margin_m) {
                              [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, margin_m); }))
                 continue;
             scan.rays.origin[n] = scan.rays.origin[ray], scan.rays.direction[n] = scan.rays.direction[ray];
-            scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray], scan.rays.channel[n] = scan.rays.channel[ray];
+            scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray],
+            scan.rays.channel[n] = scan.rays.channel[ray];
             scan.range_m[n] = scan.range_m[ray], scan.intensity[n] = scan.intensity[ray];
             ++n;
         }
         scan.rays.rows = 1, scan.rays.columns = int(n);
-        scan.rays.origin.resize(n), scan.rays.direction.resize(n), scan.rays.time_offset_s.resize(n), scan.rays.channel.resize(n);
+        scan.rays.origin.resize(n), scan.rays.direction.resize(n), scan.rays.time_offset_s.resize(n),
+            scan.rays.channel.resize(n);
         scan.range_m.resize(n), scan.intensity.resize(n);
     }
 }
@@ -253,22 +273,26 @@ TEST_F(Poses, OfTheActorsComeBack) {
     Config config = refining("actors", 160);
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
-    config.init.scale_factor = 0.8;   // few points on a car: no holes between them
-    const TrainResult result = train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
+    config.init.scale_factor = 0.8;  // few points on a car: no holes between them
+    const TrainResult result =
+        train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
     ASSERT_TRUE(result.poses);
     const std::vector<int> all{0, 1, 2, 3, 4, 5, 6};
     for (std::size_t b = 0; b < exact.size(); ++b) {
         const PoseError before = error_of(street.boxes[b].world_from_box, exact[b].world_from_box, all),
                         after = error_of(result.poses->boxes[b].world_from_box, exact[b].world_from_box, all);
-        std::printf("box %s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", exact[b].id.c_str(), before.median_m, before.median_deg,
-                    after.median_m, after.median_deg);
+        std::printf("box %s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", exact[b].id.c_str(),
+                    before.median_m, before.median_deg, after.median_m, after.median_deg);
         EXPECT_LT(after.median_m, 0.5 * before.median_m);
     }
 }
 
 TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     const Sequence street = street_of(4, 8, 64, true);
-    EXPECT_FALSE(train(device(), street, split_frames(street, 0), refining("none", 2), [](const TrainProgress&) { return true; }).poses);
+    EXPECT_FALSE(
+        train(device(), street, split_frames(street, 0), refining("none", 2), [](const TrainProgress&) {
+            return true;
+        }).poses);
     Config config;
     EXPECT_THROW(set_key(config, "train.refine_poses", "sensors"), UsageError);
     std::vector<std::string> notes;
@@ -276,20 +300,24 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     session.note = [&](const std::string& note) { notes.push_back(note); };
     config = refining("actors", 2);
     config.init.actor_classes = "", config.init.mask_others = false;
-    train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; }, session);
+    train(
+        device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; },
+        session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];
 }
 
-/// Nothing tells where a single sweep was: a pose that follows its own scene takes it away from those of the other sweeps.
+/// Nothing tells where a single sweep was: a pose that follows its own scene takes it
+/// away from those of the other sweeps.
 TEST_F(Poses, OfASingleSweepStays) {
     const Sequence street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
     const auto poses = [&](const std::string& held_out) {
-        return train(device(), street, split_frames(street, 0, held_out), refining("sensor", 2), [](const TrainProgress&) { return true; },
-                     session)
+        return train(
+                   device(), street, split_frames(street, 0, held_out), refining("sensor", 2),
+                   [](const TrainProgress&) { return true; }, session)
             .poses;
     };
     EXPECT_FALSE(poses("0:2,3"));

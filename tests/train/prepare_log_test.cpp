@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log that several processes prepare together, here threads: all end with what one process finds, to the bit.
+// A log that several processes prepare together, here threads: all end with what one
+// process finds, to the bit.
 #include <cmath>
 #include <condition_variable>
 #include <map>
@@ -29,16 +30,17 @@ public:
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)
-            for (std::size_t rank = 0; rank < part.size(); ++rank) bytes[rank] += part.back().empty() ? 0 : part[rank].size();
+            for (std::size_t rank = 0; rank < part.size(); ++rank)
+                bytes[rank] += part.back().empty() ? 0 : part[rank].size();
         return bytes;
     }
 
 private:
     int size_;
-    std::vector<std::size_t> turns_of_;   // ranks: turns that each has had
+    std::vector<std::size_t> turns_of_;  // ranks: turns that each has had
     std::mutex mutex_;
     std::condition_variable all_here_;
-    std::map<std::size_t, std::vector<std::string>> parts_;   // [rank] by turn
+    std::map<std::size_t, std::vector<std::string>> parts_;  // [rank] by turn
     std::map<std::size_t, int> n_here_;
 
     std::string gather(std::size_t rank, const std::string& own) {
@@ -56,16 +58,20 @@ private:
     }
 };
 
-/// Long enough for two stretches. Its poses drift, its movers have no label, its beams are off.
+/// Long enough for two stretches. Its poses drift, its movers have no label, its beams
+/// are off.
 Sequence street(int n_frames = 400) {
-    Sequence street = make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 128, .range_noise_m = 0.01});
+    Sequence street =
+        make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 128, .range_noise_m = 0.01});
     street.boxes.clear();
     PoseTrack track = street.world_from_vehicle;
-    for (std::size_t k = 0; k < track.pose.size(); ++k) track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));
+    for (std::size_t k = 0; k < track.pose.size(); ++k)
+        track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));
     set_vehicle_poses(street, track);
     for (Frame& frame : street.frames)
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
-            if (frame.scan.range_m[ray] > 0.0f) frame.scan.range_m[ray] += 0.04f * float(frame.scan.rays.channel[ray] % 3);
+            if (frame.scan.range_m[ray] > 0.0f)
+                frame.scan.range_m[ray] += 0.04f * float(frame.scan.rays.channel[ray] % 3);
     return street;
 }
 
@@ -77,7 +83,8 @@ std::vector<double> numbers(const Pose& pose) {
 
 void expect_same(const Sequence& a, const Sequence& b) {
     for (std::size_t k = 0; k < a.world_from_vehicle.pose.size(); ++k)
-        ASSERT_EQ(numbers(a.world_from_vehicle.pose[k]), numbers(b.world_from_vehicle.pose[k])) << "pose " << k;
+        ASSERT_EQ(numbers(a.world_from_vehicle.pose[k]), numbers(b.world_from_vehicle.pose[k]))
+            << "pose " << k;
     const std::vector<Beam>&beams = a.lidars[0].sensor.beams, &others = b.lidars[0].sensor.beams;
     for (std::size_t i = 0; i < beams.size(); ++i) {
         EXPECT_EQ(beams[i].range_offset_m, others[i].range_offset_m) << "beam " << i;
@@ -109,7 +116,8 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     prepare_log(alone, split, config, {[&](const std::string& line) { told_alone.push_back(line); }, {}, {}});
     ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
-    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50])) << "no pose is registered";
+    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50]))
+        << "no pose is registered";
     constexpr int kSize = 3;
     GroupOfThreads group(kSize);
     std::vector<Sequence> logs(std::size_t(kSize), given);
@@ -118,12 +126,14 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     for (int rank = 0; rank < kSize; ++rank)
         processes.emplace_back([&, rank] {
             const auto tell = [&, rank](const std::string& line) { told[std::size_t(rank)].push_back(line); };
-            prepare_log(logs[std::size_t(rank)], split, config, {.tell = tell, .stop = {}, .group = group.of(rank)});
+            prepare_log(logs[std::size_t(rank)], split, config,
+                        {.tell = tell, .stop = {}, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
     for (const Sequence& log : logs) expect_same(log, alone);
     EXPECT_EQ(told[0], told_alone);
-    for (int rank = 1; rank < kSize; ++rank) EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
+    for (int rank = 1; rank < kSize; ++rank)
+        EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
     for (const std::size_t bytes : group.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
 }
 
@@ -141,7 +151,7 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
         return at == std::string::npos ? std::string() : told.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    Sequence bad = good;   // each second pose is a metre too far ahead
+    Sequence bad = good;  // each second pose is a metre too far ahead
     for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
         bad.world_from_vehicle.pose[k].translation.x += 1.0;
     const std::string warning = warning_of(bad);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The last stage of training on a street whose sensor is weak downwards: what no surfel can know, as the vehicle drives past, the network
-// knows on held-out frames.
+// The last stage of training on a street whose sensor is weak downwards: what no surfel
+// can know, as the vehicle drives past, the network knows on held-out frames.
 #include <cmath>
 #include <filesystem>
 #include <string>
@@ -31,14 +31,15 @@ bool is_weak(const glm::vec3& direction) { return direction.z < 0.0f; }
 /// Not where the weak beams begin, which few steps leave soft.
 bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
-/// Nothing comes back from beyond 9 m of the rays that look down; what lies there returns when it is nearer. The sensor does it, not the
-/// scene.
+/// Nothing comes back from beyond 9 m of the rays that look down; what lies there returns
+/// when it is nearer. The sensor does it, not the scene.
 Sequence weak_street() {
     Sequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
     for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m) frame.scan.range_m[i] = 0.0f;
+            if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m)
+                frame.scan.range_m[i] = 0.0f;
     return street;
 }
 
@@ -50,12 +51,16 @@ Run trained(Device& device, Sequence street) {
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
-    run.config.init.flatness = 1.0;   // the network is tested: in so few steps it learns less beside discs that face the sensor
-    // neither the table of what the sensor never sees nor harmonics, which know from where a surface is seen, are to know a part of it
+    // the network is tested: in so few steps it learns less beside discs that face the
+    // sensor
+    run.config.init.flatness = 1.0;
+    // neither the table of what the sensor never sees nor harmonics, which know from
+    // where a surface is seen, are to know a part of it
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
-    run.scene = train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
-    run.config.init.flatness = make_preset("quick").init.flatness;   // other constants cannot be saved
+    run.scene =
+        train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
+    run.config.init.flatness = make_preset("quick").init.flatness;  // other constants cannot be saved
     return run;
 }
 
@@ -70,14 +75,15 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Share of the pixels whose drop is right on held-out frames: those of well weak beams that meet a surface near its reach or
-/// beyond, and all others.
+/// Share of the pixels whose drop is right on held-out frames: those of well weak beams
+/// that meet a surface near its reach or beyond, and all others.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const RenderedScan scan = renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
+        const RenderedScan scan =
+            renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const bool is_far = scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
             const bool of_weak = is_far && is_well_inside(frame.scan.rays.direction[i]);
@@ -109,19 +115,22 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     const auto [weak_before, others_before] = accuracies(device(), run);
     run.drop_network = refine_drops(device(), run);
     const auto [weak_after, others_after] = accuracies(device(), run);
-    EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before)) << weak_before << " before, " << weak_after << " after";
+    EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before))
+        << weak_before << " before, " << weak_after << " after";
     EXPECT_GT(others_after, others_before) << "what training has not finished is corrected, too";
     run.config.refine.enabled = false;
     EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
 /// Share of a sensor's rays whose drop is as the street has it, exactly.
-double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run, const SensorChoice& sensor) {
+double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
+                      const SensorChoice& sensor) {
     double n = 0.0, right = 0.0;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
         const RenderedScan scan = renderer.render(sensor, time_s);
-        const Scan exact = cast_synthetic_street(options, sensor.rays, run.sequence.world_from_sensor(0), time_s);
+        const Scan exact =
+            cast_synthetic_street(options, sensor.rays, run.sequence.world_from_sensor(0), time_s);
         for (std::size_t i = 0; i < exact.range_m.size(); ++i, n += 1.0)
             right += (scan.image.drop_prob[i] > 0.5f) == !sensor.limits.contains(exact.range_m[i]);
     }
@@ -129,7 +138,8 @@ double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, c
 }
 
 TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
-    const SyntheticOptions options{.seed = 6, .n_frames = 16, .rows = 48, .columns = 512, .speed_mps = 4.0, .people = true};
+    const SyntheticOptions options{
+        .seed = 6, .n_frames = 16, .rows = 48, .columns = 512, .speed_mps = 4.0, .people = true};
     relidar::Run run = trained(device(), make_synthetic_street(options));
     run.config.refine.epochs = 6;
     const SensorChoice sensor = choose_sensor("VLP-32C", run.config, run.sequence);
@@ -148,7 +158,8 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     run.drop_network = refine_drops(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
-    const SensorChoice grid = configured_sensor(run.config, run.sequence), native = choose_sensor("native", run.config, run.sequence);
+    const SensorChoice grid = configured_sensor(run.config, run.sequence),
+                       native = choose_sensor("native", run.config, run.sequence);
     EXPECT_TRUE(renderer.refines(grid));
     EXPECT_FALSE(renderer.refines(native));
     renderer.want_channels("surfel_drop_prob");
@@ -162,7 +173,8 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
 }
 
 /// Trains until so many steps are done, with checkpoints in a folder.
-void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder, const Checkpoint* start = nullptr) {
+void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder,
+                 const Checkpoint* start = nullptr) {
     int done = 0;
     RefineSession session;
     session.step = [&](const RefineProgress& p) { done = p.step; };
@@ -174,12 +186,14 @@ void train_until(Device& device, const Run& run, int step, const std::filesystem
 }
 
 Checkpoint newest(const std::filesystem::path& folder) {
-    std::optional<Checkpoint> found = load_newest_checkpoint(folder, [](const std::string& line) { ADD_FAILURE() << line; });
+    std::optional<Checkpoint> found =
+        load_newest_checkpoint(folder, [](const std::string& line) { ADD_FAILURE() << line; });
     if (!found) throw DataError("no checkpoint in " + folder.string());
     return std::move(*found);
 }
 
-/// Two epochs and one step, the rest of two more, and all four at once; what was saved and read again goes on, too.
+/// Two epochs and one step, the rest of two more, and all four at once; what was saved
+/// and read again goes on, too.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 4;
@@ -188,7 +202,8 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     const DropNetwork expected = refine_drops(device(), run);
     const int of_epoch = run.config.refine.frames;
     train_until(device(), run, 2 * of_epoch + 1, checkpoints);
-    EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u) << "of the second epoch's end and of where it stopped";
+    EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u)
+        << "of the second epoch's end and of where it stopped";
     const Checkpoint half = newest(checkpoints);
     EXPECT_EQ(half.iteration, 2 * of_epoch + 1);
     EXPECT_EQ(read_checkpoint(list_checkpoints(checkpoints).front()).iteration, 2 * of_epoch);
@@ -205,7 +220,8 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
 
     train_until(device(), run, 3 * of_epoch, checkpoints, &half);
     const Checkpoint later = newest(checkpoints);
-    EXPECT_EQ(refine_drops(device(), run, {.start = &later}).parameters, expected.parameters) << "stopped twice";
+    EXPECT_EQ(refine_drops(device(), run, {.start = &later}).parameters, expected.parameters)
+        << "stopped twice";
 }
 
 TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
@@ -225,14 +241,17 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     relidar::Run other = run;
     other.config.refine.rate = 0.5;
     EXPECT_EQ(message(other),
-              "2 resuming the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as in the checkpoint");
+              "2 resuming the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as "
+              "in the checkpoint");
     take_refine_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
-    other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0, other.config.refine.enabled = false;
+    other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0,
+    other.config.refine.enabled = false;
     check_refine_resumable(checkpoint, other);
     other = run;
     other.scene.surfels.sh[5] += 0.001f;
-    EXPECT_THAT(message(other), ::testing::HasSubstr("3 resuming the ray-drop network from step 2: the scene: found"));
+    EXPECT_THAT(message(other),
+                ::testing::HasSubstr("3 resuming the ray-drop network from step 2: the scene: found"));
     other = run;
     other.sequence.frames[std::size_t(run.split.train[3])].scan.range_m[7] += 0.5f;
     EXPECT_THAT(message(other), ::testing::HasSubstr("the log's scans: found"));
@@ -259,8 +278,10 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     relidar::Run run = weak_run(device());
     int asked = 0;
-    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++asked > 15; }}).empty()) << "in the network's training";
-    EXPECT_TRUE(refine_drops(device(), run, {.stop = [] { return true; }}).empty()) << "while frames are rendered";
+    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++asked > 15; }}).empty())
+        << "in the network's training";
+    EXPECT_TRUE(refine_drops(device(), run, {.stop = [] { return true; }}).empty())
+        << "while frames are rendered";
     const auto message = [&] {
         try {
             refine_drops(device(), run);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A training that was stopped and resumed is the training that was not: same frames in the same order, same log, same scene. And whatever
-// goes wrong on the way, the last good checkpoint is there.
+// A training that was stopped and resumed is the training that was not: same frames in
+// the same order, same log, same scene. And whatever goes wrong on the way, the last good
+// checkpoint is there.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -26,21 +27,22 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kIterations = 40;
-constexpr int kStoppedAfter = 17;   // between two lines of the log, and within an epoch of ten frames
+constexpr int kStoppedAfter = 17;  // between two lines of the log, and within an epoch of ten frames
 
 Config resumed_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
-    config.train.rays_per_iteration = 1000;   // a fourth of a frame: which rays is drawn too
+    config.train.rays_per_iteration = 1000;  // a fourth of a frame: which rays is drawn too
     config.train.sh_degree_interval = 10;
     config.train.log_every = 10;
     config.train.checkpoint_minutes = 0.0;
     return config;
 }
 
-/// How far two trainings of the same steps may be apart, as a share of how far training moved the parameters: float atomics add in any
-/// order, and what they do to the last bits grows. With train.deterministic no bit may differ.
+/// How far two trainings of the same steps may be apart, as a share of how far training
+/// moved the parameters: float atomics add in any order, and what they do to the last
+/// bits grows. With train.deterministic no bit may differ.
 constexpr double kApart = 0.01;
 
 double distance(const std::vector<float>& a, const std::vector<float>& b) {
@@ -49,13 +51,17 @@ double distance(const std::vector<float>& a, const std::vector<float>& b) {
     return std::sqrt(sum);
 }
 
-std::vector<float> flat(const std::vector<glm::vec3>& values) { return {&values.data()->x, &values.data()->x + 3 * values.size()}; }
+std::vector<float> flat(const std::vector<glm::vec3>& values) {
+    return {&values.data()->x, &values.data()->x + 3 * values.size()};
+}
 
 /// Groups whose rates differ by orders of magnitude, each on its own.
 void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
     ASSERT_EQ(a.surfels.size(), b.surfels.size());
-    const auto compare = [](const char* name, const std::vector<float>& x, const std::vector<float>& y, const std::vector<float>& start) {
-        std::printf("%s: %g apart, as a share of what training moved\n", name, distance(x, y) / distance(x, start));
+    const auto compare = [](const char* name, const std::vector<float>& x, const std::vector<float>& y,
+                            const std::vector<float>& start) {
+        std::printf("%s: %g apart, as a share of what training moved\n", name,
+                    distance(x, y) / distance(x, start));
         EXPECT_GT(distance(x, start), 0.0) << name;
         EXPECT_LE(distance(x, y), kApart * distance(x, start)) << name;
     };
@@ -66,8 +72,8 @@ void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
 
 void expect_equal_bits(const Scene& a, const Scene& b) {
     const Surfels &x = a.surfels, &y = b.surfels;
-    EXPECT_TRUE(x.mean == y.mean && x.rotation == y.rotation && x.log_scale == y.log_scale && x.opacity_logit == y.opacity_logit &&
-                x.sh == y.sh && x.log_scale_w == y.log_scale_w);
+    EXPECT_TRUE(x.mean == y.mean && x.rotation == y.rotation && x.log_scale == y.log_scale &&
+                x.opacity_logit == y.opacity_logit && x.sh == y.sh && x.log_scale_w == y.log_scale_w);
 }
 
 class Resume : public test::DeviceTest {
@@ -90,7 +96,8 @@ protected:
         int calls = 0;
         TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; },
                              [this](const std::string& note) { notes.push_back(note); }};
-        return train(device(), street, split, config, [](const TrainProgress&) { return true; }, session);
+        return train(
+            device(), street, split, config, [](const TrainProgress&) { return true; }, session);
     }
     std::optional<Checkpoint> newest() {
         return load_newest_checkpoint(folder, [this](const std::string& note) { notes.push_back(note); });
@@ -143,12 +150,14 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     EXPECT_EQ(resumed.scene.sensor_drop.probability.size(), whole.scene.sensor_drop.probability.size());
 }
 
-/// In a fixed order of sums not a bit differs, also where surfels have been added and removed before the stop, between it and the next
-/// line of the log, and after.
+/// In a fixed order of sums not a bit differs, also where surfels have been added and
+/// removed before the stop, between it and the next line of the log, and after.
 TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
-    for (const auto& [strategy, primitive] :
-         {std::pair{none, Primitive::surfel}, {adaptive, Primitive::surfel}, {mcmc, Primitive::surfel}, {adaptive, Primitive::gaussian}}) {
+    for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel},
+                                              {adaptive, Primitive::surfel},
+                                              {mcmc, Primitive::surfel},
+                                              {adaptive, Primitive::gaussian}}) {
         Config config = resumed_config();
         config.image.primitive = primitive;
         config.train.deterministic = true;
@@ -166,16 +175,20 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         for (std::size_t i = 0; i < whole.log.size(); ++i) {
             EXPECT_EQ(resumed.log[i].n_surfels, whole.log[i].n_surfels);
             for (const auto& [name, count] : kDensifyCounts)
-                EXPECT_EQ(resumed.log[i].densified.*count, whole.log[i].densified.*count) << name << ", line " << i;
+                EXPECT_EQ(resumed.log[i].densified.*count, whole.log[i].densified.*count)
+                    << name << ", line " << i;
             changed += whole.log[i].densified.added > 0;
         }
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
-        EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels, strategy != DensifyStrategy::none) << "before the stop";
+        EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels,
+                  strategy != DensifyStrategy::none)
+            << "before the stop";
         fs::remove_all(folder);
     }
 }
 
-/// What was estimated from the log is estimated again, to the same bits: a training with it resumes like any other.
+/// What was estimated from the log is estimated again, to the same bits: a training with
+/// it resumes like any other.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
     const Sequence given = street;
@@ -200,7 +213,8 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     const TrainResult resumed = run(config, &*checkpoint);
     expect_equal_bits(resumed.scene, whole.scene);
     for (std::size_t k = 0; k < street.frames.size(); ++k)
-        EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation, whole.poses->world_from_vehicle.pose[k].translation);
+        EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation,
+                  whole.poses->world_from_vehicle.pose[k].translation);
     for (std::size_t b = 0; b < street.boxes.size(); ++b)
         for (std::size_t k = 0; k < street.boxes[b].world_from_box.pose.size(); ++k) {
             const glm::dvec3 end = whole.poses->boxes[b].world_from_box.pose[k].translation;
@@ -220,7 +234,8 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     }
 }
 
-/// What is saved is what is restored: a loop with other values takes all of them over, bit by bit.
+/// What is saved is what is restored: a loop with other values takes all of them over,
+/// bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
     Config config = resumed_config();
     config.train.refine_poses = "sensor,actors";
@@ -228,7 +243,8 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     Config other = config;
     other.train.seed = 99;
     const Scene initial = initialise_scene(street, split.train, config.init);
-    TrainLoop trained(device(), street, split, initial, config), fresh(device(), street, split, initial, other);
+    TrainLoop trained(device(), street, split, initial, config),
+        fresh(device(), street, split, initial, other);
     for (int step = 1; step <= kStoppedAfter; ++step) trained.iterate(step);
     Checkpoint saved, again;
     trained.save(saved);
@@ -236,12 +252,18 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     fresh.restore(saved);
     fresh.save(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
-    const auto same = [](const Pose& a, const Pose& b) { return a.rotation == b.rotation && a.translation == b.translation; };
-    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_vehicle.pose, fresh.refined_poses()->world_from_vehicle.pose, same));
-    for (const NamedArray& array : saved.arrays) EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
-    for (const char* name : {"moment1/mean", "moment2/sh", "term_sums", "poses/sensor/correction", "poses/actor 0/correction"}) {
+    const auto same = [](const Pose& a, const Pose& b) {
+        return a.rotation == b.rotation && a.translation == b.translation;
+    };
+    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_vehicle.pose,
+                                   fresh.refined_poses()->world_from_vehicle.pose, same));
+    for (const NamedArray& array : saved.arrays)
+        EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
+    for (const char* name :
+         {"moment1/mean", "moment2/sh", "term_sums", "poses/sensor/correction", "poses/actor 0/correction"}) {
         const std::vector<float> values = saved.array(name).as_float();
-        EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; })) << name << " is saved as zeros";
+        EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; }))
+            << name << " is saved as zeros";
     }
 }
 
@@ -257,8 +279,10 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     ASSERT_TRUE(checkpoint && first.interrupted);
     const TrainResult resumed = run(config, &*checkpoint);
     expect_equal_bits(resumed.scene, whole.scene);
-    const std::vector<Pose>&a = resumed.poses->boxes[0].world_from_box.pose, &b = whole.poses->boxes[0].world_from_box.pose;
-    EXPECT_TRUE(std::ranges::equal(a, b, [](const Pose& x, const Pose& y) { return x.translation == y.translation; }));
+    const std::vector<Pose>&a = resumed.poses->boxes[0].world_from_box.pose,
+          &b = whole.poses->boxes[0].world_from_box.pose;
+    EXPECT_TRUE(std::ranges::equal(
+        a, b, [](const Pose& x, const Pose& y) { return x.translation == y.translation; }));
     EXPECT_NE(b[3].translation, street.boxes[0].world_from_box.pose[3].translation) << "it was refined";
 }
 
@@ -288,7 +312,8 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
         set_key(config, key, value);
         return error_message<UsageError>([&] { check_resumable(start, street, split, config); });
     };
-    EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"), std::string::npos);
+    EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"),
+              std::string::npos);
     EXPECT_NE(setting("train.seed", "2").find("setting train.seed: found 2, expected 1"), std::string::npos);
     EXPECT_NE(setting("train.iterations", "0").find("setting train.iterations: found 0"), std::string::npos);
     Config free = resumed_config();
@@ -301,15 +326,20 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     EXPECT_NO_THROW(check_resumable(start, street, split, free));
 
     Checkpoint other_version = start;
-    const auto error = [&] { return data_error([&] { check_resumable(other_version, street, split, resumed_config()); }); };
+    const auto error = [&] {
+        return data_error([&] { check_resumable(other_version, street, split, resumed_config()); });
+    };
     other_version.texts["setting/train.colour"] = "red";
-    EXPECT_NE(error().find("setting train.colour: unknown key; a checkpoint of another version"), std::string::npos);
+    EXPECT_NE(error().find("setting train.colour: unknown key; a checkpoint of another version"),
+              std::string::npos);
     other_version = start;
     other_version.texts.erase("setting/loss.depth");
-    EXPECT_NE(error().find("setting loss.depth: missing in the checkpoint; a checkpoint of another version"), std::string::npos);
+    EXPECT_NE(error().find("setting loss.depth: missing in the checkpoint; a checkpoint of another version"),
+              std::string::npos);
 
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
-        const std::string message = data_error([&] { check_resumable(start, other, frames, resumed_config()); });
+        const std::string message =
+            data_error([&] { check_resumable(start, other, frames, resumed_config()); });
         EXPECT_NE(message.find(std::string("the log's ") + part), std::string::npos) << message;
     };
     log("training frames", street, split_frames(street, 5));
@@ -324,7 +354,10 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other.boxes[0].size_m.x += 0.1;
     log("boxes", other, split);
     TrainSession session{folder, &start, {}, {}};
-    EXPECT_THROW(train(device(), other, split, resumed_config(), [](const TrainProgress&) { return true; }, session), DataError);
+    EXPECT_THROW(
+        train(
+            device(), other, split, resumed_config(), [](const TrainProgress&) { return true; }, session),
+        DataError);
 }
 
 TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
@@ -339,22 +372,26 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
     }
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
-    EXPECT_NE(notes[0].find("checkpoint of iteration 10 not written, the last one is of iteration 5: writing"), std::string::npos)
+    EXPECT_NE(
+        notes[0].find("checkpoint of iteration 10 not written, the last one is of iteration 5: writing"),
+        std::string::npos)
         << notes[0];
     EXPECT_EQ(newest()->iteration, 5);
-    EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1) << "nothing half written";
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1)
+        << "nothing half written";
 }
 
 /// A frame whose intensities are not numbers: the first time it is drawn ends training.
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const Config config = resumed_config();
     const Scene initial = initialise_scene(street, split.train, config.init);
-    const std::size_t poisoned = 6;   // of the training frames
+    const std::size_t poisoned = 6;  // of the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
     int expected = 1;
     while (sampler.next() != poisoned) ++expected, sampler.random().next();
     Frame& frame = street.frames[std::size_t(split.train[poisoned])];
-    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(), std::numeric_limits<float>::quiet_NaN());
+    std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
+              std::numeric_limits<float>::quiet_NaN());
     TrainLoop loop(device(), street, split, initial, config);
     Checkpoint checkpoint;
     for (int step = 1; step <= 10; ++step) {
@@ -362,8 +399,8 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         if (step == expected - 1) loop.save(checkpoint);
     }
     const std::string message = data_error([&] { loop.settle(); });
-    const std::string wanted =
-        "training, iteration " + std::to_string(expected) + ", frame " + std::to_string(frame.index) + ": the intensity loss is ";
+    const std::string wanted = "training, iteration " + std::to_string(expected) + ", frame " +
+                               std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
     EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;
     EXPECT_NO_THROW(check_finite(checkpoint)) << "of the iteration before";
@@ -372,20 +409,28 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     Config config = resumed_config();
     config.train.checkpoint_every = 1;
-    config.train.scale_rate = 1e39;   // beyond float
+    config.train.scale_rate = 1e39;  // beyond float
     const std::string message = data_error([&] { run(config); });
-    EXPECT_TRUE(std::regex_search(message, std::regex("^training, iteration 1: array parameters/log_scale: row [0-9]+ holds"))) << message;
+    EXPECT_TRUE(std::regex_search(
+        message, std::regex("^training, iteration 1: array parameters/log_scale: row [0-9]+ holds")))
+        << message;
     EXPECT_TRUE(list_checkpoints(folder).empty());
 }
 
-/// Whatever ends training, a lost device or memory exhausted: the last checkpoint is whole, and training goes on from it.
+/// Whatever ends training, a lost device or memory exhausted: the last checkpoint is
+/// whole, and training goes on from it.
 TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
     Config config = resumed_config();
     config.train.checkpoint_every = 5;
     int calls = 0;
     const TrainSession session{
-        folder, nullptr, [&]() -> bool { return ++calls == 13 ? throw DeviceError("out of device memory") : false; }, {}};
-    EXPECT_THROW(train(device(), street, split, config, [](const TrainProgress&) { return true; }, session), DeviceError);
+        folder,
+        nullptr,
+        [&]() -> bool { return ++calls == 13 ? throw DeviceError("out of device memory") : false; },
+        {}};
+    EXPECT_THROW(train(
+                     device(), street, split, config, [](const TrainProgress&) { return true; }, session),
+                 DeviceError);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint);
     EXPECT_EQ(checkpoint->iteration, 10);

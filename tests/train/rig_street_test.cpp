@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Four LiDARs of a rig train one scene; held-out sweeps of each against the street itself, cast along the same rays.
+// Four LiDARs of a rig train one scene; held-out sweeps of each against the street
+// itself, cast along the same rays.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
@@ -17,11 +18,12 @@ namespace {
 class RigStreet : public test::DeviceTest {};
 
 struct Score {
-    std::vector<double> errors_m;   ///< of rays that return in truth and rendering
+    std::vector<double> errors_m;  ///< of rays that return in truth and rendering
     std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
 
     double median_m() {
-        std::nth_element(errors_m.begin(), errors_m.begin() + std::ptrdiff_t(errors_m.size() / 2), errors_m.end());
+        std::nth_element(errors_m.begin(), errors_m.begin() + std::ptrdiff_t(errors_m.size() / 2),
+                         errors_m.end());
         return errors_m[errors_m.size() / 2];
     }
 };
@@ -32,7 +34,8 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
         const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
         ++score.rays;
         score.drops_right += returns == (truth.range_m[i] > 0.0f);
-        if (returns && truth.range_m[i] > 0.0f) score.errors_m.push_back(std::abs(double(range_m[i]) - double(truth.range_m[i])));
+        if (returns && truth.range_m[i] > 0.0f)
+            score.errors_m.push_back(std::abs(double(range_m[i]) - double(truth.range_m[i])));
         if (truth.second_returns.empty()) continue;
         const float is_m = truth.second_returns[0].range_m[i], found_m = scan.second_returns[0].range_m[i];
         const bool right = is_m > 0.0f && found_m > 0.0f &&
@@ -62,7 +65,8 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     ASSERT_EQ(split.test.size(), 4u);
     const Config config = rig_config(100);
     prepare_log(street, split, config, {});
-    const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result =
+        train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
     std::vector<Score> scores(4);
     for (const int position : split.test) {
@@ -79,24 +83,27 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
         drop_outside(truth, street.lidar_of(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }
-    const Score& wide = scores[test::kTwoReturns];   // wanted are 90 % found, 5 % invented; docs/results.md says how far it is from that
+    // wanted are 90 % found, 5 % invented; docs/results.md says how far it is from that
+    const Score& wide = scores[test::kTwoReturns];
     EXPECT_GT(wide.seconds, 200u);
     EXPECT_GT(double(wide.found), 0.45 * double(wide.seconds));
     EXPECT_LT(double(wide.invented), 0.55 * double(wide.reported));
     for (std::size_t l = 0; l < 4; ++l) {
         Score& s = scores[l];
-        std::cout << street.lidars[l].name << ": median " << s.median_m() << " m, drops right " << double(s.drops_right) / double(s.rays)
-                  << ", second returns " << s.seconds << ", found " << s.found << ", of " << s.reported << " reported invented "
-                  << s.invented << "\n";
+        std::cout << street.lidars[l].name << ": median " << s.median_m() << " m, drops right "
+                  << double(s.drops_right) / double(s.rays) << ", second returns " << s.seconds << ", found "
+                  << s.found << ", of " << s.reported << " reported invented " << s.invented << "\n";
         EXPECT_LT(s.median_m(), 0.015) << street.lidars[l].name;
         EXPECT_GT(double(s.drops_right), 0.9 * double(s.rays)) << street.lidars[l].name;
         EXPECT_GT(s.errors_m.size(), s.rays / 3) << street.lidars[l].name;
     }
 }
 
-/// Share of the rays of a sensor that the street returns from the ground, 5 to 25 m away, and an untrained scene does not, seen from the
-/// first held-out frame. @param street  a prepared log
-double missed_ground(Device& device, const Sequence& street, const Split& split, const SyntheticOptions& options, double max_gap_m) {
+/// Share of the rays of a sensor that the street returns from the ground, 5 to 25 m away,
+/// and an untrained scene does not, seen from the first held-out frame. @param street  a
+/// prepared log
+double missed_ground(Device& device, const Sequence& street, const Split& split,
+                     const SyntheticOptions& options, double max_gap_m) {
     Config config = rig_config(0);
     config.init.max_gap_m = max_gap_m;
     const TrainResult result = train(device, street, split, config, {});
@@ -107,7 +114,9 @@ double missed_ground(Device& device, const Sequence& street, const Split& split,
     const Scan truth = cast_synthetic_street(options, sensor.rays, street.world_from_sensor(0), time_s);
     double missed = 0.0, ground = 0.0;
     for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
-        if (truth.range_m[i] < 5.0f || truth.range_m[i] > 25.0f || truth.range_m[i] * sensor.rays.direction[i].z > -1.7f) continue;
+        if (truth.range_m[i] < 5.0f || truth.range_m[i] > 25.0f ||
+            truth.range_m[i] * sensor.rays.direction[i].z > -1.7f)
+            continue;
         ground += 1.0;
         missed += !returned(scan.image.drop_prob[i], scan.median_range_m[i]);
     }
@@ -115,15 +124,18 @@ double missed_ground(Device& device, const Sequence& street, const Split& split,
     return missed / ground;
 }
 
-/// A log of 32 uneven beams for a sensor of 64: the road between their rings is road, too.
+/// A log of 32 uneven beams for a sensor of 64: the road between their rings is road,
+/// too.
 TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
-    const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
+    const std::filesystem::path rig =
+        std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
     Sequence log = make_synthetic_street(options);
-    const Split split = split_frames(log, int(log.frames.size()) / 2);   // held out: the middle and the last
+    const Split split = split_frames(log, int(log.frames.size()) / 2);  // held out: the middle and the last
     prepare_log(log, split, rig_config(0), {});
-    const double with = missed_ground(device(), log, split, options, 2.0), without = missed_ground(device(), log, split, options, 0.0);
+    const double with = missed_ground(device(), log, split, options, 2.0),
+                 without = missed_ground(device(), log, split, options, 0.0);
     std::cout << "ground missed: " << with << ", by round discs " << without << "\n";
     EXPECT_LT(with, 0.1);
     EXPECT_GT(without, 3.0 * with);

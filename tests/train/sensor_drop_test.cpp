@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a sensor never sees, from few sweeps and from many: a blind sector of its own vehicle, and rays that are dropped now and then.
+// What a sensor never sees, from few sweeps and from many: a blind sector of its own
+// vehicle, and rays that are dropped now and then.
 #include "train/drops/sensor_drop.hpp"
 
 #include <cmath>
@@ -10,10 +11,10 @@
 namespace relidar {
 namespace {
 
-constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;   // of beam 1
+constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // of beam 1
 
-/// Sweeps of four beams, every `step`-th column: the second is blind in a sector, the third drops each seventh ray, and the fourth six of
-/// each 24, as windows do.
+/// Sweeps of four beams, every `step`-th column: the second is blind in a sector, the
+/// third drops each seventh ray, and the fourth six of each 24, as windows do.
 Sequence log_of(int n_frames, int step = 1) {
     Sequence log;
     log.lidars[0].sensor.columns = kColumns;
@@ -28,7 +29,8 @@ Sequence log_of(int n_frames, int step = 1) {
                 frame.scan.rays.time_offset_s.push_back(0.0f);
                 frame.scan.rays.channel.push_back(static_cast<std::uint16_t>(beam));
                 const bool is_blind = beam == 1 && column >= kBlindFrom && column < kBlindTo;
-                const bool is_dropped = (beam == 2 && (column * 3 + f * 5) % 7 == 0) || (beam == 3 && column % 24 < 6);
+                const bool is_dropped =
+                    (beam == 2 && (column * 3 + f * 5) % 7 == 0) || (beam == 3 && column % 24 < 6);
                 frame.scan.range_m.push_back(is_blind || is_dropped ? 0.0f : 10.0f);
                 frame.scan.intensity.push_back(0.0f);
             }
@@ -54,8 +56,10 @@ TEST(SensorDrop, ABlindSectorIsFoundToItsBordersInTwoSweeps) {
         const DropTable table = table_of(log_of(n_frames));
         for (int column = 0; column < kColumns; ++column) {
             const bool is_blind = column >= kBlindFrom && column < kBlindTo;
-            const bool is_border = std::abs(column - kBlindFrom) < 3 || std::abs(column - kBlindTo) < 3;   // bins are three columns wide
-            EXPECT_TRUE(is_border || (at(table, 1, column) > 0.5f) == is_blind) << n_frames << " sweeps, column " << column;
+            // bins are three columns wide
+            const bool is_border = std::abs(column - kBlindFrom) < 3 || std::abs(column - kBlindTo) < 3;
+            EXPECT_TRUE(is_border || (at(table, 1, column) > 0.5f) == is_blind)
+                << n_frames << " sweeps, column " << column;
             EXPECT_EQ(at(table, 0, column), 0.0f) << "what always returns";
         }
     }
@@ -79,17 +83,21 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     struct Log {
         int n_frames, step;
     };
-    for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {   // the last as a coarse LiDAR beside a fine one
+    // the last as a coarse LiDAR beside a fine one
+    for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
         const Sequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
         std::iota(positions.begin(), positions.end(), 0);
         const DropTable observed = observed_drops(log, positions);
         const Frame& frame = log.frames[0];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-            const int beam = frame.scan.rays.channel[ray], column = int(ray % std::size_t(kColumns / step)) * step;
-            const bool is_window = beam == 3 && column % 24 < 6 && n_frames == 40;   // what was never seen in 40 sweeps is blind
+            const int beam = frame.scan.rays.channel[ray],
+                      column = int(ray % std::size_t(kColumns / step)) * step;
+            // what was never seen in 40 sweeps is blind
+            const bool is_window = beam == 3 && column % 24 < 6 && n_frames == 40;
             const bool in_sector = beam == 1 && column >= kBlindFrom && column < kBlindTo;
-            if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;   // too few rays to end with a bin
+            // too few rays to end with a bin
+            if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;
             EXPECT_EQ(is_blind(observed, log, frame, ray), in_sector || is_window)
                 << n_frames << " sweeps, beam " << beam << ", column " << column;
         }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stripes of an image: their rays are those of their pixels, and the frames together see all of it.
+// Stripes of an image: their rays are those of their pixels, and the frames together see
+// all of it.
 #include "train/drops/stripes.hpp"
 
 #include <numeric>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that learn on before a background they have not been trained with: they close up, and nothing else changes.
+// Actors that learn on before a background they have not been trained with: they close
+// up, and nothing else changes.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -21,7 +22,8 @@ namespace {
 
 class TrainActors : public test::DeviceTest {
 protected:
-    /// A street in two blocks, one of what lies before x = 0 and one of what lies behind. Its cars are thin: rays shine through.
+    /// A street in two blocks, one of what lies before x = 0 and one of what lies behind.
+    /// Its cars are thin: rays shine through.
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
@@ -38,11 +40,12 @@ protected:
         run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
-        run.config.init.scale_factor = 0.8;   // no holes between the points of a car
+        run.config.init.scale_factor = 0.8;  // no holes between the points of a car
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
         Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
-        for (std::size_t i = 0; i < whole.surfels.size(); ++i) whole.surfels.opacity_logit[i] = i < whole.models[0].count ? 6.0f : -1.5f;
+        for (std::size_t i = 0; i < whole.surfels.size(); ++i)
+            whole.surfels.opacity_logit[i] = i < whole.models[0].count ? 6.0f : -1.5f;
         run.scene = with_background(whole, {});
         for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(whole, right));
     }
@@ -57,8 +60,8 @@ protected:
         for (std::uint32_t i = 0; i < whole.models[0].count; ++i)
             if ((whole.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
         const Scene half = make_background_scene(whole.surfels.permuted(order));
-        SceneBlock block{folder / (right ? "right.safetensors" : "left.safetensors"), half.models[0].count, half.surfels.mean[0],
-                         half.surfels.mean[0]};
+        SceneBlock block{folder / (right ? "right.safetensors" : "left.safetensors"), half.models[0].count,
+                         half.surfels.mean[0], half.surfels.mean[0]};
         for (const glm::vec3& mean : half.surfels.mean) {
             block.low_m = glm::min(block.low_m, mean);
             block.high_m = glm::max(block.high_m, mean);
@@ -93,11 +96,12 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
     const double before = error_on_cars();
     const Scene was = run.scene;
     int last = 0, expected = 0;
-    EXPECT_TRUE(train_actors(device(), run, {[&](int step, int n_steps) {
-                                                 EXPECT_EQ(step, ++last);
-                                                 expected = n_steps;
-                                             },
-                                             {}}));
+    EXPECT_TRUE(train_actors(device(), run,
+                             {[&](int step, int n_steps) {
+                                  EXPECT_EQ(step, ++last);
+                                  expected = n_steps;
+                              },
+                              {}}));
     EXPECT_EQ(last, expected);
     EXPECT_EQ(last, 20 * int(run.split.train.size())) << "a car is seen in every frame";
     const double after = error_on_cars();
@@ -123,19 +127,22 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
         EXPECT_TRUE(std::equal(a.begin(), a.begin() + floats, b.begin()));
         EXPECT_FALSE(std::equal(a.begin() + floats, a.end(), b.begin() + floats)) << "actors learn";
     };
-    same(&Surfels::mean), same(&Surfels::rotation), same(&Surfels::log_scale), same(&Surfels::opacity_logit), same(&Surfels::sh);
+    same(&Surfels::mean), same(&Surfels::rotation), same(&Surfels::log_scale), same(&Surfels::opacity_logit),
+        same(&Surfels::sh);
 }
 
-/// What lies along the rays is all of the background that takes part: surfels high above the street leave every bit.
+/// What lies along the rays is all of the background that takes part: surfels high above
+/// the street leave every bit.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     relidar::Run other = run;
     Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
-    for (glm::vec3& mean : far.mean) mean += glm::vec3(0.0f, 0.0f, 60.0f);   // above the street
+    for (glm::vec3& mean : far.mean) mean += glm::vec3(0.0f, 0.0f, 60.0f);  // above the street
     const Scene above = make_background_scene(far);
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
     save_model(block.file, above);
     other.scene.blocks.push_back(block);
-    for (relidar::Run* each : {&run, &other})   // means learn in proportion to the extent, which is that of all blocks
+    // means learn in proportion to the extent, which is that of all blocks
+    for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
     EXPECT_TRUE(train_actors(device(), run));
     EXPECT_TRUE(train_actors(device(), other));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training on a small synthetic street: the loss falls, held-out frames get better than the initialisation, interruption keeps the
-// scene so far, moving boxes are masked, a log that cannot train is refused.
+// Training on a small synthetic street: the loss falls, held-out frames get better than
+// the initialisation, interruption keeps the scene so far, moving boxes are masked, a log
+// that cannot train is refused.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -36,7 +37,8 @@ Config small_config() {
     return config;
 }
 
-double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street, const Split& split) {
+double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street,
+                      const Split& split) {
     ScanRenderer renderer(device, scene, config, street);
     const Frame& frame = street.frames[std::size_t(split.test[0])];
     const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
@@ -48,7 +50,8 @@ TEST_P(TrainEither, LearnsTheStreet) {
     const Split split = split_frames(street, 10);
     Config config = small_config();
     config.image.primitive = GetParam();
-    const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    const TrainResult result =
+        train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ASSERT_GE(result.log.size(), 6u);
     EXPECT_TRUE(std::isinf(result.log.front().eta_s)) << "the pace is not known yet";
     for (std::size_t i = 1; i < result.log.size(); ++i) {
@@ -61,14 +64,16 @@ TEST_P(TrainEither, LearnsTheStreet) {
     EXPECT_FALSE(result.interrupted);
     EXPECT_EQ(result.scene.surfels.primitive, GetParam());
     config.train.iterations = 1;
-    config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate = config.train.opacity_rate = config.train.sh_rate =
-        1e-12;
-    const TrainResult untrained = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    config.train.mean_rate = config.train.rotation_rate = config.train.scale_rate =
+        config.train.opacity_rate = config.train.sh_rate = 1e-12;
+    const TrainResult untrained =
+        train(device(), street, split, config, [](const TrainProgress&) { return true; });
     EXPECT_LT(held_out_error(device(), result.scene, config, street, split),
               0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
-/// The first step of Adam is the rate itself, whatever the gradient: 4 x the diagonal of a car's box, not the extent of the street.
+/// The first step of Adam is the rate itself, whatever the gradient: 4 x the diagonal of
+/// a car's box, not the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
@@ -77,16 +82,19 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     config.densify.strategy = DensifyStrategy::adaptive;
     config.init.actor_min_points = 10;
     const Scene before = initialise_scene(street, split.train, config.init);
-    const Scene after = train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene;
+    const Scene after =
+        train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene;
     ASSERT_EQ(after.surfels.size(), before.surfels.size());
     ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
     for (const Model& model : before.models) {
-        const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m)) : background_extent(before);
+        const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m))
+                                                           : background_extent(before);
         double farthest_m = 0.0;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             for (int axis = 0; axis < 3; ++axis)
-                farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) - double(before.surfels.mean[i][axis])));
-        const double rate_m = config.train.mean_rate_final * extent_m;   // the last of one step
+                farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) -
+                                                           double(before.surfels.mean[i][axis])));
+        const double rate_m = config.train.mean_rate_final * extent_m;  // the last of one step
         EXPECT_NEAR(farthest_m, rate_m, 0.02 * rate_m + 4e-6) << model.name;
     }
 }
@@ -100,22 +108,26 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     config.train.max_growth = 1.3;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
-        return train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene.surfels;
+        return train(device(), street, split, config, [](const TrainProgress&) { return true; })
+            .scene.surfels;
     };
     const Surfels first = trained(0), last = trained(20);
     ASSERT_EQ(first.size(), last.size());
     std::size_t at_the_bound = 0;
     for (std::size_t i = 0; i < last.size(); ++i) {
         const bool has_three = kind_of(first.primitive).third_scale;
-        const float began = std::max({first.log_scale[i].x, first.log_scale[i].y, has_three ? first.log_scale_w[i] : -100.0f});
-        const float ended = std::max({last.log_scale[i].x, last.log_scale[i].y, has_three ? last.log_scale_w[i] : -100.0f});
+        const float began = std::max(
+            {first.log_scale[i].x, first.log_scale[i].y, has_three ? first.log_scale_w[i] : -100.0f});
+        const float ended =
+            std::max({last.log_scale[i].x, last.log_scale[i].y, has_three ? last.log_scale_w[i] : -100.0f});
         EXPECT_LE(ended - began, std::log(1.3f) + 1e-5f);
         at_the_bound += ended - began > std::log(1.29f);
     }
     EXPECT_GT(at_the_bound, last.size() / 100);
 }
 
-/// One drop logit starts at the same ray-drop probability as two and learns; hit logits stay 0, through training and in the saved scene.
+/// One drop logit starts at the same ray-drop probability as two and learns; hit logits
+/// stay 0, through training and in the saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
@@ -128,11 +140,14 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     };
     const auto image = [&](const Scene& scene) {
         const Frame& frame = street.frames[std::size_t(split.test[0])];
-        return ScanRenderer(device(), scene, config, street).render({frame.scan.rays, std::nullopt}, frame.time_s).image;
+        return ScanRenderer(device(), scene, config, street)
+            .render({frame.scan.rays, std::nullopt}, frame.time_s)
+            .image;
     };
     const RangeImage two = image(trained(false, 0).scene), one = image(trained(true, 0).scene);
     ASSERT_EQ(one.drop_prob.size(), two.drop_prob.size());
-    for (std::size_t i = 0; i < one.drop_prob.size(); ++i) EXPECT_NEAR(one.drop_prob[i], two.drop_prob[i], 1e-5f);
+    for (std::size_t i = 0; i < one.drop_prob.size(); ++i)
+        EXPECT_NEAR(one.drop_prob[i], two.drop_prob[i], 1e-5f);
 
     const TrainResult result = trained(true, 40);
     const std::vector<float>& sh = result.scene.surfels.sh;
@@ -149,7 +164,8 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     EXPECT_LT(drop_term(result.log.back()), 0.8 * drop_term(result.log.front()));
 }
 
-/// Two runs with actors end in the same bits; without room for the hits it says so instead of drifting apart.
+/// Two runs with actors end in the same bits; without room for the hits it says so
+/// instead of drifting apart.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = small_street();
     options.n_frames = 5;
@@ -163,30 +179,34 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
         config.train.deterministic = true;
         config.loss.likelihood = 0.01f;
         config.loss.distortion = config.loss.normal = direction == ShDirection::surfel ? 0.05f : 0.0f;
-        const auto run = [&] { return train(device(), street, split, config, [](const TrainProgress&) { return true; }); };
+        const auto run = [&] {
+            return train(device(), street, split, config, [](const TrainProgress&) { return true; });
+        };
         const TrainResult first = run(), second = run();
         EXPECT_GT(first.scene.models.size(), 1u);
         const Surfels &a = first.scene.surfels, &b = second.scene.surfels;
-        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale && a.opacity_logit == b.opacity_logit &&
-                    a.sh == b.sh);
+        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale &&
+                    a.opacity_logit == b.opacity_logit && a.sh == b.sh);
         ASSERT_EQ(first.log.size(), second.log.size());
         for (std::size_t i = 0; i < first.log.size(); ++i)
-            EXPECT_NEAR(first.log[i].loss, second.log[i].loss, 1e-5 * first.log[i].loss) << "the log's sums use atomics";
+            EXPECT_NEAR(first.log[i].loss, second.log[i].loss, 1e-5 * first.log[i].loss)
+                << "the log's sums use atomics";
     }
 }
 
 TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
     const Sequence street = make_synthetic_street(small_street());
     int calls = 0;
-    const TrainResult result =
-        train(device(), street, split_frames(street, 10), small_config(), [&](const TrainProgress&) { return ++calls < 2; });
+    const TrainResult result = train(device(), street, split_frames(street, 10), small_config(),
+                                     [&](const TrainProgress&) { return ++calls < 2; });
     EXPECT_TRUE(result.interrupted);
     EXPECT_EQ(result.log.back().iteration, 10);
     EXPECT_GT(result.scene.surfels.size(), 100u);
     for (const glm::vec3& p : result.scene.surfels.mean) ASSERT_TRUE(std::isfinite(p.x + p.y + p.z));
 }
 
-/// The same training with the moving cars as actors and masked out: in their pixels the actors must be far better.
+/// The same training with the moving cars as actors and masked out: in their pixels the
+/// actors must be far better.
 TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = small_street();
     options.rows = 32, options.columns = 512;
@@ -199,8 +219,9 @@ TEST_F(Train, ActorsBeatMasking) {
         config.init.actor_classes = classes;
         config.init.actor_min_points = 20;
         config.train.rays_per_iteration = 8192;
-        config.init.scale_factor = 0.8;   // a few hundred points a car: at 0.4 there are holes between them
-        const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+        config.init.scale_factor = 0.8;  // a few hundred points a car: at 0.4 there are holes between them
+        const TrainResult result =
+            train(device(), street, split, config, [](const TrainProgress&) { return true; });
         EXPECT_EQ(result.scene.models.size(), classes.empty() ? 1u : 3u);
         ScanRenderer renderer(device(), result.scene, config, street);
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
@@ -216,7 +237,8 @@ TEST_F(Train, ActorsBeatMasking) {
         std::nth_element(errors.begin(), errors.begin() + std::ptrdiff_t(errors.size() / 2), errors.end());
         error[classes] = errors[errors.size() / 2];
     }
-    std::printf("median range error in moving boxes: %.3f m as actors, %.3f m masked\n", error["Car"], error[""]);
+    std::printf("median range error in moving boxes: %.3f m as actors, %.3f m masked\n", error["Car"],
+                error[""]);
     EXPECT_LT(error["Car"], 0.15);
     EXPECT_LT(3.0 * error["Car"], error[""]);
 }
@@ -230,7 +252,8 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
         make_targets(street, frame, {}, rays, targets);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!(targets[i].range_m > 0.0f)) continue;
-            const glm::dvec3 p = glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
+            const glm::dvec3 p =
+                glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
             const bool car = in_moving_box(street.boxes, p, frame.time_s, 0.0);
             (car ? cars : rest) += 1;
             (car ? masked_cars : masked_rest) += targets[i].weight == 0.0f;
@@ -241,7 +264,8 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
-/// A moving car is known where it is an actor, and masked as long as its labels say where it is.
+/// A moving car is known where it is an actor, and masked as long as its labels say where
+/// it is.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     Sequence street = make_synthetic_street(small_street());
     const std::vector<BoxTrack> whole = street.boxes;
@@ -258,8 +282,10 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
         make_targets(street, street.frames[frame], unknown, rays, targets);
         double n = 0.0, n_masked = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const glm::dvec3 p = glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.0)) continue;
+            const glm::dvec3 p =
+                glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
+            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.0))
+                continue;
             n += 1.0;
             n_masked += targets[i].weight == 0.0f;
         }
@@ -271,7 +297,8 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     EXPECT_EQ(masked_share(n_labels + 1, false), 0.0) << "nobody knows where it is";
 }
 
-/// The sensor never sees anything to its left and below, as if a vehicle's body stood there; the ground under it is seen from elsewhere.
+/// The sensor never sees anything to its left and below, as if a vehicle's body stood
+/// there; the ground under it is seen from elsewhere.
 bool is_hidden(const RayTable& rays, std::size_t i) {
     const glm::vec3& d = rays.direction[i];
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;
@@ -285,8 +312,9 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
     Config config = small_config();
     config.train.sensor_drop = true;
-    config.init.scale_factor = 0.8;   // sparse points, no holes
-    const TrainResult result = train(device(), street, split, config, [](const TrainProgress&) { return true; });
+    config.init.scale_factor = 0.8;  // sparse points, no holes
+    const TrainResult result =
+        train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ASSERT_FALSE(result.scene.sensor_drop.empty());
     ScanRenderer renderer(device(), result.scene, config, street);
     const Frame& frame = street.frames[std::size_t(split.test[0])];
@@ -315,23 +343,27 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
     Config config = small_config();
     config.train.sensor_drop = true;
-    const TrainResult result = train(device(), street, {{0}, {1}}, config, [](const TrainProgress&) { return true; });
+    const TrainResult result =
+        train(device(), street, {{0}, {1}}, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
     const Frame& frame = street.frames[0];
     const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s);
     std::size_t hidden = 0, dropped = 0, ground = 0, returned = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
         if (is_hidden(frame.scan.rays, i)) ++hidden, dropped += scan.image.drop_prob[i] >= 0.5f;
-        if (frame.scan.range_m[i] > 0.0f && frame.scan.rays.direction[i].z < -0.1f) ++ground, returned += scan.image.drop_prob[i] < 0.5f;
+        if (frame.scan.range_m[i] > 0.0f && frame.scan.rays.direction[i].z < -0.1f)
+            ++ground, returned += scan.image.drop_prob[i] < 0.5f;
     }
-    std::printf("%zu of %zu hidden rays dropped, %zu of %zu that see the ground returned\n", dropped, hidden, returned, ground);
+    std::printf("%zu of %zu hidden rays dropped, %zu of %zu that see the ground returned\n", dropped, hidden,
+                returned, ground);
     EXPECT_GT(double(dropped), 0.97 * double(hidden)) << "discs around the sector reach into it";
     EXPECT_GT(double(returned), 0.95 * double(ground));
 }
 
 TEST_F(Train, NothingToTrainOnIsAnError) {
     const Sequence street = make_synthetic_street(small_street());
-    EXPECT_THROW(train(device(), street, Split{}, small_config(), [](const TrainProgress&) { return true; }), DataError);
+    EXPECT_THROW(train(device(), street, Split{}, small_config(), [](const TrainProgress&) { return true; }),
+                 DataError);
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training frames that stay on the device and frames that come in their turn: the same rays and targets, whatever comes when; the same
-// training, bit by bit; and memory that does not grow with the log.
+// Training frames that stay on the device and frames that come in their turn: the same
+// rays and targets, whatever comes when; the same training, bit by bit; and memory that
+// does not grow with the log.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -22,9 +23,11 @@ namespace {
 
 constexpr std::uint64_t kAll = ~0ull;
 
-/// Cell of the KITTI-360 grid by its printed definition: 66 rows from +2.0 to -24.9 degrees, 1030 columns from azimuth +180 down, centred.
+/// Cell of the KITTI-360 grid by its printed definition: 66 rows from +2.0 to -24.9
+/// degrees, 1030 columns from azimuth +180 down, centred.
 int cell_of(const glm::vec3& p) {
-    const double degrees = 180.0 / kPi, elevation = degrees * std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
+    const double degrees = 180.0 / kPi,
+                 elevation = degrees * std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
     const double azimuth = degrees * std::atan2(double(p.y), double(p.x));
     const int row = int(std::floor((2.0 - elevation) / 26.9 * 66.0 + 0.5));
     const int column = int(std::floor((180.0 - azimuth) / 360.0 * 1030.0 + 0.5));
@@ -45,7 +48,7 @@ TEST(OnGrid, NearestReturnsOfCells) {
     const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
     ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
     EXPECT_EQ(binned.scan.rays.rows, 66);
-    int elsewhere = 0;   // on the edge of two cells, single and double precision may differ
+    int elsewhere = 0;  // on the edge of two cells, single and double precision may differ
     for (std::size_t cell = 0; cell < binned.scan.range_m.size(); ++cell) {
         const glm::vec3& d = binned.scan.rays.direction[cell];
         EXPECT_EQ(cell_of(10.0f * d), int(cell));
@@ -69,23 +72,30 @@ TEST(OnGrid, NearestReturnsOfCells) {
 
 class FramesInTurn : public test::DeviceTest {
 protected:
-    static Sequence street(int n_frames) { return make_synthetic_street({.n_frames = n_frames, .rows = 8, .columns = 64}); }
+    static Sequence street(int n_frames) {
+        return make_synthetic_street({.n_frames = n_frames, .rows = 8, .columns = 64});
+    }
     static std::vector<int> positions(const Sequence& log) {
         std::vector<int> all(log.frames.size());
         std::iota(all.begin(), all.end(), 0);
         return all;
     }
     static std::uint64_t bytes_of_frame(const Sequence& log) {
-        return log.frames[0].scan.range_m.size() * (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::RayPlace));
+        return log.frames[0].scan.range_m.size() *
+               (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::RayPlace));
     }
 };
 
-/// Against the same arrays made on the host, in a random order that repeats frames, with the right, the wrong and no frame expected.
+/// Against the same arrays made on the host, in a random order that repeats frames, with
+/// the right, the wrong and no frame expected.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
     Sequence log = street(5);
-    log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;   // a shorter one
-    for (const auto& [stay_bytes, n_staying] : {std::pair(std::uint64_t(0), 0u), {2 * bytes_of_frame(log), 2u}, {kAll, 5u}}) {
-        TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
+    // a shorter one
+    log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
+    for (const auto& [stay_bytes, n_staying] :
+         {std::pair(std::uint64_t(0), 0u), {2 * bytes_of_frame(log), 2u}, {kAll, 5u}}) {
+        TrainingFrames frames(device(), log, positions(log),
+                              {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
         EXPECT_EQ(frames.n_staying(), n_staying);
         Stream stream(device());
         Random random(1);
@@ -105,11 +115,16 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
             const std::vector<shared::RayPlace> places = frame.arrays->places.download(frame.n_rays);
             double known = 0.0, returned = 0.0;
             for (std::size_t i = 0; i < rays.size(); ++i) {
-                ASSERT_TRUE(there[i].origin == rays[i].origin && there[i].direction == rays[i].direction) << turn << ", ray " << i;
-                ASSERT_TRUE(measured[i].range_m == targets[i].range_m && measured[i].weight == targets[i].weight) << turn << ", ray " << i;
-                const TrackPlace place = log.world_from_vehicle.place(sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
+                ASSERT_TRUE(there[i].origin == rays[i].origin && there[i].direction == rays[i].direction)
+                    << turn << ", ray " << i;
+                ASSERT_TRUE(measured[i].range_m == targets[i].range_m &&
+                            measured[i].weight == targets[i].weight)
+                    << turn << ", ray " << i;
+                const TrackPlace place =
+                    log.world_from_vehicle.place(sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
                 ASSERT_EQ(frame.first_knot + places[i].left, place.left) << "turn " << turn << ", ray " << i;
-                ASSERT_LT(places[i].left + 1, frame.n_knots + (frame.n_knots == 1)) << "turn " << turn << ", ray " << i;
+                ASSERT_LT(places[i].left + 1, frame.n_knots + (frame.n_knots == 1))
+                    << "turn " << turn << ", ray " << i;
                 ASSERT_FLOAT_EQ(places[i].s, float(place.s)) << "turn " << turn << ", ray " << i;
                 known += targets[i].weight > 0.0f;
                 returned += targets[i].weight > 0.0f && targets[i].range_m > 0.0f;
@@ -124,7 +139,8 @@ TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
     const auto bytes = [&](int n_frames, std::uint64_t stay_bytes) {
         const Sequence log = street(n_frames);
         const std::uint64_t before = device().allocated_bytes();
-        const TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
+        const TrainingFrames frames(device(), log, positions(log),
+                                    {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
         return device().allocated_bytes() - before;
     };
     EXPECT_EQ(bytes(4, 0), bytes(12, 0));
@@ -135,13 +151,16 @@ TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
 TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
     Sequence log = street(3);
     log.frames[1].scan = {};
-    const std::string message = error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
+    const std::string message =
+        error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
     EXPECT_EQ(message, "preparing frame 1 of " + log.name + ": it has no rays, expected at least one");
 }
 
-/// With everything that looks at a frame twice: refined poses and the sensor's own drops after the last step.
+/// With everything that looks at a frame twice: refined poses and the sensor's own drops
+/// after the last step.
 TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
-    const Sequence log = make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
+    const Sequence log =
+        make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
     const auto trained = [&](int frame_memory_mib, const std::string& batch) {
         Config config = make_preset("quick");
         config.init.voxel_m = 0.4;
@@ -154,29 +173,36 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         config.train.frame_memory_mib = frame_memory_mib;
         std::vector<std::string> notes;
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
-        TrainResult result = train(device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
-        const auto n_told = std::count(notes.begin(), notes.end(),
-                                       "0 of 8 training frames stay on the device (train.frame_memory_mib=0), the others are sent in "
-                                       "their turn");
+        TrainResult result = train(
+            device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
+        const auto n_told = std::count(
+            notes.begin(), notes.end(),
+            "0 of 8 training frames stay on the device (train.frame_memory_mib=0), the others are sent in "
+            "their turn");
         EXPECT_EQ(n_told, frame_memory_mib > 0 ? 0 : 1);
         return result;
     };
     for (const char* batch : {"rays", "columns"}) {
         const TrainResult stay = trained(2048, batch), come = trained(0, batch);
         const Surfels &a = stay.scene.surfels, &b = come.scene.surfels;
-        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale && a.opacity_logit == b.opacity_logit &&
-                    a.sh == b.sh)
+        EXPECT_TRUE(a.mean == b.mean && a.rotation == b.rotation && a.log_scale == b.log_scale &&
+                    a.opacity_logit == b.opacity_logit && a.sh == b.sh)
             << batch;
         EXPECT_EQ(stay.scene.sensor_drop.probability, come.scene.sensor_drop.probability) << batch;
         ASSERT_TRUE(stay.poses && come.poses);
         for (std::size_t k = 0; k < stay.poses->world_from_vehicle.pose.size(); ++k) {
-            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].translation, come.poses->world_from_vehicle.pose[k].translation) << batch;
-            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].rotation, come.poses->world_from_vehicle.pose[k].rotation) << batch;
+            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].translation,
+                      come.poses->world_from_vehicle.pose[k].translation)
+                << batch;
+            EXPECT_EQ(stay.poses->world_from_vehicle.pose[k].rotation,
+                      come.poses->world_from_vehicle.pose[k].rotation)
+                << batch;
         }
     }
 }
 
-/// Cells in the place of the rays that were fired; what speaks of those is refused in one line.
+/// Cells in the place of the rays that were fired; what speaks of those is refused in one
+/// line.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const Sequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});
@@ -187,13 +213,16 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     EXPECT_TRUE(frame.image.circular);
     const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
     const std::vector<DeviceTarget> targets = frame.targets().download(frame.n_rays);
-    for (std::size_t i = 0; i < targets.size(); ++i) ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
+    for (std::size_t i = 0; i < targets.size(); ++i)
+        ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
 
     Config config = make_preset("quick");
     config.train.grid = "kitti360";
     const Split split{positions(log), {}};
-    EXPECT_EQ(error_message<UsageError>([&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
-              "setting train.grid=kitti360: found train.sensor_drop too, which is of the sensor's own rays, expected one of them");
+    EXPECT_EQ(error_message<UsageError>(
+                  [&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
+              "setting train.grid=kitti360: found train.sensor_drop too, which is of the sensor's own rays, "
+              "expected one of them");
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training on a log of two LiDARs: the loss falls, and a held-out frame of each comes closer to what it measured.
+// Training on a log of two LiDARs: the loss falls, and a held-out frame of each comes
+// closer to what it measured.
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
@@ -22,7 +23,8 @@ Config two_lidar_config() {
 }
 
 /// Mean absolute error of the depth of one LiDAR's held-out frame, on its nominal rays.
-double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street, const Frame& frame) {
+double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street,
+                      const Frame& frame) {
     ScanRenderer renderer(device, scene, config, street);
     const RenderedScan scan = renderer.render(configured_sensor(config, street, frame.lidar), frame.time_s);
     return evaluate(scan.image, real_image(config, frame.scan)).at("strict/depth_mae_m");
@@ -43,14 +45,17 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.scene.sensor_drop.channels, 24);
     ASSERT_TRUE(result.poses);
-    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u) << "a pose for each sweep, not for each frame";
+    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u)
+        << "a pose for each sweep, not for each frame";
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
         const double before = held_out_error(device(), untrained.scene, config, street, frame),
                      after = held_out_error(device(), result.scene, config, street, frame);
-        EXPECT_LT(after, 0.9 * before) << "LiDAR " << frame.lidar << ": " << before << " m before, " << after << " m after";
+        EXPECT_LT(after, 0.9 * before)
+            << "LiDAR " << frame.lidar << ": " << before << " m before, " << after << " m after";
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y += 3.0;
-        EXPECT_GT(held_out_error(device(), result.scene, config, street, frame), 1.2 * after) << "a wrong mounting shows";
+        EXPECT_GT(held_out_error(device(), result.scene, config, street, frame), 1.2 * after)
+            << "a wrong mounting shows";
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y -= 3.0;
     }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends requests and WebSocket frames, changed at random, to the viewer's server, and asks now and then whether it still lives.
+// Sends requests and WebSocket frames, changed at random, to the viewer's server, and
+// asks now and then whether it still lives.
 //   view_fuzz [REQUESTS [SEED]]
 #include <cstdio>
 #include <cstdlib>
@@ -15,9 +16,10 @@ namespace {
 
 using namespace relidar;
 
-const std::vector<view::Asset> kAssets = {{"/", "text/html", "page"}, {"/main.js", "text/javascript", "let a;"}};
-constexpr int kTogether = 8;          // requests on one connection
-constexpr int kBetweenChecks = 500;   // requests
+const std::vector<view::Asset> kAssets = {{"/", "text/html", "page"},
+                                          {"/main.js", "text/javascript", "let a;"}};
+constexpr int kTogether = 8;         // requests on one connection
+constexpr int kBetweenChecks = 500;  // requests
 
 /// What changes a text here and there.
 class Changer {
@@ -33,7 +35,8 @@ public:
             "POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\n\r\nhello",
             "POST / HTTP/1.1\r\nHost: [::1]:80\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
             "HEAD /../../etc/passwd HTTP/1.0\r\nHost: localhost\r\nConnection: keep-alive\r\n\r\n",
-            "GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: "
+            "GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: "
+            "Upgrade\r\nSec-WebSocket-Key: "
             "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"};
         return changed(seeds[below(seeds.size())]);
     }
@@ -45,16 +48,38 @@ public:
 
 private:
     std::string changed(std::string text) {
-        static const std::vector<std::string> pieces = {"\r\n", "\r\n\r\n", std::string(1, '\0'), "%00", "..", "/", ":", "Host: evil\r\n",
-                                                        "Content-Length: 99999999999\r\n", " ", "\xff", std::string(300, 'A'), "[", "]"};
+        static const std::vector<std::string> pieces = {"\r\n",
+                                                        "\r\n\r\n",
+                                                        std::string(1, '\0'),
+                                                        "%00",
+                                                        "..",
+                                                        "/",
+                                                        ":",
+                                                        "Host: evil\r\n",
+                                                        "Content-Length: 99999999999\r\n",
+                                                        " ",
+                                                        "\xff",
+                                                        std::string(300, 'A'),
+                                                        "[",
+                                                        "]"};
         for (std::size_t n = below(6); n > 0 && !text.empty(); --n) {
             const std::size_t at = below(text.size());
             switch (below(5)) {
-                case 0: text[at] = static_cast<char>(below(256)); break;
-                case 1: text.erase(at, 1 + below(8)); break;
-                case 2: text.insert(at, pieces[below(pieces.size())]); break;
-                case 3: text.insert(at, text.substr(at, 1 + below(40))); break;
-                default: text.resize(at); break;
+                case 0:
+                    text[at] = static_cast<char>(below(256));
+                    break;
+                case 1:
+                    text.erase(at, 1 + below(8));
+                    break;
+                case 2:
+                    text.insert(at, pieces[below(pieces.size())]);
+                    break;
+                case 3:
+                    text.insert(at, text.substr(at, 1 + below(40)));
+                    break;
+                default:
+                    text.resize(at);
+                    break;
             }
         }
         return text;
@@ -64,17 +89,22 @@ private:
 };
 
 bool lives(int port) {
-    return test::status_of(test::ask(port, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")) == 200;
+    return test::status_of(
+               test::ask(port, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")) == 200;
 }
 
-/// A connection that sends a few things one after the other and does not wait for what they do.
+/// A connection that sends a few things one after the other and does not wait for what
+/// they do.
 void bother(int port, Changer& change) {
     test::RawClient client(port);
     const bool as_socket = change.below(3) == 0;
     if (as_socket)
-        client.send("GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: "
-                    "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n");
-    if (as_socket) client.receive(100, std::chrono::milliseconds(200));   // the handshake is answered before frames may come
+        client.send(
+            "GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: "
+            "Upgrade\r\nSec-WebSocket-Key: "
+            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n");
+    // the handshake is answered before frames may come
+    if (as_socket) client.receive(100, std::chrono::milliseconds(200));
     for (int i = 0; i < kTogether; ++i)
         if (!client.send(as_socket ? change.frame() : change.request())) break;
     if (change.below(2) == 0) client.receive(1 + change.below(2000), std::chrono::milliseconds(2));
@@ -96,10 +126,13 @@ int run(int n_requests, unsigned seed) {
         bother(made.port(), change);
         if (sent - checked < kBetweenChecks) continue;
         checked = sent;
-        if (!lives(made.port())) return std::fprintf(stderr, "view_fuzz: no answer after %d requests, seed %u\n", sent, seed), 1;
+        if (!lives(made.port()))
+            return std::fprintf(stderr, "view_fuzz: no answer after %d requests, seed %u\n", sent, seed), 1;
     }
-    if (!lives(made.port())) return std::fprintf(stderr, "view_fuzz: no answer at the end, seed %u\n", seed), 1;
-    std::printf("view_fuzz: %d requests and frames, seed %u: the server answers as before\n", n_requests, seed);
+    if (!lives(made.port()))
+        return std::fprintf(stderr, "view_fuzz: no answer at the end, seed %u\n", seed), 1;
+    std::printf("view_fuzz: %d requests and frames, seed %u: the server answers as before\n", n_requests,
+                seed);
     return 0;
 }
 
@@ -107,7 +140,8 @@ int run(int n_requests, unsigned seed) {
 
 int main(int argc, char** argv) {
     try {
-        return run(argc > 1 ? std::atoi(argv[1]) : 3000, argc > 2 ? static_cast<unsigned>(std::atoi(argv[2])) : 1u);
+        return run(argc > 1 ? std::atoi(argv[1]) : 3000,
+                   argc > 2 ? static_cast<unsigned>(std::atoi(argv[2])) : 1u);
     } catch (const std::exception& error) {
         return std::fprintf(stderr, "view_fuzz: %s\n", error.what()), 1;
     }

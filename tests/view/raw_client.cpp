@@ -62,18 +62,23 @@ std::string ask(int port, std::string_view request) {
 }
 
 int status_of(std::string_view answer) {
-    return answer.starts_with("HTTP/1.1 ") && answer.size() >= 12 ? std::stoi(std::string(answer.substr(9, 3))) : 0;
+    return answer.starts_with("HTTP/1.1 ") && answer.size() >= 12
+               ? std::stoi(std::string(answer.substr(9, 3)))
+               : 0;
 }
 
 std::string frame(std::uint8_t first, std::string_view payload, bool masked, std::uint64_t length) {
     std::string bytes(1, static_cast<char>(first));
     const auto mask_bit = static_cast<char>(masked ? 0x80 : 0);
     const int n_extra = length < 126 ? 0 : length < 65536 ? 2 : 8;
-    bytes += static_cast<char>(mask_bit | static_cast<char>(n_extra == 0 ? length : n_extra == 2 ? 126u : 127u));
+    bytes += static_cast<char>(mask_bit | static_cast<char>(n_extra == 0   ? length
+                                                            : n_extra == 2 ? 126u
+                                                                           : 127u));
     for (int i = n_extra - 1; i >= 0; --i) bytes += static_cast<char>((length >> (8 * i)) & 0xff);
     constexpr char kMask[4] = {0x12, 0x34, 0x56, 0x78};
     if (masked) bytes.append(kMask, 4);
-    for (std::size_t i = 0; i < payload.size(); ++i) bytes += static_cast<char>(masked ? payload[i] ^ kMask[i % 4] : payload[i]);
+    for (std::size_t i = 0; i < payload.size(); ++i)
+        bytes += static_cast<char>(masked ? payload[i] ^ kMask[i % 4] : payload[i]);
     return bytes;
 }
 

@@ -17,10 +17,11 @@ const std::string kEdits = R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3
     "hidden": ["3", "4"]})";
 const std::string kNoEdits = R"({"copies": [], "moves": {}, "removed": [], "hidden": []})";
 
-std::string scan(const std::string& place, const std::string& edits = kNoEdits, const std::string& time = "1.5",
-                 const std::string& weather = "fog=50") {
+std::string scan(const std::string& place, const std::string& edits = kNoEdits,
+                 const std::string& time = "1.5", const std::string& weather = "fog=50") {
     return R"({"do": "scan", "id": 7, "time_s": )" + time + R"(, "place": )" + place +
-           R"(, "sensor": "VLP-16", "lidar": 1, "weather": ")" + weather + R"(", "simulate": true, "real": false, "edits": )" + edits + "}";
+           R"(, "sensor": "VLP-16", "lidar": 1, "weather": ")" + weather +
+           R"(", "simulate": true, "real": false, "edits": )" + edits + "}";
 }
 
 /// The message of the refusal; empty where there is none.
@@ -42,7 +43,7 @@ TEST(ViewRequest, ReadsAScan) {
     EXPECT_EQ(wish.weather.fog_visibility_m, 50.0);
     EXPECT_TRUE(wish.simulate);
     EXPECT_FALSE(wish.real);
-    const glm::dvec3 ahead = wish.sensor_offset * glm::dvec3(1, 0, 0);   // 90 degrees to the left
+    const glm::dvec3 ahead = wish.sensor_offset * glm::dvec3(1, 0, 0);  // 90 degrees to the left
     EXPECT_NEAR(glm::distance(ahead, glm::dvec3(1, 3, 3)), 0.0, 1e-12);
     ASSERT_EQ(wish.edits.copies.size(), 2u);
     EXPECT_EQ(wish.edits.copies[0].from, "");
@@ -70,43 +71,59 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {scan("[0, 0, null, 0, 0, 0]"), "place 3: expected a number"},
         {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2: expected a number between -10000 and 10000"},
         {scan(zero, kNoEdits, "1e300"), "time_s: expected"},
-        {scan(zero, kNoEdits, "1.5", "fog=0"), "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
+        {scan(zero, kNoEdits, "1.5", "fog=0"),
+         "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
         {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather: expected a text of 1 to 64 bytes"},
         {scan(zero, kNoEdits, "1e999"), "expected a JSON object"},
         {scan(zero, "[]"), "edits: expected an object"},
-        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies: expected objects"},
-        {scan(zero, R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 5]}], "moves": {}, "removed": [], "hidden": []})"),
+        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"),
+         "copies: expected objects"},
+        {scan(
+             zero,
+             R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 5]}], "moves": {}, "removed": [], "hidden": []})"),
          "at: expected 7 numbers"},
-        {scan(zero, R"({"copies": [], "moves": {"0": [1]}, "removed": [], "hidden": []})"), "moves: expected 4 numbers"},
-        {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"), "removed: expected a list"}};
-    for (const auto& [message, why] : cases) EXPECT_THAT(refusal(message), HasSubstr(why)) << message.substr(0, 80);
+        {scan(zero, R"({"copies": [], "moves": {"0": [1]}, "removed": [], "hidden": []})"),
+         "moves: expected 4 numbers"},
+        {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"),
+         "removed: expected a list"}};
+    for (const auto& [message, why] : cases)
+        EXPECT_THAT(refusal(message), HasSubstr(why)) << message.substr(0, 80);
     std::string many = R"({"copies": [], "moves": {}, "removed": ["0")";
     for (int i = 1; i < 300; ++i) many += ",\"" + std::to_string(i) + "\"";
     EXPECT_THAT(refusal(scan(zero, many + R"(], "hidden": []})")), HasSubstr("at most 256"));
 }
 
 TEST(ViewRequest, SavesUnderPlainNamesAlone) {
-    const auto save = [](const std::string& name) { return R"({"do": "save", "name": ")" + name + R"(", "edits": )" + kNoEdits + "}"; };
-    for (const char* name : {"run2", "a.b-c_D", "0"}) EXPECT_EQ(std::get<SaveWish>(parse_request(save(name))).name, name);
-    for (const char* name : {"", ".", "..", "../run", "a/b", "/tmp/x", "a\\\\b", ".hidden", "-f", "a b", "a\\u0000b", "\\u00e4", "a\\nb"})
+    const auto save = [](const std::string& name) {
+        return R"({"do": "save", "name": ")" + name + R"(", "edits": )" + kNoEdits + "}";
+    };
+    for (const char* name : {"run2", "a.b-c_D", "0"})
+        EXPECT_EQ(std::get<SaveWish>(parse_request(save(name))).name, name);
+    for (const char* name : {"", ".", "..", "../run", "a/b", "/tmp/x", "a\\\\b", ".hidden", "-f", "a b",
+                             "a\\u0000b", "\\u00e4", "a\\nb"})
         EXPECT_NE(refusal(save(name)), "") << name;
     EXPECT_NE(refusal(save(std::string(65, 'x'))), "");
 }
 
 TEST(ViewRequest, TakesPlacesOnTheGround) {
-    const auto wish = std::get<GroundWish>(parse_request(R"({"do": "ground", "of": "0", "from": "", "at": [12.5, -3]})"));
+    const auto wish =
+        std::get<GroundWish>(parse_request(R"({"do": "ground", "of": "0", "from": "", "at": [12.5, -3]})"));
     EXPECT_EQ(wish.of, "0");
     EXPECT_EQ(wish.from, "");
     EXPECT_EQ(wish.at, (std::array<double, 2>{12.5, -3.0}));
-    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": "", "at": [12.5]})"), HasSubstr("at: expected 2 numbers"));
-    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"), HasSubstr("from: expected a text"));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": "", "at": [12.5]})"),
+                HasSubstr("at: expected 2 numbers"));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"),
+                HasSubstr("from: expected a text"));
 }
 
 TEST(ViewRequest, TakesSensorFiles) {
-    const auto file = std::get<SensorFile>(parse_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
+    const auto file = std::get<SensorFile>(
+        parse_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
     EXPECT_EQ(file.name, "beams.csv");
     EXPECT_EQ(file.text, "elevation_deg\n5\n");
-    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), HasSubstr("text: expected it to be there"));
+    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"),
+                HasSubstr("text: expected it to be there"));
 }
 
 }  // namespace

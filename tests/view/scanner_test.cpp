@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Live scans: the same points as the library's own renderer gives, edits included, and a frame that reads back as what was put in.
+// Live scans: the same points as the library's own renderer gives, edits included, and a
+// frame that reads back as what was put in.
 #include "../../tools/view/scanner.hpp"
 
 #include <cstring>
@@ -9,11 +10,11 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "../support/device.hpp"
-#include "../support/drop_networks.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/edit.hpp>
+#include "../support/device.hpp"
+#include "../support/drop_networks.hpp"
 
 namespace relidar::view {
 namespace {
@@ -37,7 +38,7 @@ Run small_run() {
     options.actor_min_points = 10;
     run.scene = initialise_scene(run.sequence, run.split.train, options);
     run.coverage = find_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
-    for (Frame& frame : run.sequence.frames) frame.scan = {};   // as a run that was loaded
+    for (Frame& frame : run.sequence.frames) frame.scan = {};  // as a run that was loaded
     return run;
 }
 
@@ -59,7 +60,8 @@ struct Read {
         for (const Json& entry : header["arrays"])
             if (entry["name"] == name) {
                 std::vector<T> values(entry["count"].get<std::size_t>());
-                std::memcpy(values.data(), arrays.data() + entry["offset"].get<std::size_t>(), values.size() * sizeof(T));
+                std::memcpy(values.data(), arrays.data() + entry["offset"].get<std::size_t>(),
+                            values.size() * sizeof(T));
                 return values;
             }
         ADD_FAILURE() << name;
@@ -84,7 +86,8 @@ class LiveScan : public test::DeviceTest {
 protected:
     void SetUp() override {
         DeviceTest::SetUp();
-        if (!IsSkipped() && !HasFatalFailure()) made_ = std::make_unique<Scanner>(small_run(), OtherRuns{{"other", small_run()}}, device());
+        if (!IsSkipped() && !HasFatalFailure())
+            made_ = std::make_unique<Scanner>(small_run(), OtherRuns{{"other", small_run()}}, device());
     }
     void TearDown() override {
         made_.reset();
@@ -93,7 +96,8 @@ protected:
     Scanner& scanner() { return *made_; }
     const relidar::Run& run() const { return made_->run(); }
     /// What `relidar render` makes of a run.
-    RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset, const Weather& weather = {}) {
+    RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset,
+                          const Weather& weather = {}) {
         ScanRenderer renderer(device(), of);
         renderer.set_weather(weather);
         return renderer.render(choose_sensor("native", of.config, of.sequence), time_s, offset);
@@ -106,14 +110,15 @@ private:
 
 TEST_F(LiveScan, IsWhatTheRendererGives) {
     ScanWish wish;
-    wish.time_s = 0.23;   // between frames
+    wish.time_s = 0.23;  // between frames
     wish.sensor_offset = {rotation_of(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
     const Read live(scanner().scan(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
 }
 
-/// A network that says of every ray that it returns: the page shows those that are points of the scan.
+/// A network that says of every ray that it returns: the page shows those that are points
+/// of the scan.
 TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
     relidar::Run run = small_run();
     run.config.refine.enabled = true;
@@ -155,14 +160,16 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
 
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 3.0, -2.0, 2.0}}};
     const Read with_copy(scanner().scan(tab, wish));
-    expect_same(with_copy, rendered(edited_run(run(), scanner().others(), wish.edits), wish.time_s, {}), run());
+    expect_same(with_copy, rendered(edited_run(run(), scanner().others(), wish.edits), wish.time_s, {}),
+                run());
     EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
 }
 
 TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     const std::string first = run().scene.instances[1].track;
     ScanWish wish;
-    wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}}, {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
+    wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}},
+                         {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
     const relidar::Run edited = edited_run(run(), scanner().others(), wish.edits);
     EXPECT_THAT(edited.edits.back().edit, testing::StartsWith("--insert ")) << "as `relidar edit` takes it";
     const Read live(scanner().scan(tab, wish));
@@ -174,10 +181,11 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
 
 TEST_F(LiveScan, PutsCopiesOnTheGround) {
     const BoxTrack& car = run().sequence.boxes.front();
-    const Pose there = car.world_from_box.pose.front();   // the street is flat
+    const Pose there = car.world_from_box.pose.front();  // the street is flat
     for (const char* from : {"", "other"}) {
         const ActorEdits::Copy copy =
-            copy_on_ground(run(), scanner().others(), {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
+            copy_on_ground(run(), scanner().others(),
+                           {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
         EXPECT_EQ(copy.from, from);
         EXPECT_NEAR(copy.at[0], there.translation.x - 5.0, 1e-9);
         EXPECT_NEAR(copy.at[1], there.translation.y + 2.0, 1e-9);
@@ -192,7 +200,8 @@ TEST_F(LiveScan, HidesWithoutAnEdit) {
     ScanWish wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
     EXPECT_TRUE(edited_run(run(), scanner().others(), wish.edits).edits.empty());
-    const std::vector<std::uint16_t> instance = Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
+    const std::vector<std::uint16_t> instance =
+        Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The viewer's server before anybody on the network: what is served, what is refused with which status, and that it lives on.
+// The viewer's server before anybody on the network: what is served, what is refused with
+// which status, and that it lives on.
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -7,9 +8,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <relidar/base/error.hpp>
 #include "../../tools/view/server.hpp"
 #include "raw_client.hpp"
-#include <relidar/base/error.hpp>
 
 namespace relidar::view {
 namespace {
@@ -25,17 +26,20 @@ using testing::HasSubstr;
 using testing::Not;
 
 constexpr const char* kToken = "0123456789abcdef0123456789abcdef";
-const std::vector<Asset> kAssets = {{"/", "text/html", "<p>the page</p>"}, {"/main.js", "text/javascript", "let a = 1;"}};
+const std::vector<Asset> kAssets = {{"/", "text/html", "<p>the page</p>"},
+                                    {"/main.js", "text/javascript", "let a = 1;"}};
 
 /// A server that sends texts back, and what its clients did.
 struct Echo {
     Server server;
 
-    explicit Echo(ServerOptions options = {}) : server(filled(options), {[](ClientId) {}, [this](ClientId id, std::string text) {
-                                                                              last = id;
-                                                                              server.send_text(id, "echo " + text);
-                                                                          },
-                                                                          [](ClientId) {}}) {}
+    explicit Echo(ServerOptions options = {})
+        : server(filled(options), {[](ClientId) {},
+                                   [this](ClientId id, std::string text) {
+                                       last = id;
+                                       server.send_text(id, "echo " + text);
+                                   },
+                                   [](ClientId) {}}) {}
     static ServerOptions filled(ServerOptions options) {
         options.port = 0;
         options.assets = kAssets;
@@ -54,7 +58,8 @@ std::string get(const std::string& target, const std::string& fields = "Host: lo
 
 std::string upgrade(const std::string& fields = "Host: localhost\r\n", const std::string& target = "/live") {
     return "GET " + target + " HTTP/1.1\r\n" + fields +
-           "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
+           "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: "
+           "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
 }
 
 /// A client whose WebSocket is open.
@@ -78,12 +83,14 @@ TEST(ViewServer, ServesItsAssetsByTheirExactNames) {
     const std::string page = ask(echo.port(), get("/"));
     EXPECT_EQ(status_of(page), 200);
     EXPECT_TRUE(page.ends_with("\r\n\r\n<p>the page</p>"));
-    for (const char* field : {"Content-Security-Policy: default-src 'none'; script-src 'self';", "X-Content-Type-Options: nosniff",
-                              "Referrer-Policy: no-referrer", "Content-Type: text/html"})
+    for (const char* field :
+         {"Content-Security-Policy: default-src 'none'; script-src 'self';",
+          "X-Content-Type-Options: nosniff", "Referrer-Policy: no-referrer", "Content-Type: text/html"})
         EXPECT_THAT(page, HasSubstr(field));
     EXPECT_THAT(page, Not(HasSubstr("unsafe")));
     EXPECT_THAT(ask(echo.port(), get("/main.js?x=1")), HasSubstr("let a = 1;"));
-    const std::string head = ask(echo.port(), "HEAD / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    const std::string head =
+        ask(echo.port(), "HEAD / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
     EXPECT_THAT(head, HasSubstr("Content-Length: 15\r\n"));
     EXPECT_TRUE(head.ends_with("\r\n\r\n"));
 }
@@ -111,13 +118,32 @@ TEST(ViewServer, ServesNothingElse) {
     const Echo echo;
     const InTemporaryFolder here;
     std::ofstream("main.css") << "a file beside the program";
-    for (const char* path : {"/main.css", "/../main.js", "/./main.js", "//main.js", "/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
-                             "/..%2f..%2fetc/passwd", "/..\\..\\etc\\passwd", "/main.js/", "/main.js%00.html", "/MAIN.JS", "/etc/passwd",
-                             "main.js", "*", "file:///etc/passwd", "http://localhost/main.js", "/main.js;x", "/%6dain.js", "/.", "/..",
+    for (const char* path : {"/main.css",
+                             "/../main.js",
+                             "/./main.js",
+                             "//main.js",
+                             "/../../../../etc/passwd",
+                             "/%2e%2e/%2e%2e/etc/passwd",
+                             "/..%2f..%2fetc/passwd",
+                             "/..\\..\\etc\\passwd",
+                             "/main.js/",
+                             "/main.js%00.html",
+                             "/MAIN.JS",
+                             "/etc/passwd",
+                             "main.js",
+                             "*",
+                             "file:///etc/passwd",
+                             "http://localhost/main.js",
+                             "/main.js;x",
+                             "/%6dain.js",
+                             "/.",
+                             "/..",
                              "/live/"}) {
         const std::string answer = ask(echo.port(), get(path));
         EXPECT_THAT(status_of(answer), AnyOf(404, 400)) << path;
-        EXPECT_THAT(answer, Not(AnyOf(HasSubstr("root:"), HasSubstr("beside the program"), HasSubstr("let a")))) << path;
+        EXPECT_THAT(answer,
+                    Not(AnyOf(HasSubstr("root:"), HasSubstr("beside the program"), HasSubstr("let a"))))
+            << path;
     }
     EXPECT_EQ(status_of(ask(echo.port(), get("/live"))), 426);
     EXPECT_TRUE(echo.lives());
@@ -150,10 +176,12 @@ TEST(ViewServer, RefusesWhatIsNoRequestForAnAsset) {
 
 TEST(ViewServer, KnowsItsOwnNamesAndNoOther) {
     const Echo echo;
-    for (const char* host : {"localhost", "LocalHost:8080", "127.0.0.1", "127.0.0.1:9", "[::1]:8080", "[::1]", "192.168.3.4:80"})
+    for (const char* host :
+         {"localhost", "LocalHost:8080", "127.0.0.1", "127.0.0.1:9", "[::1]:8080", "[::1]", "192.168.3.4:80"})
         EXPECT_EQ(status_of(ask(echo.port(), get("/", std::string("Host: ") + host + "\r\n"))), 200) << host;
-    for (const char* host : {"evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8080", "localhost:80:80",
-                             "[::1", "[::1]x", "localhost:x", "a@localhost"})
+    for (const char* host :
+         {"evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8080",
+          "localhost:80:80", "[::1", "[::1]x", "localhost:x", "a@localhost"})
         EXPECT_EQ(status_of(ask(echo.port(), get("/", std::string("Host: ") + host + "\r\n"))), 403) << host;
     EXPECT_EQ(status_of(ask(echo.port(), get("/", ""))), 400);
     EXPECT_EQ(status_of(ask(echo.port(), get("/", "Host: localhost\r\nHost: evil.example\r\n"))), 400);
@@ -162,13 +190,16 @@ TEST(ViewServer, KnowsItsOwnNamesAndNoOther) {
 TEST(ViewServer, RefusesForeignPages) {
     const Echo echo;
     const std::string host = "Host: localhost:8080\r\n";
-    for (const char* origin : {"http://evil.example", "http://localhost", "http://localhost:8081", "https://localhost:8080", "null", "x"}) {
+    for (const char* origin : {"http://evil.example", "http://localhost", "http://localhost:8081",
+                               "https://localhost:8080", "null", "x"}) {
         const std::string fields = host + "Origin: " + origin + "\r\n";
         EXPECT_EQ(status_of(ask(echo.port(), get("/", fields))), 403) << origin;
         EXPECT_EQ(status_of(ask(echo.port(), upgrade(fields))), 403) << origin;
     }
-    EXPECT_EQ(status_of(Socket(echo.port(), upgrade(host + "Origin: http://localhost:8080\r\n")).answer), 101);
-    EXPECT_EQ(status_of(ask(echo.port(), upgrade("Host: evil.example\r\nOrigin: http://evil.example\r\n"))), 403);
+    EXPECT_EQ(status_of(Socket(echo.port(), upgrade(host + "Origin: http://localhost:8080\r\n")).answer),
+              101);
+    EXPECT_EQ(status_of(ask(echo.port(), upgrade("Host: evil.example\r\nOrigin: http://evil.example\r\n"))),
+              403);
 }
 
 TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
@@ -177,16 +208,19 @@ TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
     const Echo echo(options);
     const std::string host = "Host: localhost\r\n", cookie = "relidar_" + std::to_string(echo.port());
     const std::string close_one = std::string(kToken).substr(0, 31);
-    for (const std::string& target : {std::string("/"), std::string("/?token="), "/?token=" + close_one, "/?token=" + close_one + "e",
-                                      "/?token=" + std::string(kToken) + "0", "/?tokem=" + std::string(kToken), std::string("/main.js"),
-                                      std::string("/nothing")})
+    for (const std::string& target :
+         {std::string("/"), std::string("/?token="), "/?token=" + close_one, "/?token=" + close_one + "e",
+          "/?token=" + std::string(kToken) + "0", "/?tokem=" + std::string(kToken), std::string("/main.js"),
+          std::string("/nothing")})
         EXPECT_EQ(status_of(ask(echo.port(), get(target))), 401) << target;
-    EXPECT_EQ(status_of(ask(echo.port(), get("/", host + "Cookie: " + cookie + "=" + close_one + "\r\n"))), 401);
+    EXPECT_EQ(status_of(ask(echo.port(), get("/", host + "Cookie: " + cookie + "=" + close_one + "\r\n"))),
+              401);
     EXPECT_EQ(status_of(ask(echo.port(), upgrade())), 401);
 
     const std::string page = ask(echo.port(), get("/?token=" + std::string(kToken)));
     EXPECT_EQ(status_of(page), 200);
-    EXPECT_THAT(page, HasSubstr("Set-Cookie: " + cookie + "=" + kToken + "; Path=/; HttpOnly; SameSite=Strict\r\n"));
+    EXPECT_THAT(
+        page, HasSubstr("Set-Cookie: " + cookie + "=" + kToken + "; Path=/; HttpOnly; SameSite=Strict\r\n"));
     const std::string shown = host + "Cookie: other=1; " + cookie + "=" + kToken + "\r\n";
     EXPECT_EQ(status_of(ask(echo.port(), get("/main.js", shown))), 200);
     EXPECT_EQ(status_of(Socket(echo.port(), upgrade(shown)).answer), 101);
@@ -199,7 +233,7 @@ TEST(ViewServer, HangsUpOnSlowClients) {
     half.send("GET / HTTP/1.1\r\nHost: loc");
     EXPECT_EQ(status_of(half.receive()), 408);
 
-    RawClient drop_by_drop(echo.port());   // each byte is in time, the request is not
+    RawClient drop_by_drop(echo.port());  // each byte is in time, the request is not
     const auto start = std::chrono::steady_clock::now();
     for (const char c : get("/" + std::string(400, 'x'))) {
         if (!drop_by_drop.send(std::string(1, c))) break;
@@ -208,7 +242,7 @@ TEST(ViewServer, HangsUpOnSlowClients) {
     }
     EXPECT_EQ(status_of(drop_by_drop.receive()), 408);
     RawClient silent(echo.port());
-    EXPECT_EQ(silent.receive(), "");   // closed without a word
+    EXPECT_EQ(silent.receive(), "");  // closed without a word
     EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(10));
     EXPECT_TRUE(echo.lives());
 }
@@ -225,7 +259,7 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
     }
     int status = 503;
     for (int i = 0; i < 50 && status == 503; ++i) {
-        std::this_thread::sleep_for(milliseconds(20));   // until the server has seen them go
+        std::this_thread::sleep_for(milliseconds(20));  // until the server has seen them go
         status = status_of(ask(echo.port(), get("/")));
     }
     EXPECT_EQ(status, 200);
@@ -234,9 +268,10 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
 TEST(ViewServer, AnswersWhileManyConnectionsAreSilent) {
     const ServerOptions options;
     const Echo echo(options);
-    Socket page(echo.port());   // is open before
+    Socket page(echo.port());  // is open before
     std::vector<std::unique_ptr<RawClient>> silent;
-    for (std::size_t i = 0; i < 3 * options.max_connections; ++i) silent.push_back(std::make_unique<RawClient>(echo.port()));
+    for (std::size_t i = 0; i < 3 * options.max_connections; ++i)
+        silent.push_back(std::make_unique<RawClient>(echo.port()));
     page.send(text_frame("there"));
     EXPECT_EQ(page.receive(12), std::string("\x81\x0a") + "echo there");
     const auto start = std::chrono::steady_clock::now();
@@ -252,13 +287,13 @@ TEST(ViewServer, AnswersTexts) {
     const Echo echo;
     Socket socket(echo.port());
     ASSERT_EQ(status_of(socket.answer), 101);
-    EXPECT_THAT(socket.answer, HasSubstr("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="));   // of the example in RFC 6455
+    EXPECT_THAT(socket.answer, HasSubstr("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="));  // of the example in RFC 6455
     socket.send(text_frame("one"));
     EXPECT_EQ(socket.receive(10), std::string("\x81\x08") + "echo one");
-    socket.send(frame(0x01, "t", true, 1) + frame(0x80, "wo", true, 2));   // in two fragments
+    socket.send(frame(0x01, "t", true, 1) + frame(0x80, "wo", true, 2));  // in two fragments
     EXPECT_EQ(socket.receive(10), std::string("\x81\x08") + "echo two");
     socket.send(frame(0x89, "x", true, 1));
-    EXPECT_EQ(socket.receive(3), std::string("\x8a\x01x"));   // ping, pong
+    EXPECT_EQ(socket.receive(3), std::string("\x8a\x01x"));  // ping, pong
 }
 
 TEST(ViewServer, ClosesOnFramesThatAreNone) {
@@ -297,11 +332,11 @@ TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
     Socket socket(echo.port());
     socket.send(text_frame("hello"));
     socket.receive(12);
-    constexpr std::size_t kSize = std::size_t(1) << 22;   // more than the system's buffers hold
+    constexpr std::size_t kSize = std::size_t(1) << 22;  // more than the system's buffers hold
     for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest(echo.last, std::string(kSize, c));
-    EXPECT_TRUE(echo.lives());   // an answer of the same thread: it has taken all that was sent before
+    EXPECT_TRUE(echo.lives());  // an answer of the same thread: it has taken all that was sent before
     const std::string all = socket.receive(SIZE_MAX, milliseconds(500));
-    EXPECT_EQ(all.size(), 2 * (kSize + 10));   // the one that was on its way, and the last
+    EXPECT_EQ(all.size(), 2 * (kSize + 10));  // the one that was on its way, and the last
     EXPECT_EQ(all.back(), 'z');
 }
 
@@ -311,7 +346,7 @@ TEST(ViewServer, GivesUpOnWhoNeverReads) {
     socket.send(text_frame("hello"));
     socket.receive(12);
     for (int i = 0; i < 200; ++i) echo.server.send_text(echo.last, std::string(1 << 20, 'x'));
-    EXPECT_TRUE(echo.lives());   // it has taken all of them
+    EXPECT_TRUE(echo.lives());  // it has taken all of them
     EXPECT_LT(socket.receive(SIZE_MAX, milliseconds(500)).size(), std::size_t(100) << 20);
     EXPECT_TRUE(echo.lives());
 }
@@ -337,17 +372,18 @@ TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     Socket socket(port), other(port);
     socket.send(text_frame("hello"));
     ASSERT_THAT(socket.receive(12), HasSubstr("echo hello"));
-    const std::string large(std::size_t(8) << 20, 'x');   // more than the system takes at once
+    const std::string large(std::size_t(8) << 20, 'x');  // more than the system takes at once
     echo.server.send_newest(echo.last, large);
     auto closed = std::async(std::launch::async, [&] { echo.server.close(std::chrono::seconds(20)); });
     const std::string received = socket.receive();
-    EXPECT_EQ(received.size(), 10 + large.size() + 2 + 2 + std::string("the program ends").size());   // a frame and a close frame
+    // a frame and a close frame
+    EXPECT_EQ(received.size(), 10 + large.size() + 2 + 2 + std::string("the program ends").size());
     EXPECT_EQ(close_code(received), 1001);
     EXPECT_EQ(close_code(other.receive()), 1001);
     socket.abort();
     other.abort();
     EXPECT_EQ(closed.wait_for(std::chrono::seconds(10)), std::future_status::ready);
-    EXPECT_THROW(RawClient{port}, std::exception);   // nobody is let in any more
+    EXPECT_THROW(RawClient{port}, std::exception);  // nobody is let in any more
 }
 
 TEST(ViewServer, EndsAtOnceWhateverIsOpen) {

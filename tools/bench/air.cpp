@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_air: how many points of a trained synthetic street hang in the air, from where its sensor was and from beside there. A
-// point is on a surface where the exact street has one within 5 cm of it, whichever ray it came from.
+// relidar_bench_air: how many points of a trained synthetic street hang in the air, from
+// where its sensor was and from beside there. A point is on a surface where the exact
+// street has one within 5 cm of it, whichever ray it came from.
 #include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
@@ -23,14 +24,16 @@ namespace {
 using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
-constexpr std::size_t kProbes = 256;         // directions about a point: a surface is within 7 degrees of square to one of them
-constexpr std::size_t kTogether = 4096;      // points whose surroundings are cast at once
+// directions about a point: a surface is within 7 degrees of square to one of them
+constexpr std::size_t kProbes = 256;
+constexpr std::size_t kTogether = 4096;  // points whose surroundings are cast at once
 
 /// Directions spread evenly over the sphere (Fibonacci's spiral).
 std::array<glm::vec3, kProbes> all_around() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
-        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kProbes), turn = double(i) * kPi * (3.0 - std::sqrt(5.0));
+        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kProbes),
+                     turn = double(i) * kPi * (3.0 - std::sqrt(5.0));
         const double r = std::sqrt(1.0 - z * z);
         directions[i] = {float(r * std::cos(turn)), float(r * std::sin(turn)), float(z)};
     }
@@ -53,15 +56,18 @@ struct Points {
     glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
 };
 
-/// Distance of points to the nearest surface at the times of their rays: infinity where no probe meets one. Surfaces of the street have one
-/// side, and a point may lie millimetres behind one. So it is asked from itself to all around, and from all around to itself, from as near
-/// as a surface counts as its own, and from as far as one counts at all.
-std::vector<float> distances(const Place& place, const Points& points, const std::vector<std::size_t>& chosen) {
+/// Distance of points to the nearest surface at the times of their rays: infinity where
+/// no probe meets one. Surfaces of the street have one side, and a point may lie
+/// millimetres behind one. So it is asked from itself to all around, and from all around
+/// to itself, from as near as a surface counts as its own, and from as far as one counts
+/// at all.
+std::vector<float> distances(const Place& place, const Points& points,
+                             const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
         RayTable probes;
-        std::vector<std::size_t> asked;   // [probes] position in `chosen`
+        std::vector<std::size_t> asked;  // [probes] position in `chosen`
         for (std::size_t k = first; k < std::min(first + kTogether, chosen.size()); ++k) {
             const std::size_t i = chosen[k];
             const glm::vec3 point = points.at(i, points.range_m[i]);
@@ -77,11 +83,13 @@ std::vector<float> distances(const Place& place, const Points& points, const std
         }
         probes.rows = 1;
         probes.columns = static_cast<int>(asked.size());
-        const Scan around = cast_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
+        const Scan around =
+            cast_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
         for (std::size_t j = 0; j < asked.size(); ++j) {
             const std::size_t i = chosen[asked[j]];
             if (around.range_m[j] > 0.0f)
-                nearest[asked[j]] = std::min(nearest[asked[j]], glm::distance(around.point(j), points.at(i, points.range_m[i])));
+                nearest[asked[j]] = std::min(nearest[asked[j]],
+                                             glm::distance(around.point(j), points.at(i, points.range_m[i])));
         }
     }
     return nearest;
@@ -106,9 +114,11 @@ struct Count {
         }
     }
     std::string row(const std::string& name) const {
-        const auto share = [&](std::size_t n) { return 100.0 * double(n) / double(std::max<std::size_t>(points, 1)); };
-        return fmt::format("| {} | {} | {:.2f} % | **{:.2f} %** | {:.2f} % |\n", name, points, share(at_another_range), share(in_air),
-                           share(far_out));
+        const auto share = [&](std::size_t n) {
+            return 100.0 * double(n) / double(std::max<std::size_t>(points, 1));
+        };
+        return fmt::format("| {} | {} | {:.2f} % | **{:.2f} %** | {:.2f} % |\n", name, points,
+                           share(at_another_range), share(in_air), share(far_out));
     }
 };
 
@@ -117,9 +127,13 @@ void run(const std::string& folder, int device_index) {
     const SyntheticOptions street = street_of(run);
     Device device(from_environment({.index = device_index}));
     ScanRenderer renderer(device, run);
-    fmt::print("| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm |\n|---|--:|--:|--:|--:|\n");
-    const std::vector<std::pair<std::string, glm::dvec3>> offsets{
-        {"where it was", {0, 0, 0}}, {"1 m to the left", {0, 1, 0}}, {"2 m to the left", {0, 2, 0}}, {"2 m left, 1 m up", {0, 2, 1}}};
+    fmt::print(
+        "| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm "
+        "|\n|---|--:|--:|--:|--:|\n");
+    const std::vector<std::pair<std::string, glm::dvec3>> offsets{{"where it was", {0, 0, 0}},
+                                                                  {"1 m to the left", {0, 1, 0}},
+                                                                  {"2 m to the left", {0, 2, 0}},
+                                                                  {"2 m left, 1 m up", {0, 2, 1}}};
     for (const auto& [name, offset_m] : offsets) {
         Count points, image;
         for (const int position : run.split.test) {
@@ -143,7 +157,9 @@ void run(const std::string& folder, int device_index) {
 int main(int argc, char** argv) {
     std::string folder;
     int device = -1;
-    CLI::App app("points in the air of a trained synthetic street, from where its sensor was and from beside there", "relidar_bench_air");
+    CLI::App app(
+        "points in the air of a trained synthetic street, from where its sensor was and from beside there",
+        "relidar_bench_air");
     app.add_option("RUN", folder, "run trained on a folder with street.toml")->required();
     app.add_option("--device", device, "as of `relidar render`");
     CLI11_PARSE(app, argc, argv);

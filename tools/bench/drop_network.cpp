@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_drop_network: milliseconds of a training step and of an inference of the ray-drop network, and of a step's
-// kernels, and the device memory that training takes.
+// relidar_bench_drop_network: milliseconds of a training step and of an inference of the
+// ray-drop network, and of a step's kernels, and the device memory that training takes.
 #include <algorithm>
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include "diff/network/measured_network.hpp"
@@ -19,7 +19,7 @@ using namespace relidar;
 
 template <class Work>
 double median_ms(int repeat, Work&& work) {
-    work();   // warm up
+    work();  // warm up
     std::vector<double> ms;
     for (int i = 0; i < repeat; ++i) ms.push_back(milliseconds_of(work));
     return median(ms);
@@ -31,16 +31,19 @@ void print_kernels(const KernelTimes& times, int steps) {
     for (const auto& [name, ms] : times.milliseconds) {
         double sum = 0.0;
         for (const double x : ms) sum += x;
-        rows.emplace_back(sum / steps, fmt::format("{:<24} {:4} launches", name, ms.size() / std::size_t(steps)));
+        rows.emplace_back(sum / steps,
+                          fmt::format("{:<24} {:4} launches", name, ms.size() / std::size_t(steps)));
     }
     std::sort(rows.rbegin(), rows.rend());
     for (const auto& [ms, text] : rows) fmt::print("    {:9.2f} ms  {}\n", ms, text);
 }
 
 void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
-    Device device(from_environment(chosen));   // its own, so that the peak is of these images
+    Device device(from_environment(chosen));  // its own, so that the peak is of these images
     MeasuredDropNetwork network(device, options, rows, columns);
-    const double step = median_ms(repeat, [&] { network.step(); }), peak_mib = double(device.peak_bytes()) / 0x1p20;   // of training
+    // of training
+    const double step = median_ms(repeat, [&] { network.step(); }),
+                 peak_mib = double(device.peak_bytes()) / 0x1p20;
     const double infer = median_ms(repeat, [&] { network.infer(); }), giga = 1e-6 * network.operations();
     fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, step,
                3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
@@ -50,7 +53,9 @@ void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows
 }  // namespace
 
 int main(int argc, char** argv) {
-    CLI::App app("the ray-drop network: milliseconds of a training step and of an inference, medians of wall times, and peak memory");
+    CLI::App app(
+        "the ray-drop network: milliseconds of a training step and of an inference, medians of wall times, "
+        "and peak memory");
     int repeat = 5, index = -1, rows = 0, columns = 0;
     RefineOptions options{.batch = 1};
     app.add_option("--network", options.network, "small, paper or pixel");
@@ -64,10 +69,11 @@ int main(int argc, char** argv) {
     try {
         DeviceOptions chosen;
         chosen.index = index;
-        fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n", Device(from_environment(chosen)).info().name,
-                   options.network, count_parameters(options), options.batch, repeat);
-        fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14} {:>10}\n", "image", "step ms", "GFLOP/s",
-                   "infer ms", "GFLOP/s", "peak MiB");
+        fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n",
+                   Device(from_environment(chosen)).info().name, options.network, count_parameters(options),
+                   options.batch, repeat);
+        fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14} {:>10}\n", "image", "step ms", "GFLOP/s", "infer ms",
+                   "GFLOP/s", "peak MiB");
         std::vector<std::pair<int, int>> sizes{{66, 1030}, {64, 2650}};
         if (rows > 0) sizes = {{rows, columns}};
         for (const auto& [of_rows, of_columns] : sizes) measure(chosen, options, of_rows, of_columns, repeat);

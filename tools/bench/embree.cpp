@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_embree: the image of `relidar-dev bench` rendered by Embree on the host, as a yardstick for the software traversal. The
-// same surfels, rays, order and blending (docs/method.md M1-M5, Eq. 2-4), single precision, two threads: an intersection filter puts
-// candidates into a sorted buffer of `chunk` hits and shortens the ray once it is full.
+// relidar_bench_embree: the image of `relidar-dev bench` rendered by Embree on the host,
+// as a yardstick for the software traversal. The same surfels, rays, order and blending
+// (docs/method.md M1-M5, Eq. 2-4), single precision, two threads: an intersection filter
+// puts candidates into a sorted buffer of `chunk` hits and shortens the ray once it is
+// full.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -17,12 +19,12 @@
 #include <thread>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "scene/benchmark_street.hpp"
 #include <relidar/log/sensor.hpp>
 #include <relidar/scene/scene.hpp>
+#include "scene/benchmark_street.hpp"
 
 namespace {
 
@@ -35,7 +37,7 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-constexpr float kGrow = 1.002f, kPad_m = 1e-4f;   // of proxies, as AccelOptions
+constexpr float kGrow = 1.002f, kPad_m = 1e-4f;  // of proxies, as AccelOptions
 
 /// A surfel as a hit reads it, and its channels' coefficients.
 struct Record {
@@ -78,18 +80,22 @@ struct Query {
         if (!(hit.alpha >= world->model.alpha_min) || !before(after, hit)) return;
         int slot = n;
         while (slot > 0 && before(hit, hits[slot - 1])) --slot;
-        if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;   // a split quad is met twice
+        // a split quad is met twice
+        if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;
         n = std::min(n + 1, chunk);
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
         hits[slot] = hit;
     }
-    float end() const { return n == chunk ? hits[n - 1].t + 1e-4f + 1e-5f * hits[n - 1].t : std::numeric_limits<float>::infinity(); }
+    float end() const {
+        return n == chunk ? hits[n - 1].t + 1e-4f + 1e-5f * hits[n - 1].t
+                          : std::numeric_limits<float>::infinity();
+    }
 };
 
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     Query& query = *reinterpret_cast<Query*>(args->context);
     query.offer(RTCHitN_primID(args->hit, 1, 0));
-    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;   // accepted: the ray ends here
+    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;  // accepted: the ray ends here
 }
 
 /// Real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
@@ -125,10 +131,10 @@ public:
         : device_(rtcNewDevice(build_threads.c_str())), scene_(rtcNewScene(device_)), chunk_(chunk) {
         world_.sh = surfels.sh;
         const RTCGeometry mesh = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_QUAD);
-        auto* corners = static_cast<glm::vec3*>(
-            rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(glm::vec3), 4 * surfels.size()));
-        auto* indices = static_cast<unsigned*>(
-            rtcSetNewGeometryBuffer(mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
+        auto* corners = static_cast<glm::vec3*>(rtcSetNewGeometryBuffer(
+            mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(glm::vec3), 4 * surfels.size()));
+        auto* indices = static_cast<unsigned*>(rtcSetNewGeometryBuffer(
+            mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
         for (std::size_t i = 0; i < surfels.size(); ++i) add(surfels, i, corners + 4 * i);
         for (unsigned i = 0; i < 4 * surfels.size(); ++i) indices[i] = i;
         rtcSetGeometryIntersectFilterFunction(mesh, on_candidate);
@@ -185,8 +191,10 @@ private:
     void next_hits(Query& query) const {
         query.n = 0;
         RTCRayHit target{};
-        target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y, target.ray.org_z = query.origin.z;
-        target.ray.dir_x = query.direction.x, target.ray.dir_y = query.direction.y, target.ray.dir_z = query.direction.z;
+        target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y,
+        target.ray.org_z = query.origin.z;
+        target.ray.dir_x = query.direction.x, target.ray.dir_y = query.direction.y,
+        target.ray.dir_z = query.direction.z;
         target.ray.tnear = std::max(0.0f, query.after.t - (1e-4f + 1e-5f * query.after.t));
         target.ray.tfar = std::numeric_limits<float>::infinity();
         target.ray.mask = ~0u;
@@ -206,7 +214,8 @@ private:
 
     /// @return false where the hit ends the ray instead
     bool blend(const Hit& hit, const float* basis, Pixel& pixel) const {
-        const float alpha = std::min(hit.alpha, world_.model.alpha_max), next = pixel.transmittance * (1.0f - alpha);
+        const float alpha = std::min(hit.alpha, world_.model.alpha_max),
+                    next = pixel.transmittance * (1.0f - alpha);
         if (next < world_.model.transmittance_min) return false;
         const float w = alpha * pixel.transmittance;
         const float* sh = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
@@ -214,14 +223,15 @@ private:
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 16; ++k) channel[c] += basis[k] * sh[16 * c + k];
         pixel.depth += w * hit.t, pixel.weight += w;
-        pixel.intensity += w * std::max(channel[0], 0.0f), pixel.hit_logit += w * channel[1], pixel.drop_logit += w * channel[2];
+        pixel.intensity += w * std::max(channel[0], 0.0f), pixel.hit_logit += w * channel[1],
+            pixel.drop_logit += w * channel[2];
         pixel.transmittance = next;
         ++pixel.n_hits;
         return true;
     }
 
     static Pixel finished(Pixel pixel) {
-        pixel.drop_logit += pixel.transmittance;   // background
+        pixel.drop_logit += pixel.transmittance;  // background
         return pixel;
     }
 };
@@ -248,7 +258,8 @@ double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
     // as relidar-dev bench
-    if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2) return make_benchmark_rays(rows, columns, 2.0, -24.9);
+    if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2)
+        return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(text);
 }
 
@@ -256,7 +267,8 @@ RayTable make_rays(const std::string& text) {
 
 int main(int argc, char** argv) {
     CLI::App app(
-        "render a benchmark street with Embree and print a line: Mrays/s by wall time and by processor time, blended hits a ray, mean "
+        "render a benchmark street with Embree and print a line: Mrays/s by wall time and by processor time, "
+        "blended hits a ray, mean "
         "depth");
     std::string scene = "A", rays_name = "64x1024";
     unsigned n_surfels = 100000;
@@ -269,9 +281,10 @@ int main(int argc, char** argv) {
     app.add_option("--threads", n_threads, "threads")->check(CLI::Range(1, 256));
     CLI11_PARSE(app, argc, argv);
 
-    const Renderer renderer(make_benchmark_street(n_surfels, 20261120, scene == "B"), chunk, fmt::format("threads={}", n_threads));
+    const Renderer renderer(make_benchmark_street(n_surfels, 20261120, scene == "B"), chunk,
+                            fmt::format("threads={}", n_threads));
     const RayTable rays = make_rays(rays_name);
-    std::vector<Pixel> image = render(renderer, rays, n_threads);   // warm up
+    std::vector<Pixel> image = render(renderer, rays, n_threads);  // warm up
     std::vector<double> wall, cpu;
     for (int i = 0; i < repeat; ++i) {
         const auto start = std::chrono::steady_clock::now();
@@ -285,6 +298,7 @@ int main(int argc, char** argv) {
     double n_hits = 0.0, depth = 0.0;
     for (const Pixel& pixel : image) n_hits += pixel.n_hits, depth += pixel.depth;
     const double mrays = 1e-6 * double(rays.size()), n = double(rays.size());
-    fmt::print("{:.4f} {:.4f} {:.3f} {:.6f}\n", mrays / wall[wall.size() / 2], mrays / cpu[cpu.size() / 2], n_hits / n, depth / n);
+    fmt::print("{:.4f} {:.4f} {:.3f} {:.6f}\n", mrays / wall[wall.size() / 2], mrays / cpu[cpu.size() / 2],
+               n_hits / n, depth / n);
     return 0;
 }

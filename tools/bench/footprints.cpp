@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_footprints: what sub-rays and second returns are worth, on a trained synthetic street. Truth is the street itself, cast
-// with a cone of 64 exact rays for each beam, whose returns are told apart by brute force here. Compared at beams that straddle an edge:
-// the first return's error, how often it lies in the air between two surfaces, and second returns found, missed and invented.
+// relidar_bench_footprints: what sub-rays and second returns are worth, on a trained
+// synthetic street. Truth is the street itself, cast with a cone of 64 exact rays for
+// each beam, whose returns are told apart by brute force here. Compared at beams that
+// straddle an edge: the first return's error, how often it lies in the air between two
+// surfaces, and second returns found, missed and invented.
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
@@ -25,7 +27,8 @@ using namespace relidar;
 constexpr int kCone = 64;
 constexpr double kGolden_rad = 2.399963229728653;
 constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f;
-constexpr float kOnSurface_m = 0.3f;   // a range farther than this from every surface of the footprint lies in the air
+// a range farther than this from every surface of the footprint lies in the air
+constexpr float kOnSurface_m = 0.3f;
 
 struct Return {
     float range_m = 0.0f, light = 0.0f;
@@ -41,11 +44,13 @@ RayTable cone_rays(const RayTable& rays, double divergence_rad) {
     cone.columns = rays.columns * kCone;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 d(rays.direction[i]),
-            side = glm::normalize(glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
+            side = glm::normalize(
+                glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kCone; ++k) {
             const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.divergence_of(i);
             const double angle = 0.5 * full_rad * std::sqrt((k + 0.5) / kCone);
-            const glm::dvec3 off = std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
+            const glm::dvec3 off =
+                std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
             cone.origin.push_back(rays.origin[i]);
             cone.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -75,9 +80,9 @@ Returns returns_of(const Scan& cone, std::size_t ray) {
 
 struct Truth {
     Returns returns;
-    float first_m = 0.0f;    ///< 0: the beam is dropped
-    float second_m = 0.0f;   ///< 0: there is none
-    bool edge = false;       ///< two surfaces with a tenth of the light each
+    float first_m = 0.0f;   ///< 0: the beam is dropped
+    float second_m = 0.0f;  ///< 0: there is none
+    bool edge = false;      ///< two surfaces with a tenth of the light each
 };
 
 Truth truth_of(const Scan& cone, std::size_t ray) {
@@ -118,8 +123,10 @@ void add(Score& score, const RenderedScan& scan, const Scan& cone) {
         const float second_m = scan.second_returns.empty() ? 0.0f : scan.second_returns[0].range_m[i];
         score.seconds += truth.second_m > 0.0f;
         score.reported += second_m > 0.0f;
-        score.found += truth.second_m > 0.0f && second_m > 0.0f && nearest_m(truth.returns, second_m) < kOnSurface_m;
-        score.invented += second_m > 0.0f && !(truth.returns.size() > 1 && nearest_m(truth.returns, second_m) < kOnSurface_m);
+        score.found +=
+            truth.second_m > 0.0f && second_m > 0.0f && nearest_m(truth.returns, second_m) < kOnSurface_m;
+        score.invented += second_m > 0.0f &&
+                          !(truth.returns.size() > 1 && nearest_m(truth.returns, second_m) < kOnSurface_m);
         if (!truth.edge || !returns) continue;
         const double error = double(range_m[i]) - double(truth.first_m);
         ++score.edges;
@@ -129,7 +136,8 @@ void add(Score& score, const RenderedScan& scan, const Scan& cone) {
     }
 }
 
-void run(const std::string& folder, const std::string& sensor_name, double divergence_mrad, int device_index) {
+void run(const std::string& folder, const std::string& sensor_name, double divergence_mrad,
+         int device_index) {
     Run run = load_run(folder);
     const SensorModel model = find_sensor(sensor_name);
     const RayTable rays = make_rays(model);
@@ -139,11 +147,13 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
     std::vector<Scan> cones;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
-        cones.push_back(cast_synthetic_street(street, cone_rays(rays, divergence_rad), run.sequence.world_from_sensor(0), time_s));
+        cones.push_back(cast_synthetic_street(street, cone_rays(rays, divergence_rad),
+                                              run.sequence.world_from_sensor(0), time_s));
         drop_outside(cones.back(), overlap(model.limits, run.sequence.lidars[0].sensor.range_limits()));
     }
     fmt::print("{}: {} rays, divergence {:.2f} mrad, {} held-out frames of {}\n\n", model.name, rays.size(),
-               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.largest_divergence(), cones.size(), folder);
+               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.largest_divergence(), cones.size(),
+               folder);
     fmt::print(
         "| sub-rays | edge beams | RMSE | MAE | in the air | second returns | found | invented, of reported "
         "|\n|--:|--:|--:|--:|--:|--:|--:|--:|\n");
@@ -156,13 +166,17 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         for (std::size_t f = 0; f < cones.size(); ++f) {
             SensorChoice choice = sensor_choice(model);
             choice.limits = overlap(model.limits, run.sequence.lidars[0].sensor.range_limits());
-            add(score, renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s), cones[f]);
+            add(score, renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
+                cones[f]);
         }
-        const auto share = [](std::size_t part, std::size_t whole) { return whole ? 100.0 * double(part) / double(whole) : 0.0; };
+        const auto share = [](std::size_t part, std::size_t whole) {
+            return whole ? 100.0 * double(part) / double(whole) : 0.0;
+        };
         const double edges = double(std::max<std::size_t>(score.edges, 1));
-        fmt::print("| {} | {} | {:.3f} m | {:.3f} m | {:.1f} % | {} | {:.1f} % | {:.1f} % |\n", n, score.edges,
-                   std::sqrt(score.squares / edges), score.absolute / edges, share(score.in_air, score.edges), score.seconds,
-                   share(score.found, score.seconds), share(score.invented, score.reported));
+        fmt::print("| {} | {} | {:.3f} m | {:.3f} m | {:.1f} % | {} | {:.1f} % | {:.1f} % |\n", n,
+                   score.edges, std::sqrt(score.squares / edges), score.absolute / edges,
+                   share(score.in_air, score.edges), score.seconds, share(score.found, score.seconds),
+                   share(score.invented, score.reported));
     }
 }
 
@@ -172,10 +186,14 @@ int main(int argc, char** argv) {
     std::string folder, sensor = "OS1-64";
     double divergence_mrad = 0.0;
     int device = -1;
-    CLI::App app("sub-rays and second returns against a synthetic street cast with the same divergence", "relidar_bench_footprints");
-    app.add_option("RUN", folder, "run trained on a synthetic street, such as DIR/run of `relidar demo --out DIR`")->required();
+    CLI::App app("sub-rays and second returns against a synthetic street cast with the same divergence",
+                 "relidar_bench_footprints");
+    app.add_option("RUN", folder,
+                   "run trained on a synthetic street, such as DIR/run of `relidar demo --out DIR`")
+        ->required();
     app.add_option("--sensor", sensor, "as of `relidar render`");
-    app.add_option("--divergence", divergence_mrad, "full beam divergence, milliradians (default: the sensor's own)");
+    app.add_option("--divergence", divergence_mrad,
+                   "full beam divergence, milliradians (default: the sensor's own)");
     app.add_option("--device", device, "as of `relidar render`");
     CLI11_PARSE(app, argc, argv);
     try {

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_layers: convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn in one process, forward,
-// by the input and by the weights. oneDNN chooses its own layouts, in which its values already lie; the columns that make a ring of
-// the image's are there, too. Times by the wall, and of all cores in this process, where a GPU's is not counted. OMP_WAIT_POLICY=passive
-// keeps oneDNN's threads from spinning in the device's turn.
+// relidar_bench_layers: convolutions 3x3 of the ray-drop network on the device and by
+// oneDNN on the host, in turn in one process, forward, by the input and by the weights.
+// oneDNN chooses its own layouts, in which its values already lie; the columns that make
+// a ring of the image's are there, too. Times by the wall, and of all cores in this
+// process, where a GPU's is not counted. OMP_WAIT_POLICY=passive keeps oneDNN's threads
+// from spinning in the device's turn.
 #include <onednn_primitive.hpp>
 
 #include <cmath>
@@ -12,8 +14,8 @@
 #include <unordered_map>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include "diff/network/measured_network.hpp"
@@ -33,21 +35,26 @@ public:
           of_to_(any({1, size.n_out, size.rows, size.columns})),
           of_weights_(any({size.n_out, size.n_in, 3, 3})) {
         const memory::dims strides{1, 1}, ends{1, 0};
-        const auto forward =
-            onednn::describe<dnnl::convolution_forward>(engine_, dnnl::prop_kind::forward_training, algorithm::convolution_direct, of_from_,
-                                                        of_weights_, of_to_, strides, ends, ends);
+        const auto forward = onednn::describe<dnnl::convolution_forward>(
+            engine_, dnnl::prop_kind::forward_training, algorithm::convolution_direct, of_from_, of_weights_,
+            of_to_, strides, ends, ends);
         const auto by_input = onednn::describe_backward<dnnl::convolution_backward_data>(
-            engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends);
+            engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends,
+            ends);
         const auto by_weights = onednn::describe_backward<dnnl::convolution_backward_weights>(
-            engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends, ends);
+            engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends,
+            ends);
         passes_ = {{dnnl::convolution_forward(forward),
-                    {{DNNL_ARG_SRC, filled(forward.src_desc())}, {DNNL_ARG_WEIGHTS, filled(forward.weights_desc())},
+                    {{DNNL_ARG_SRC, filled(forward.src_desc())},
+                     {DNNL_ARG_WEIGHTS, filled(forward.weights_desc())},
                      {DNNL_ARG_DST, filled(forward.dst_desc())}}},
                    {dnnl::convolution_backward_data(by_input),
-                    {{DNNL_ARG_DIFF_DST, filled(by_input.diff_dst_desc())}, {DNNL_ARG_WEIGHTS, filled(by_input.weights_desc())},
+                    {{DNNL_ARG_DIFF_DST, filled(by_input.diff_dst_desc())},
+                     {DNNL_ARG_WEIGHTS, filled(by_input.weights_desc())},
                      {DNNL_ARG_DIFF_SRC, filled(by_input.diff_src_desc())}}},
                    {dnnl::convolution_backward_weights(by_weights),
-                    {{DNNL_ARG_SRC, filled(by_weights.src_desc())}, {DNNL_ARG_DIFF_DST, filled(by_weights.diff_dst_desc())},
+                    {{DNNL_ARG_SRC, filled(by_weights.src_desc())},
+                     {DNNL_ARG_DIFF_DST, filled(by_weights.diff_dst_desc())},
                      {DNNL_ARG_DIFF_WEIGHTS, filled(by_weights.diff_weights_desc())}}}};
     }
 
@@ -67,11 +74,14 @@ private:
     memory::desc of_from_, of_to_, of_weights_;
     std::vector<Pass> passes_;
 
-    static memory::desc any(const memory::dims& dims) { return {dims, memory::data_type::f32, memory::format_tag::any}; }
+    static memory::desc any(const memory::dims& dims) {
+        return {dims, memory::data_type::f32, memory::format_tag::any};
+    }
     memory filled(const memory::desc& desc) {
         memory result(desc, engine_);
         auto* values = static_cast<float*>(result.get_data_handle());
-        for (std::size_t i = 0; i < desc.get_size() / sizeof(float); ++i) values[i] = float(i % 257) / 128.0f - 1.0f;
+        for (std::size_t i = 0; i < desc.get_size() / sizeof(float); ++i)
+            values[i] = float(i % 257) / 128.0f - 1.0f;
         return result;
     }
 };
@@ -87,25 +97,30 @@ struct Times {
     }
 };
 
-/// One line: milliseconds by the wall, milliseconds and GFLOP/s by processor time, of the device and of oneDNN.
+/// One line: milliseconds by the wall, milliseconds and GFLOP/s by processor time, of the
+/// device and of oneDNN.
 void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
-    const double of_device = median(device.cpu), of_host = median(host.cpu), wall_device = median(device.wall),
-                 wall_host = median(host.wall), operations = 1e-6 * size.operations();
-    fmt::print("{:>7} {:>7} {:<10} {:9.2f} {:9.2f} {:9.2f} {:9.2f} {:9.1f} {:9.1f} {:9.1f} {:9.1f} {:7.2f} {:7.2f}\n",
-               fmt::format("{}x{}", size.rows, size.columns), fmt::format("{}->{}", size.n_in, size.n_out), pass, wall_device, wall_host,
-               of_device, of_host, operations / wall_device, operations / wall_host, operations / of_device, operations / of_host,
-               wall_device / wall_host, of_device / of_host);
+    const double of_device = median(device.cpu), of_host = median(host.cpu),
+                 wall_device = median(device.wall), wall_host = median(host.wall),
+                 operations = 1e-6 * size.operations();
+    fmt::print(
+        "{:>7} {:>7} {:<10} {:9.2f} {:9.2f} {:9.2f} {:9.2f} {:9.1f} {:9.1f} {:9.1f} {:9.1f} {:7.2f} "
+        "{:7.2f}\n",
+        fmt::format("{}x{}", size.rows, size.columns), fmt::format("{}->{}", size.n_in, size.n_out), pass,
+        wall_device, wall_host, of_device, of_host, operations / wall_device, operations / wall_host,
+        operations / of_device, operations / of_host, wall_device / wall_host, of_device / of_host);
 }
 
 void measure(Device& device, const ConvolutionSize& size, int repeat) {
     MeasuredConvolution on_device(device, size);
     HostConvolution on_host(size);
-    const std::vector<std::pair<const char*, std::function<void()>>> passes{{"forward", [&] { on_device.forward(); }},
-                                                                            {"by input", [&] { on_device.by_input(); }},
-                                                                            {"by weights", [&] { on_device.by_weights(); }}};
+    const std::vector<std::pair<const char*, std::function<void()>>> passes{
+        {"forward", [&] { on_device.forward(); }},
+        {"by input", [&] { on_device.by_input(); }},
+        {"by weights", [&] { on_device.by_weights(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
         const auto host = [&] { on_host.run(pass); };
-        passes[pass].second(), host();   // warm up
+        passes[pass].second(), host();  // warm up
         Times of_device, of_host;
         for (int i = 0; i < repeat; ++i) of_device.add(passes[pass].second), of_host.add(host);
         print(size, passes[pass].first, of_device, of_host);
@@ -115,7 +130,9 @@ void measure(Device& device, const ConvolutionSize& size, int repeat) {
 }  // namespace
 
 int main(int argc, char** argv) {
-    CLI::App app("convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn: medians and their ratio");
+    CLI::App app(
+        "convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn: medians "
+        "and their ratio");
     int repeat = 15, index = -1;
     app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
     app.add_option("--device", index, "as `relidar list devices` lists them");
@@ -125,12 +142,15 @@ int main(int argc, char** argv) {
         options.index = index;
         Device device(from_environment(options));
         const dnnl_version_t* version = dnnl_version();
-        fmt::print("{}; oneDNN {}.{}.{}; medians of {} runs in turn; ratio: device / oneDNN, by the wall and by processor time\n",
-                   device.info().name, version->major, version->minor, version->patch, repeat);
-        fmt::print("{:>7} {:>7} {:<10} {:>19} {:>19} {:>19} {:>19} {:>15}\n", "image", "layers", "pass", "wall ms", "processor ms",
-                   "GFLOP/s (wall)", "GFLOP/s a core", "ratio");
+        fmt::print(
+            "{}; oneDNN {}.{}.{}; medians of {} runs in turn; ratio: device / oneDNN, by the wall and by "
+            "processor time\n",
+            device.info().name, version->major, version->minor, version->patch, repeat);
+        fmt::print("{:>7} {:>7} {:<10} {:>19} {:>19} {:>19} {:>19} {:>15}\n", "image", "layers", "pass",
+                   "wall ms", "processor ms", "GFLOP/s (wall)", "GFLOP/s a core", "ratio");
         for (const ConvolutionSize& size :
-             {ConvolutionSize{64, 2000, 16, 16}, ConvolutionSize{64, 2650, 32, 32}, ConvolutionSize{33, 515, 64, 64}})
+             {ConvolutionSize{64, 2000, 16, 16}, ConvolutionSize{64, 2650, 32, 32},
+              ConvolutionSize{33, 515, 64, 64}})
             measure(device, size, repeat);
     } catch (const std::exception& error) {
         fmt::print(stderr, "relidar_bench_layers: {}\n", error.what());

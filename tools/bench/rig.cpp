@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_rig: a run trained on a synthetic street that a rig has logged: each LiDAR's held-out sweeps against the street itself,
-// cast along the same rays, by exact ones or by cones where the LiDAR has two returns; and another sensor in the place of the first LiDAR.
+// relidar_bench_rig: a run trained on a synthetic street that a rig has logged: each
+// LiDAR's held-out sweeps against the street itself, cast along the same rays, by exact
+// ones or by cones where the LiDAR has two returns; and another sensor in the place of
+// the first LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
@@ -24,27 +26,32 @@ using namespace relidar;
 constexpr float kOnSurface_m = 0.3f;
 
 struct Score {
-    std::vector<double> errors_m;   ///< of rays that return in truth and rendering
+    std::vector<double> errors_m;  ///< of rays that return in truth and rendering
     double squares = 0.0;
-    std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
+    std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, seconds = 0, found = 0,
+                reported = 0, invented = 0;
 };
 
-double percent(std::size_t part, std::size_t whole) { return whole ? 100.0 * double(part) / double(whole) : 0.0; }
+double percent(std::size_t part, std::size_t whole) {
+    return whole ? 100.0 * double(part) / double(whole) : 0.0;
+}
 
 /// What a scan says of each ray, rendered or cast.
 struct Returns {
-    std::vector<float> range_m, second_m;   ///< [rays] 0: none; `second_m` empty without second returns
+    std::vector<float> range_m, second_m;  ///< [rays] 0: none; `second_m` empty without second returns
 };
 
 Returns returns_of(const RenderedScan& scan) {
-    Returns r{scan.median_range_m, scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
+    Returns r{scan.median_range_m,
+              scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
     for (std::size_t i = 0; i < r.range_m.size(); ++i)
         if (!returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
     return r;
 }
 
 Returns returns_of(const Scan& scan) {
-    const std::vector<float> second_m = scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m;
+    const std::vector<float> second_m =
+        scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m;
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
@@ -52,7 +59,8 @@ Returns returns_of(const Scan& scan) {
 void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t i) {
     const float is_m = truth.second_m[i], found_m = scan.second_m[i];
     const bool right =
-        is_m > 0.0f && found_m > 0.0f && std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < kOnSurface_m;
+        is_m > 0.0f && found_m > 0.0f &&
+        std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < kOnSurface_m;
     score.seconds += is_m > 0.0f;
     score.reported += found_m > 0.0f;
     score.found += right;
@@ -78,16 +86,19 @@ void add(Score& score, const Returns& scan, const Returns& truth) {
 std::string row(const std::string& name, Score& s) {
     std::sort(s.errors_m.begin(), s.errors_m.end());
     if (s.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, s.rays);
-    const std::string seconds = s.seconds == 0 ? std::string("– | – | –")
-                                               : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds, percent(s.found, s.seconds),
-                                                             percent(s.invented, s.reported));
-    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, s.rays, s.errors_m[s.errors_m.size() / 2],
-                       std::sqrt(s.squares / double(s.errors_m.size())), percent(s.drops_right, s.rays), seconds);
+    const std::string seconds =
+        s.seconds == 0 ? std::string("– | – | –")
+                       : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds, percent(s.found, s.seconds),
+                                     percent(s.invented, s.reported));
+    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, s.rays,
+                       s.errors_m[s.errors_m.size() / 2], std::sqrt(s.squares / double(s.errors_m.size())),
+                       percent(s.drops_right, s.rays), seconds);
 }
 
-/// The street as the sensor has it, exactly: beams of two returns as cones. @param aside_m  how far to the left of its place, and above
-Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s, const SensorChoice& sensor,
-             float aside_m = 0.0f) {
+/// The street as the sensor has it, exactly: beams of two returns as cones. @param
+/// aside_m  how far to the left of its place, and above
+Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s,
+             const SensorChoice& sensor, float aside_m = 0.0f) {
     for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
     Scan scan = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, time_s)
                                     : cast_synthetic_street(street, rays, track, time_s);
@@ -95,30 +106,39 @@ Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& tra
     return returns_of(scan);
 }
 
-/// A sensor that the log does not have, in the place of its first LiDAR on the held-out sweeps.
-void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street, const std::string& name) {
+/// A sensor that the log does not have, in the place of its first LiDAR on the held-out
+/// sweeps.
+void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
+               const std::string& name) {
     const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
-        throw UsageError(fmt::format("{}: has other rays in every scan, expected a sensor whose rays stay", name));
+        throw UsageError(
+            fmt::format("{}: has other rays in every scan, expected a sensor whose rays stay", name));
     const PoseTrack track = run.sequence.world_from_sensor(0);
     Score score;
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         if (frame.lidar != 0) continue;
-        add(score, returns_of(renderer.render(sensor, frame.time_s)), cast(street, sensor.rays, track, frame.time_s, sensor));
+        add(score, returns_of(renderer.render(sensor, frame.time_s)),
+            cast(street, sensor.rays, track, frame.time_s, sensor));
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
-    if (score.errors_m.empty()) throw DataError(fmt::format("{}: nothing returned, expected some returns", name));
-    fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", name, score.rays, score.returns,
-               percent(score.missed, score.returns), percent(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
-               std::sqrt(score.squares / double(score.errors_m.size())), percent(score.drops_right, score.rays));
+    if (score.errors_m.empty())
+        throw DataError(fmt::format("{}: nothing returned, expected some returns", name));
+    fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", name, score.rays,
+               score.returns, percent(score.missed, score.returns), percent(score.behind, score.returns),
+               score.errors_m[score.errors_m.size() / 2],
+               std::sqrt(score.squares / double(score.errors_m.size())),
+               percent(score.drops_right, score.rays));
 }
 
 void run(const std::string& folder, int device_index, float aside_m, const std::vector<std::string>& others) {
     Run run = load_run(folder);
     const SyntheticOptions street = street_of(run);
     const auto rig = find_rig(street.rig);
-    if (!rig) throw UsageError(fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
+    if (!rig)
+        throw UsageError(
+            fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
     Device device(from_environment({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     std::vector<Score> scores(run.sequence.lidars.size()), beside(scores.size());
@@ -132,20 +152,27 @@ void run(const std::string& folder, int device_index, float aside_m, const std::
         const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
         const Returns truth = cast(street, rays, track, frame.time_s, sensor);
         add(scores[std::size_t(frame.lidar)], returns_of(renderer.render(sensor, frame.time_s)), truth);
-        if (aside_m > 0.0f) add(beside[std::size_t(frame.lidar)], cast(street, rays, track, frame.time_s, sensor, aside_m), truth);
+        if (aside_m > 0.0f)
+            add(beside[std::size_t(frame.lidar)], cast(street, rays, track, frame.time_s, sensor, aside_m),
+                truth);
     }
-    fmt::print("| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those reported, not there |\n"
-               "|---|--:|--:|--:|--:|--:|--:|--:|\n");
+    fmt::print(
+        "| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those "
+        "reported, not there |\n"
+        "|---|--:|--:|--:|--:|--:|--:|--:|\n");
     for (std::size_t l = 0; l < scores.size(); ++l) {
         const std::string& name = run.sequence.lidars[l].name;
         fmt::print("{}", row(name, scores[l]));
-        const std::string from = fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m);
+        const std::string from =
+            fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m);
         if (aside_m > 0.0f) fmt::print("{}", row(from, beside[l]));
     }
     if (!others.empty())
-        fmt::print("\n| instead of {} | rays | returns | missed | {} m behind and more | median range error | RMSE | drops right |\n"
-                   "|---|--:|--:|--:|--:|--:|--:|--:|\n",
-                   run.sequence.lidars[0].name, kOnSurface_m);
+        fmt::print(
+            "\n| instead of {} | rays | returns | missed | {} m behind and more | median range error | RMSE "
+            "| drops right |\n"
+            "|---|--:|--:|--:|--:|--:|--:|--:|\n",
+            run.sequence.lidars[0].name, kOnSurface_m);
     for (const std::string& other : others) run_other(renderer, run, street, other);
 }
 
@@ -156,11 +183,15 @@ int main(int argc, char** argv) {
     int device = -1;
     float aside_m = 0.0f;
     std::vector<std::string> others;
-    CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself", "relidar_bench_rig");
+    CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself",
+                 "relidar_bench_rig");
     app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
     app.add_option("--device", device, "as of `relidar render`");
-    app.add_option("--aside", aside_m, "also score the street itself, cast from this many metres to the left and above");
-    app.add_option("--sensor", others, "also score these in the place of the first LiDAR: names of `relidar list sensors`, or files");
+    app.add_option("--aside", aside_m,
+                   "also score the street itself, cast from this many metres to the left and above");
+    app.add_option(
+        "--sensor", others,
+        "also score these in the place of the first LiDAR: names of `relidar list sensors`, or files");
     CLI11_PARSE(app, argc, argv);
     try {
         run(folder, device, aside_m, others);

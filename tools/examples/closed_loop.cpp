@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A simulator in a loop at 10 Hz: it moves its own car and an actor of the run, and brakes for what its simulated LiDAR sees. The car
-// starts where the log's did; the actor drives 25 m in front of it and brakes after two seconds.
+// A simulator in a loop at 10 Hz: it moves its own car and an actor of the run, and
+// brakes for what its simulated LiDAR sees. The car starts where the log's did; the actor
+// drives 25 m in front of it and brakes after two seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -12,12 +13,14 @@ using namespace relidar;
 
 constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrakes_mps2 = 6.0;
 
-/// Distance to the nearest point ahead in the own lane, above the ground and beyond the own bonnet; 100 m where there is none.
+/// Distance to the nearest point ahead in the own lane, above the ground and beyond the
+/// own bonnet; 100 m where there is none.
 double gap_ahead(const PointScan& scan) {
     double gap_m = 100.0;
     for (const ScanPoint& point : scan.points) {
         const glm::vec3& p = point.position_m;
-        if (p.x > 3.0f && std::abs(p.y) < kLane_m && p.z > -1.2f && p.z < 0.5f) gap_m = std::min(gap_m, double(p.x));
+        if (p.x > 3.0f && std::abs(p.y) < kLane_m && p.z > -1.2f && p.z < 0.5f)
+            gap_m = std::min(gap_m, double(p.x));
     }
     return gap_m;
 }
@@ -25,28 +28,37 @@ double gap_ahead(const PointScan& scan) {
 int main(int argc, char** argv) try {
     if (argc != 2) return std::fprintf(stderr, "usage: %s RUN\n", argv[0]), 2;
     const Run run = load_run(argv[1]);
-    if (run.scene.instances.size() < 2) throw UsageError("closed loop: found a run without actors, expected one at least");
+    if (run.scene.instances.size() < 2)
+        throw UsageError("closed loop: found a run without actors, expected one at least");
     const std::string actor = run.scene.instances[1].track;
     Device device;
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
 
     Pose start = run.sequence.world_from_sensor(0).pose.front();
-    start.translation += run.sequence.world_offset_m;   // requests are in the dataset's world
-    const auto ahead = [&](double metres, double up_m) { return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}}; };
+    start.translation += run.sequence.world_offset_m;  // requests are in the dataset's world
+    const auto ahead = [&](double metres, double up_m) {
+        return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
+    };
     double ego_m = 0.0, ego_mps = 8.0, actor_m = 25.0, actor_mps = 8.0;
     for (int step = 0; step < 80; ++step) {
         const double t = step * kStep_s;
         const ScanRequest request{
             .time_s = t,
             .dataset_from_sensor = {{t, t + kStep_s}, {ahead(ego_m, 0), ahead(ego_m + ego_mps * kStep_s, 0)}},
-            .dataset_from_actor =
-                ActorPoses{{actor, {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        renderer.ask_points(sensor, request, t);   // in the sensor's frame at t; where nothing waits for a scan, ask for the next one, too
+            .dataset_from_actor = ActorPoses{
+                {actor,
+                 {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
+        // in the sensor's frame at t; where nothing waits for a scan, ask for the next
+        // one, too
+        renderer.ask_points(sensor, request, t);
         const double gap_m = gap_ahead(renderer.take_points());
-        if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3) ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
+        if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)
+            ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);
-        if (step % 10 == 0) std::printf("%4.1f s  ego %4.1f m/s  actor %4.1f m/s  nearest ahead %5.1f m\n", t, ego_mps, actor_mps, gap_m);
+        if (step % 10 == 0)
+            std::printf("%4.1f s  ego %4.1f m/s  actor %4.1f m/s  nearest ahead %5.1f m\n", t, ego_mps,
+                        actor_mps, gap_m);
         ego_m += ego_mps * kStep_s;
         actor_m += actor_mps * kStep_s;
     }

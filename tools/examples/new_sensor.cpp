@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Another sensor on another path: what an Ouster OS1-64 sees that is driven along a trajectory, without the first actor of the log.
+// Another sensor on another path: what an Ouster OS1-64 sees that is driven along a
+// trajectory, without the first actor of the log.
 #include <cstdio>
 #include <exception>
 
@@ -10,7 +11,9 @@ using namespace relidar;
 int main(int argc, char** argv) try {
     if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
     Run run = load_run(argv[1]);
-    if (run.scene.instances.size() > 1) run.replace(remove_track(run.driving(), run.scene.instances[1].track));   // 0 is the background
+    // 0 is the background
+    if (run.scene.instances.size() > 1)
+        run.replace(remove_track(run.driving(), run.scene.instances[1].track));
     const PoseTrack trajectory = read_trajectory(argv[2]);
     const SensorChoice sensor = choose_sensor("OS1-64", run.config, run.sequence);
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training with a loss of one's own: a robust one of ranges, log(1 + (error / 0.2 m)^2), and cross-entropy of drops.
+// Training with a loss of one's own: a robust one of ranges, log(1 + (error / 0.2 m)^2),
+// and cross-entropy of drops.
 #include <cmath>
 #include <cstdio>
 
@@ -16,12 +17,13 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
     double loss = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         const bool returned = scan.range_m[i] > 0.0f;
-        const float weight = image.weight[i], drop = 1.0f / (1.0f + std::exp(image.hit_logit[i] - image.drop_logit[i]));
+        const float weight = image.weight[i],
+                    drop = 1.0f / (1.0f + std::exp(image.hit_logit[i] - image.drop_logit[i]));
         loss -= std::log(std::max(returned ? 1.0f - drop : drop, 1e-6f)) / double(n);
         d.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
         d.hit_logit[i] = -d.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
-        const float error = (image.depth[i] / weight - scan.range_m[i]) / 0.2f;   // range D / W
+        const float error = (image.depth[i] / weight - scan.range_m[i]) / 0.2f;  // range D / W
         loss += std::log1p(double(error) * double(error)) / double(n);
         d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
         d.weight[i] = -d.depth[i] * image.depth[i] / weight;
@@ -41,18 +43,22 @@ int main(int argc, char** argv) try {
     RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
-        const Frame& frame = log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];   // ten steps a frame
+        // ten steps a frame
+        const Frame& frame =
+            log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray = world_ray(trajectory, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
-            rays.origin.push_back(glm::vec3(ray.origin_m)), rays.direction.push_back(glm::vec3(ray.direction));
+            rays.origin.push_back(glm::vec3(ray.origin_m)),
+                rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
-        renderer.place(place_instances(scene, log, moment_of(frame)), glm::vec3(trajectory.at(frame.time_s).translation));
+        renderer.place(place_instances(scene, log, moment_of(frame)),
+                       glm::vec3(trajectory.at(frame.time_s).translation));
         last = compare(renderer.forward(rays), frame.scan, d);
         renderer.backward(d);
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, {}, step,
-                  3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels,
+                  &renderer.gradients().touched, {}, step, 3);
         if (step == 1) first = last;
     }
     std::printf("loss %.4f -> %.4f\n", first, last);

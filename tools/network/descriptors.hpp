@@ -11,7 +11,7 @@ inline void raise_descriptor_limit() {
     rlimit limit{};
     if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
     limit.rlim_cur = limit.rlim_max;
-    (void)::setrlimit(RLIMIT_NOFILE, &limit);   // otherwise the lower limit stays
+    (void)::setrlimit(RLIMIT_NOFILE, &limit);  // otherwise the lower limit stays
 }
 
 }  // namespace relidar

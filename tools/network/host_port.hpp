@@ -14,16 +14,17 @@ namespace relidar {
 inline constexpr int kLastPort = 65535;
 
 struct HostPort {
-    std::string host;   ///< without the brackets of an IPv6 address
+    std::string host;  ///< without the brackets of an IPv6 address
     int port = 0;
 };
 
-/// @param what  the option that messages name @param first_port  0 if any free port may be taken, otherwise 1
+/// @param what  the option that messages name @param first_port  0 if any free port may
+/// be taken, otherwise 1
 /// @throws UsageError if the text is no HOST:PORT with such a port
 inline HostPort parse_host_port(const std::string& text, const std::string& what, int first_port) {
     const auto fail = [&] {
-        throw UsageError(
-            fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}", what, text, first_port, kLastPort));
+        throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}", what,
+                                     text, first_port, kLastPort));
     };
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) fail();
@@ -34,7 +35,9 @@ inline HostPort parse_host_port(const std::string& text, const std::string& what
     std::string& host = address.host;
     const bool is_bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
     if (is_bracketed) host = host.substr(1, host.size() - 2);
-    if (host.find_first_of("[]") != std::string::npos || (!is_bracketed && host.find(':') != std::string::npos)) fail();
+    if (host.find_first_of("[]") != std::string::npos ||
+        (!is_bracketed && host.find(':') != std::string::npos))
+        fail();
     return address;
 }
 

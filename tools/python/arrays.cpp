@@ -14,13 +14,12 @@ std::string shape_text(const Shape& shape) {
     std::string text;
     for (std::size_t i = 0; i < shape.size(); ++i)
         text +=
-            (i ? "," : "") + (shape[i] == kAny ? (shape.size() > 1 && i == 1 && shape[0] == kAny ? "m" : "n") : std::to_string(shape[i]));
+            (i ? "," : "") + (shape[i] == kAny ? (shape.size() > 1 && i == 1 && shape[0] == kAny ? "m" : "n")
+                                               : std::to_string(shape[i]));
     return "[" + text + "]";
 }
 
-std::string dtype_text(const py::dtype& dtype) {
-    return py::str(py::handle(dtype));
-}
+std::string dtype_text(const py::dtype& dtype) { return py::str(py::handle(dtype)); }
 
 bool fits(const py::array& array, const Shape& shape) {
     if (static_cast<std::size_t>(array.ndim()) != shape.size()) return false;
@@ -48,21 +47,26 @@ py::dict to_dict(std::vector<NamedArray>&& arrays) {
     return dict;
 }
 
-void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype, const Shape& shape) {
+void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
+                 const Shape& shape) {
     const std::string expected = fmt::format("an array of {} {}", dtype_text(dtype), shape_text(shape));
     if (!py::isinstance<py::array>(object)) {
         throw DataError(fmt::format("{}: found an object of type {}, expected {}", what,
-                                    std::string(py::str(py::type::handle_of(object).attr("__name__"))), expected));
+                                    std::string(py::str(py::type::handle_of(object).attr("__name__"))),
+                                    expected));
     }
     const auto array = py::reinterpret_borrow<py::array>(object);
     if (!array.dtype().equal(dtype) || !fits(array, shape)) {
         const Shape found(array.shape(), array.shape() + array.ndim());
-        throw DataError(fmt::format("{}: found {} {}, expected {}", what, dtype_text(array.dtype()), shape_text(found), expected));
+        throw DataError(fmt::format("{}: found {} {}, expected {}", what, dtype_text(array.dtype()),
+                                    shape_text(found), expected));
     }
-    const bool ordered = (array.flags() & py::array::c_style) != 0, aligned = array.attr("flags").attr("aligned").cast<bool>();
+    const bool ordered = (array.flags() & py::array::c_style) != 0,
+               aligned = array.attr("flags").attr("aligned").cast<bool>();
     if (!ordered || !aligned)
         throw DataError(
-            fmt::format("{}: found values that do not lie one behind the other, expected {} in C order, as numpy.ascontiguousarray() makes",
+            fmt::format("{}: found values that do not lie one behind the other, expected {} in C order, as "
+                        "numpy.ascontiguousarray() makes",
                         what, expected));
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between numpy and the library. Out: a vector's values become an array without a copy. In: an array's values are read where they
-// lie, so dtype, shape and order must be as they are named; nothing is converted behind the caller's back.
+// Between numpy and the library. Out: a vector's values become an array without a copy.
+// In: an array's values are read where they lie, so dtype, shape and order must be as
+// they are named; nothing is converted behind the caller's back.
 #pragma once
 
 #include <span>
@@ -18,7 +19,8 @@ namespace py = pybind11;
 using Shape = std::vector<py::ssize_t>;
 inline constexpr py::ssize_t kAny = -1;  ///< any length, in the shape that is expected of an array
 
-/// An array that owns the vector's values: they are moved. @tparam Number  of which an element has one or more
+/// An array that owns the vector's values: they are moved. @tparam Number  of which an
+/// element has one or more
 template <class Number, class Element>
 py::array owned(std::vector<Element>&& values, const Shape& shape) {
     auto* kept = new std::vector<Element>(std::move(values));
@@ -39,10 +41,13 @@ py::array to_numpy(NamedArray&& array);
 /// All arrays of an npz, by name.
 py::dict to_dict(std::vector<NamedArray>&& arrays);
 
-/// @throws DataError naming what was found where the object is no array of this dtype, shape and C order
-void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype, const Shape& shape);
+/// @throws DataError naming what was found where the object is no array of this dtype,
+/// shape and C order
+void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
+                 const Shape& shape);
 
-/// The values of a C-ordered array, where they lie. @param what  is read, for the message @param shape  of the array; kAny for any length
+/// The values of a C-ordered array, where they lie. @param what  is read, for the message
+/// @param shape  of the array; kAny for any length
 /// @throws DataError as check_array()
 template <class Number>
 std::span<const Number> values_of(const py::handle& object, const std::string& what, const Shape& shape) {

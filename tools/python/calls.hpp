@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the library calls back into Python, from work during which other threads run Python.
+// How the library calls back into Python, from work during which other threads run
+// Python.
 #pragma once
 
 #include <exception>
@@ -19,7 +20,8 @@ namespace py = pybind11;
 /// What Python gives to be told of progress: what is done, and its share.
 using Tell = std::optional<std::function<void(const std::string&, double)>>;
 
-/// The same for the library. What is raised there, KeyboardInterrupt too, leaves the library at once: for work that may be left anywhere.
+/// The same for the library. What is raised there, KeyboardInterrupt too, leaves the
+/// library at once: for work that may be left anywhere.
 inline Progress told_to(const Tell& tell) {
     return [&tell](std::string_view what, double done) {
         const py::gil_scoped_acquire interpreter;
@@ -28,8 +30,8 @@ inline Progress told_to(const Tell& tell) {
     };
 }
 
-/// Calls into Python from within the library. The first exception there, Ctrl-C's too, ends the work in order; it is raised
-/// again after it.
+/// Calls into Python from within the library. The first exception there, Ctrl-C's too,
+/// ends the work in order; it is raised again after it.
 class PythonCalls {
 public:
     /// @return false from the first exception on: the work is to stop

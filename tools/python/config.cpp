@@ -22,8 +22,9 @@ std::string text_of(const std::string& key, const py::handle& value) {
     if (py::isinstance<py::bool_>(value)) return value.cast<bool>() ? "true" : "false";
     if (py::isinstance<py::int_>(value) || py::isinstance<py::float_>(value)) return py::repr(value);
     if (py::hasattr(value, "__fspath__")) return value.cast<std::filesystem::path>().string();
-    throw UsageError(fmt::format("setting {}: found a value of type {}, expected str, bool, int, float or a path", key,
-                                 std::string(py::str(py::type::handle_of(value).attr("__name__")))));
+    throw UsageError(
+        fmt::format("setting {}: found a value of type {}, expected str, bool, int, float or a path", key,
+                    std::string(py::str(py::type::handle_of(value).attr("__name__")))));
 }
 
 ConfigKey find_key(const Config& config, const std::string& key) {
@@ -32,8 +33,8 @@ ConfigKey find_key(const Config& config, const std::string& key) {
     if (it != keys.end()) return *it;
     std::vector<std::string> names;
     for (const ConfigKey& k : keys) names.push_back(k.key);
-    throw UsageError(
-        fmt::format("setting {}: unknown key{}", key, did_you_mean(key, names, "", ", expected one that Config.values() lists")));
+    throw UsageError(fmt::format("setting {}: unknown key{}", key,
+                                 did_you_mean(key, names, "", ", expected one that Config.values() lists")));
 }
 
 Config make(const std::string& preset, const py::dict& values) {
@@ -67,29 +68,35 @@ void set_value(Config& config, const std::string& key, const py::handle& value) 
 void set_values(Config& config, const py::dict& values) {
     for (const auto& [key, value] : values) {
         if (!py::isinstance<py::str>(key))
-            throw UsageError("settings: found a key that is no str, expected names such as \"train.iterations\"");
+            throw UsageError(
+                "settings: found a key that is no str, expected names such as \"train.iterations\"");
         set_value(config, key.cast<std::string>(), value);
     }
 }
 
 void add_config(py::module_& module) {
     py::class_<Config>(module, "Config",
-                       "All settings of a run, by the names that `relidar list settings` lists: config[\"train.iterations\"] = 300.")
+                       "All settings of a run, by the names that `relidar list settings` lists: "
+                       "config[\"train.iterations\"] = 300.")
         .def(py::init(&make), py::arg("preset") = "default", py::arg("settings") = py::dict(),
-             "preset: \"paper\", \"released\", \"default\" or \"quick\"\nsettings: dict of names and values, set over it\n\nRaises "
+             "preset: \"paper\", \"released\", \"default\" or \"quick\"\nsettings: dict of names and values, "
+             "set over it\n\nRaises "
              "UsageError for unknown names and values out of range.")
         .def_static("load", &load, py::arg("path"),
-                    "Settings of a TOML file, as a run holds them. Raises UsageError or DataError naming what is wrong.")
+                    "Settings of a TOML file, as a run holds them. Raises UsageError or DataError naming "
+                    "what is wrong.")
         .def(
-            "__getitem__", [](const Config& config, const std::string& key) { return find_key(config, key).value; }, py::arg("key"),
-            "The value as text, as the TOML file has it.")
+            "__getitem__",
+            [](const Config& config, const std::string& key) { return find_key(config, key).value; },
+            py::arg("key"), "The value as text, as the TOML file has it.")
         .def("__setitem__", &set_value, py::arg("key"), py::arg("value"))
         .def(
-            "help", [](const Config& config, const std::string& key) { return find_key(config, key).help; }, py::arg("key"),
-            "What a setting means.")
+            "help", [](const Config& config, const std::string& key) { return find_key(config, key).help; },
+            py::arg("key"), "What a setting means.")
         .def("values", &dict_of, "All settings as a dict of texts, in the order of the TOML file.")
         .def(
-            "copy", [](const Config& config) { return config; }, "Settings of their own with the same values.")
+            "copy", [](const Config& config) { return config; },
+            "Settings of their own with the same values.")
         .def("to_toml", &to_toml, "Every value as TOML with its help as comments, which load() reads back.");
 }
 

@@ -10,7 +10,8 @@
 
 namespace relidar::python {
 
-/// Sets one setting from a str, bool, int, float or path. @throws UsageError as set_key(), and for a value of another type
+/// Sets one setting from a str, bool, int, float or path. @throws UsageError as
+/// set_key(), and for a value of another type
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
 /// A note of the library as a warning of Python.
 void warn(const std::string& text);

@@ -16,9 +16,12 @@ SharedDevice& default_device() {
     return device;
 }
 
-SharedDevice open_device(int index, const std::string& traversal, std::uint64_t memory_limit_bytes, bool validation) {
+SharedDevice open_device(int index, const std::string& traversal, std::uint64_t memory_limit_bytes,
+                         bool validation) {
     if (index < -1)
-        throw UsageError(fmt::format("opening a device: index: found {}, expected a number that relidar.devices() lists, or -1", index));
+        throw UsageError(fmt::format(
+            "opening a device: index: found {}, expected a number that relidar.devices() lists, or -1",
+            index));
     DeviceOptions options;
     options.index = index;
     options.traversal = find_traversal(traversal);
@@ -33,7 +36,8 @@ const char* name_of(Traversal traversal) {
 }
 
 std::string shown(const OpenDevice& open) {
-    return fmt::format("<relidar.Device {}: {}, {}>", open.device.info().index, open.device.info().name, name_of(open.device.traversal()));
+    return fmt::format("<relidar.Device {}: {}, {}>", open.device.info().index, open.device.info().name,
+                       name_of(open.device.traversal()));
 }
 
 }  // namespace
@@ -47,17 +51,17 @@ SharedDevice device_or_default(SharedDevice device) {
 DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
     if (device.user == std::this_thread::get_id())
         throw UsageError(
-            "using a device: found it busy with the call that has called back, expected callbacks to use another relidar.Device");
+            "using a device: found it busy with the call that has called back, expected callbacks to use "
+            "another relidar.Device");
     lock_ = std::unique_lock(device.in_use);
     device.user = std::this_thread::get_id();
 }
 
-DeviceUse::~DeviceUse() {
-    device_.user = std::thread::id();
-}
+DeviceUse::~DeviceUse() { device_.user = std::thread::id(); }
 
 void add_device(py::module_& module) {
-    py::class_<DeviceInfo>(module, "DeviceInfo", "One Vulkan device of this machine and what relidar can do with it.")
+    py::class_<DeviceInfo>(module, "DeviceInfo",
+                           "One Vulkan device of this machine and what relidar can do with it.")
         .def_readonly("index", &DeviceInfo::index)
         .def_readonly("name", &DeviceInfo::name)
         .def_readonly("type", &DeviceInfo::type, "\"discrete GPU\", \"integrated GPU\", \"CPU\", ...")
@@ -66,26 +70,31 @@ void add_device(py::module_& module) {
         .def_readonly("memory_bytes", &DeviceInfo::memory_bytes, "Of the largest device-local heap.")
         .def_readonly("ray_query", &DeviceInfo::ray_query, "Whether the driver's ray queries can be used.")
         .def_readonly("software", &DeviceInfo::software, "Whether relidar's own tree can be used.")
-        .def_readonly("why_not_usable", &DeviceInfo::why_not_usable, "Missing features; empty where relidar runs.");
+        .def_readonly("why_not_usable", &DeviceInfo::why_not_usable,
+                      "Missing features; empty where relidar runs.");
     module.def("devices", &list_devices, py::call_guard<py::gil_scoped_release>(),
                "All Vulkan devices, in the loader's order. Raises DeviceError where there is no Vulkan.");
 
-    py::class_<OpenDevice, SharedDevice>(module, "Device",
-                                         "An open Vulkan device. It stays open for what was made on it, and serves one thread at a time.")
-        .def(py::init(&open_device), py::arg("index") = -1, py::arg("traversal") = "auto", py::kw_only(), py::arg("memory_limit_bytes") = 0,
-             py::arg("validation") = false,
+    py::class_<OpenDevice, SharedDevice>(
+        module, "Device",
+        "An open Vulkan device. It stays open for what was made on it, and serves one thread at a time.")
+        .def(py::init(&open_device), py::arg("index") = -1, py::arg("traversal") = "auto", py::kw_only(),
+             py::arg("memory_limit_bytes") = 0, py::arg("validation") = false,
              "Opens a device.\n\n"
              "index: of devices(); -1: the first GPU, one with ray query before others, else a CPU device\n"
              "traversal: how rays find surfels: \"auto\", \"ray_query\" or \"software\"\n"
              "memory_limit_bytes: device memory it may hold; 0: all there is\n"
              "validation: with the Khronos validation layer\n"
-             "The environment is asked too: RELIDAR_VALIDATION, RELIDAR_MEMORY_LIMIT_MIB, RELIDAR_PIPELINE_CACHE.\n\n"
+             "The environment is asked too: RELIDAR_VALIDATION, RELIDAR_MEMORY_LIMIT_MIB, "
+             "RELIDAR_PIPELINE_CACHE.\n\n"
              "Raises DeviceError naming what is missing.")
         .def_property_readonly("info", [](const OpenDevice& open) { return open.device.info(); })
         .def_property_readonly(
-            "traversal", [](const OpenDevice& open) { return name_of(open.device.traversal()); }, "\"ray_query\" or \"software\".")
+            "traversal", [](const OpenDevice& open) { return name_of(open.device.traversal()); },
+            "\"ray_query\" or \"software\".")
         .def_property_readonly(
-            "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); }, "Most device memory held so far, bytes.")
+            "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
+            "Most device memory held so far, bytes.")
         .def("__repr__", &shown);
     // Devices close before the interpreter and the Vulkan loader go.
     py::module_::import("atexit").attr("register")(py::cpp_function([] { default_device().reset(); }));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A device that several Python objects and threads share: it closes after the last of them, and serves one thread at a time.
+// A device that several Python objects and threads share: it closes after the last of
+// them, and serves one thread at a time.
 #pragma once
 
 #include <atomic>
@@ -26,13 +27,16 @@ struct OpenDevice {
 };
 using SharedDevice = std::shared_ptr<OpenDevice>;
 
-/// The given device; the default one, which is opened on first use, for null. @throws DeviceError as Device
+/// The given device; the default one, which is opened on first use, for null. @throws
+/// DeviceError as Device
 SharedDevice device_or_default(SharedDevice device);
 
-/// While this lives, its thread alone uses a device, and other threads run Python. Nothing of Python may be touched meanwhile.
+/// While this lives, its thread alone uses a device, and other threads run Python.
+/// Nothing of Python may be touched meanwhile.
 class DeviceUse {
 public:
-    /// @throws UsageError where this thread uses the device already: a callback calls what it was called from
+    /// @throws UsageError where this thread uses the device already: a callback calls
+    /// what it was called from
     explicit DeviceUse(OpenDevice& device);
     ~DeviceUse();
     DeviceUse(const DeviceUse&) = delete;
@@ -49,7 +53,8 @@ template <class Made>
 class OnDevice {
 public:
     OnDevice() = default;
-    OnDevice(SharedDevice device, std::unique_ptr<Made> made) : device_(std::move(device)), made_(std::move(made)) {}
+    OnDevice(SharedDevice device, std::unique_ptr<Made> made)
+        : device_(std::move(device)), made_(std::move(made)) {}
     OnDevice(OnDevice&&) noexcept = default;
     OnDevice& operator=(OnDevice&& other) noexcept {
         std::swap(device_, other.device_);

@@ -25,13 +25,13 @@ struct HeldRenderer {
     std::size_t n_rays = 0;            ///< of the last forward pass
 };
 
-std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config, bool poses, bool rays,
-                                            SharedDevice device) {
+std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
+                                            bool poses, bool rays, SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive;
-    const RendererOptions options{{}, trace_options(settings), 0,
-                                  static_cast<std::uint32_t>(settings.trace.keep_hits)};
+    const RendererOptions options{
+        {}, trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
     const GradientOptions gradients{backward_options(settings), {.rays = rays, .poses = poses}};
     device = device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
@@ -50,11 +50,13 @@ glm::vec3 point_of(const py::object& array, const char* what) {
     return {v[0], v[1], v[2]};
 }
 
-void place(HeldRenderer& held, const py::object& poses, const py::object& view_origin, const std::optional<std::vector<bool>>& present) {
+void place(HeldRenderer& held, const py::object& poses, const py::object& view_origin,
+           const std::optional<std::vector<bool>>& present) {
     std::vector<InstancePose> placed = held.placed;
     const auto check_count = [&](std::size_t found, const char* what) {
         if (found != placed.size())
-            throw DataError(fmt::format("{}: found {}, expected {}, one an instance of the scene", what, found, placed.size()));
+            throw DataError(fmt::format("{}: found {}, expected {}, one an instance of the scene", what,
+                                        found, placed.size()));
     };
     if (!poses.is_none()) {
         const std::vector<Pose> given = poses_of(poses, "poses");
@@ -65,7 +67,8 @@ void place(HeldRenderer& held, const py::object& poses, const py::object& view_o
         check_count(present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
-    const glm::vec3 view = view_origin.is_none() ? held.renderer->view_origin_m() : point_of(view_origin, "view_origin");
+    const glm::vec3 view =
+        view_origin.is_none() ? held.renderer->view_origin_m() : point_of(view_origin, "view_origin");
     const DeviceUse use(held.renderer.device());
     held.renderer->place(placed, view);
     held.placed = std::move(placed);
@@ -75,7 +78,8 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
     const WorldRays rays{copied<float, glm::vec3>(origins, "origins", {kAny, 3}),
                          copied<float, glm::vec3>(directions, "directions", {kAny, 3})};
     if (rays.origin.size() != rays.direction.size())
-        throw DataError(fmt::format("directions: found {} beside {} origins, expected as many", rays.direction.size(), rays.origin.size()));
+        throw DataError(fmt::format("directions: found {} beside {} origins, expected as many",
+                                    rays.direction.size(), rays.origin.size()));
     Rendering r;
     {
         const DeviceUse use(held.renderer.device());
@@ -105,11 +109,15 @@ RenderedGradients gradients_from(const py::dict& arrays, std::size_t n_rays) {
                                                                           {"drop_logit", &d.drop_logit}};
     for (const auto& [key, array] : arrays) {
         const std::string name = py::str(key);
-        const auto place = std::find_if(places.begin(), places.end(), [&](const auto& p) { return p.first == name; });
+        const auto place =
+            std::find_if(places.begin(), places.end(), [&](const auto& p) { return p.first == name; });
         if (place == places.end())
-            throw UsageError(fmt::format(
-                "d_rendered: found \"{}\", expected depth, weight, intensity, hit_logit or drop_logit, which have gradients", name));
-        *place->second = copied<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
+            throw UsageError(
+                fmt::format("d_rendered: found \"{}\", expected depth, weight, intensity, hit_logit or "
+                            "drop_logit, which have gradients",
+                            name));
+        *place->second =
+            copied<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
     return d;
 }
@@ -125,9 +133,11 @@ py::dict backward(HeldRenderer& held, const py::dict& d_rendered) {
     const std::size_t n = gradients.surfels.size();
     py::dict dict = to_dict(std::move(gradients.surfels));
     dict["touched"] = owned<std::uint32_t>(std::move(gradients.touched), {rows(n)});
-    if (!gradients.poses.empty()) dict["poses"] = owned<float>(std::move(gradients.poses), {rows(held.placed.size()), 6});
+    if (!gradients.poses.empty())
+        dict["poses"] = owned<float>(std::move(gradients.poses), {rows(held.placed.size()), 6});
     if (!gradients.sensor.empty()) dict["sensor"] = owned<float>(std::move(gradients.sensor), {6});
-    if (!gradients.rays.empty()) dict["rays"] = owned<float>(std::move(gradients.rays), {rows(held.n_rays), 6});
+    if (!gradients.rays.empty())
+        dict["rays"] = owned<float>(std::move(gradients.rays), {rows(held.n_rays), 6});
     return dict;
 }
 
@@ -149,22 +159,29 @@ py::dict download(HeldRenderer& held) {
 }  // namespace
 
 void add_differentiable_renderer(py::module_& module) {
-    py::class_<HeldRenderer>(
-        module, "DifferentiableRenderer",
-        "Rays in, rendered values out; gradients of those in, gradients of everything they depend on out: for a loss of one's own.\n"
-        "place(), forward(), backward(), then upload() and place() again where parameters have changed. Scales, opacities and channels "
-        "are\n"
-        "stored before their activation: scale = exp(log_scale), opacity = sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
-        .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(), py::arg("poses") = false,
-             py::arg("rays") = false, py::arg("device") = py::none(),
+    py::class_<HeldRenderer>(module, "DifferentiableRenderer",
+                             "Rays in, rendered values out; gradients of those in, gradients of everything "
+                             "they depend on out: for a loss of one's own.\n"
+                             "place(), forward(), backward(), then upload() and place() again where "
+                             "parameters have changed. Scales, opacities and channels "
+                             "are\n"
+                             "stored before their activation: scale = exp(log_scale), opacity = "
+                             "sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
+        .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(),
+             py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
              "scene: is copied to the device\n"
-             "config: image.*, trace.* and train.deterministic say how rays are rendered and gradients summed; None: preset \"default\"\n"
+             "config: image.*, trace.* and train.deterministic say how rays are rendered and gradients "
+             "summed; None: preset \"default\"\n"
              "poses, rays: whether backward() gives their gradients too\n\n"
              "Raises DataError where models or instances of the scene are out of range.")
-        .def("place", &place, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(), py::arg("present") = py::none(),
-             "Says where everything is; to be called before forward(), and again when poses, view or parameters have changed.\n\n"
-             "poses: [instances,4,4] float64, world from model, metres; None: as before, at first all at the origin\n"
-             "view_origin: [3] float64, the sensor's position, from which SH directions start with image.sh_direction=surfel; None: as "
+        .def("place", &place, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
+             py::arg("present") = py::none(),
+             "Says where everything is; to be called before forward(), and again when poses, view or "
+             "parameters have changed.\n\n"
+             "poses: [instances,4,4] float64, world from model, metres; None: as before, at first all at the "
+             "origin\n"
+             "view_origin: [3] float64, the sensor's position, from which SH directions start with "
+             "image.sh_direction=surfel; None: as "
              "before,\n"
              "    at first the origin\n"
              "present: a bool an instance; None: as before, at first all")
@@ -172,22 +189,30 @@ void add_differentiable_renderer(py::module_& module) {
              "Renders rays.\n\n"
              "origins: [n,3] float32, C order, world, metres\n"
              "directions: [n,3] float32, C order, world, length 1\n\n"
-             "Returns [n] arrays: depth (sum w t, not normalised, metres), weight (sum w), intensity, hit_logit, drop_logit (sums of w "
+             "Returns [n] arrays: depth (sum w t, not normalised, metres), weight (sum w), intensity, "
+             "hit_logit, drop_logit (sums of w "
              "times channel; drop_logit + what is\n"
-             "left of the light), transmittance, median_depth (metres, 0: none) float32; hits uint32 (blended surfels); instance int32 "
+             "left of the light), transmittance, median_depth (metres, 0: none) float32; hits uint32 "
+             "(blended surfels); instance int32 "
              "(-1: none).\n"
              "Raises UsageError before place().")
         .def("backward", &backward, py::arg("d_rendered"),
-             "Gradients of a loss of the last forward pass. Poses, view and parameters must be as they were then.\n\n"
-             "d_rendered: dL/d(depth, weight, intensity, hit_logit, drop_logit), [n] float32 each; those left out are 0\n\n"
-             "Returns dL/d(parameter) in the place of the parameter: mean [s,3], rotation [s,4], log_scale [s,2], opacity_logit [s], sh "
+             "Gradients of a loss of the last forward pass. Poses, view and parameters must be as they were "
+             "then.\n\n"
+             "d_rendered: dL/d(depth, weight, intensity, hit_logit, drop_logit), [n] float32 each; those "
+             "left out are 0\n\n"
+             "Returns dL/d(parameter) in the place of the parameter: mean [s,3], rotation [s,4], log_scale "
+             "[s,2], opacity_logit [s], sh "
              "[s,3,16], log_scale_w [s] of 3D\n"
-             "Gaussians, float32; touched [s] uint32, 1 where a surfel has a gradient; if asked for, poses [instances,6] and sensor [6], "
+             "Gaussians, float32; touched [s] uint32, 1 where a surfel has a gradient; if asked for, poses "
+             "[instances,6] and sensor [6], "
              "dL/d(v, w) of small motions in the\n"
-             "world's axes (metres; radians about the model's own origin, or the view origin), and rays [n,6], dL/d(origin, direction).")
+             "world's axes (metres; radians about the model's own origin, or the view origin), and rays "
+             "[n,6], dL/d(origin, direction).")
         .def("upload", &upload, py::arg("surfels"),
              "Takes other values of all parameters, as many surfels as there are. To be followed by place().")
-        .def("download", &download, "The parameters as they are now: dict of float32 arrays as relidar.Scene takes it.");
+        .def("download", &download,
+             "The parameters as they are now: dict of float32 arrays as relidar.Scene takes it.");
 }
 
 }  // namespace relidar::python

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits of a run, one after the other: run.edit().remove("0").move("1", pose).save("edited").
+// Edits of a run, one after the other: run.edit().remove("0").move("1",
+// pose).save("edited").
 #include <filesystem>
 #include <functional>
 
@@ -38,8 +39,10 @@ struct Edits {
         return *this;
     }
 
-    /// The same of an edit of an actor's times: warns of frames in which it is absent afterwards.
-    Edits& apply_times(const std::string& said, const std::string& track, const std::function<DrivingScene(DrivingScene)>& edit) {
+    /// The same of an edit of an actor's times: warns of frames in which it is absent
+    /// afterwards.
+    Edits& apply_times(const std::string& said, const std::string& track,
+                       const std::function<DrivingScene(DrivingScene)>& edit) {
         const BoxTrack* box = find_box(run.sequence, track);
         const BoxTrack before = box ? *box : BoxTrack{};
         apply(said, edit);
@@ -50,9 +53,7 @@ struct Edits {
     std::unique_ptr<LoadedRun> finished() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
-std::string vector_text(const glm::dvec3& v) {
-    return fmt::format("{:.6g},{:.6g},{:.6g}", v.x, v.y, v.z);
-}
+std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g},{:.6g},{:.6g}", v.x, v.y, v.z); }
 
 Edits& keep(Edits& edits, const std::string& what) {
     if (what == "background") return edits.apply("keep background", keep_background);
@@ -69,20 +70,23 @@ Edits& move(Edits& edits, const std::string& track, const py::object& pose) {
 Edits& follow(Edits& edits, const std::string& track, const py::object& trajectory) {
     const PoseTrack poses = track_of(trajectory, "trajectory", 0.0);
     return edits.apply_times(fmt::format("follow {}: {} poses", track, poses.pose.size()), track,
-                       [&](DrivingScene d) { return replace_trajectory(std::move(d), track, poses); });
+                             [&](DrivingScene d) { return replace_trajectory(std::move(d), track, poses); });
 }
 
 Edits& copy(Edits& edits, const std::string& track, const py::object& pose, double speed_mps) {
     const Start start{pose_of(pose, "pose"), speed_mps};
-    return edits.apply(fmt::format("copy {}@{}:{:.6g}", track, vector_text(start.dataset_from_box.translation), speed_mps),
-                       [&](DrivingScene d) { return copy_track(std::move(d), track, start); });
+    return edits.apply(
+        fmt::format("copy {}@{}:{:.6g}", track, vector_text(start.dataset_from_box.translation), speed_mps),
+        [&](DrivingScene d) { return copy_track(std::move(d), track, start); });
 }
 
-Edits& insert(Edits& edits, const LoadedRun& other, const std::string& track, const py::object& pose, double speed_mps) {
+Edits& insert(Edits& edits, const LoadedRun& other, const std::string& track, const py::object& pose,
+              double speed_mps) {
     const Start start{pose_of(pose, "pose"), speed_mps};
-    const std::string said =
-        fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track, vector_text(start.dataset_from_box.translation), speed_mps);
-    return edits.apply(said, [&](DrivingScene d) { return insert_track(std::move(d), other.run.driving(), track, start); });
+    const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), track,
+                                         vector_text(start.dataset_from_box.translation), speed_mps);
+    return edits.apply(
+        said, [&](DrivingScene d) { return insert_track(std::move(d), other.run.driving(), track, start); });
 }
 
 std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool overwrite) {
@@ -96,35 +100,42 @@ std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool
 void add_edit(py::module_& module) {
     const auto same = py::return_value_policy::reference;  // the same object again: edits are chained
     py::class_<Edits>(module, "Edit",
-                      "A copy of a run that is being edited. Each edit gives the same object back; run() or save() ends it. Raises "
+                      "A copy of a run that is being edited. Each edit gives the same object back; run() or "
+                      "save() ends it. Raises "
                       "UsageError for an unknown track.")
         .def(
             "remove",
             [](Edits& edits, const std::string& track) -> Edits& {
-                return edits.apply("remove " + track, [&](DrivingScene d) { return remove_track(std::move(d), track); });
+                return edits.apply("remove " + track,
+                                   [&](DrivingScene d) { return remove_track(std::move(d), track); });
             },
             py::arg("track"), same, "Takes an actor out; rays continue to what is behind it.")
         .def("move", &move, py::arg("track"), py::arg("pose"), same,
-             "Moves an actor in its box's own frame (forward, left, up) all along its trajectory.\n\npose: [4,4] float64, box from moved, "
+             "Moves an actor in its box's own frame (forward, left, up) all along its trajectory.\n\npose: "
+             "[4,4] float64, box from moved, "
              "as relidar.pose() makes it")
         .def(
             "retime",
             [](Edits& edits, const std::string& track, double seconds) -> Edits& {
-                return edits.apply_times(fmt::format("retime {}:{:.6g}", track, seconds), track,
-                                   [&](DrivingScene d) { return retime_track(std::move(d), track, seconds); });
+                return edits.apply_times(
+                    fmt::format("retime {}:{:.6g}", track, seconds), track,
+                    [&](DrivingScene d) { return retime_track(std::move(d), track, seconds); });
             },
             py::arg("track"), py::arg("seconds"), same, "Lets everything an actor does happen so much later.")
         .def("follow", &follow, py::arg("track"), py::arg("trajectory"), same,
-             "Gives an actor another trajectory.\n\ntrajectory: (times [n], poses [n,4,4]) of its box's centre in the dataset's world, n "
+             "Gives an actor another trajectory.\n\ntrajectory: (times [n], poses [n,4,4]) of its box's "
+             "centre in the dataset's world, n "
              ">= 2")
         .def("copy", &copy, py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
-             "Places an actor's model once more, as TRACK-copy-1.\n\npose: of its box's centre in the dataset's world at the first frame, "
+             "Places an actor's model once more, as TRACK-copy-1.\n\npose: of its box's centre in the "
+             "dataset's world at the first frame, "
              "from where it drives straight ahead")
-        .def("insert", &insert, py::arg("other"), py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
-             "The same with an actor of another run.")
+        .def("insert", &insert, py::arg("other"), py::arg("track"), py::arg("pose"),
+             py::arg("speed_mps") = 0.0, same, "The same with an actor of another run.")
         .def("keep", &keep, py::arg("what"), same, "Drops the other: \"background\" or \"actors\".")
         .def("run", &Edits::finished, "The edited run.")
-        .def("save", &save, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false, "The edited run, written to a folder.");
+        .def("save", &save, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
+             "The edited run, written to a folder.");
     const auto run = py::reinterpret_borrow<py::class_<LoadedRun>>(module.attr("Run"));
     py::class_<LoadedRun>(run).def(
         "edit", [](const LoadedRun& loaded) { return Edits(loaded); }, "Starts to edit a copy of the run.");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The library's failures as Python exceptions, one to one. Each is also the built-in exception that a caller would expect.
+// The library's failures as Python exceptions, one to one. Each is also the built-in
+// exception that a caller would expect.
 #include <string>
 
 #include <relidar/base/error.hpp>
@@ -20,11 +21,13 @@ Types& types() {
     return *all;
 }
 
-py::object add_type(py::module_& module, const char* name, const char* doc, const py::tuple& bases, ExitCode code) {
+py::object add_type(py::module_& module, const char* name, const char* doc, const py::tuple& bases,
+                    ExitCode code) {
     py::dict members;
     members["code"] = static_cast<int>(code);
     const std::string full_name = std::string("relidar.") + name;
-    auto type = py::reinterpret_steal<py::object>(PyErr_NewExceptionWithDoc(full_name.c_str(), doc, bases.ptr(), members.ptr()));
+    auto type = py::reinterpret_steal<py::object>(
+        PyErr_NewExceptionWithDoc(full_name.c_str(), doc, bases.ptr(), members.ptr()));
     if (!type) throw py::error_already_set();
     module.attr(name) = type;
     return type;
@@ -51,13 +54,18 @@ void translate(std::exception_ptr thrown) {
 void add_errors(py::module_& module) {
     const auto builtin = [](PyObject* type) { return py::reinterpret_borrow<py::object>(type); };
     Types& all = types();
-    all.error = add_type(module, "Error", "Base of all failures relidar reports. `code` is the exit code of the command line tool for it.",
-                         py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
+    all.error = add_type(
+        module, "Error",
+        "Base of all failures relidar reports. `code` is the exit code of the command line tool for it.",
+        py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
     all.usage = add_type(module, "UsageError", "A wrong name, setting or combination of arguments.",
                          py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
-    all.data = add_type(module, "DataError", "A file or array that is missing, malformed or impossible; output that cannot be written.",
-                        py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
-    all.device = add_type(module, "DeviceError", "No device, a missing feature, a failed Vulkan call or exhausted device memory.",
+    all.data =
+        add_type(module, "DataError",
+                 "A file or array that is missing, malformed or impossible; output that cannot be written.",
+                 py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
+    all.device = add_type(module, "DeviceError",
+                          "No device, a missing feature, a failed Vulkan call or exhausted device memory.",
                           py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
     py::register_exception_translator(translate);
 }

@@ -13,11 +13,14 @@ namespace {
 py::dict evaluation_dict(const Evaluation& evaluation) {
     py::list frames;
     for (const ScoredFrame& frame : evaluation.frames)
-        frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s, py::arg("metrics") = frame.metrics));
-    return py::dict(py::arg("mean") = evaluation.mean, py::arg("frames") = frames, py::arg("trace_ms") = evaluation.trace_ms);
+        frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
+                               py::arg("metrics") = frame.metrics));
+    return py::dict(py::arg("mean") = evaluation.mean, py::arg("frames") = frames,
+                    py::arg("trace_ms") = evaluation.trace_ms);
 }
 
-Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::optional<std::string>& baseline, const Progress& progress) {
+Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::optional<std::string>& baseline,
+                         const Progress& progress) {
     Run run = loaded.run;
     attach_scans(run, run.split.test, log);
     if (baseline) {
@@ -31,9 +34,12 @@ Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::opti
     return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
 }
 
-py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline, const Tell& tell) {
+py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline,
+                      const Tell& tell) {
     if (baseline) (void)find_baseline(*baseline);  // a wrong name is found before the log is read
-    if (run.run.split.test.empty()) throw DataError(run.run.folder.string() + ": no frame was held out, expected at least one to evaluate");
+    if (run.run.split.test.empty())
+        throw DataError(run.run.folder.string() +
+                        ": no frame was held out, expected at least one to evaluate");
     const Progress progress = told_to(tell);
     Sequence read;
     if (!log) {
@@ -46,13 +52,15 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
 }  // namespace
 
 void add_evaluate(py::module_& module) {
-    module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(), py::arg("baseline") = py::none(),
-               py::arg("progress") = py::none(),
+    module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(),
+               py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
                "Scores the held-out frames of a run against its log, as `relidar eval` does.\n\n"
                "sequence: the log; None: it is read from where it was when the run was trained\n"
-               "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans instead, moved by the poses\n"
+               "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans instead, "
+               "moved by the poses\n"
                "progress: called with what is done and its share, 0 to 1\n\n"
-               "Returns mean (metric -> value; names carry protocol and unit, \"strict/depth_medae_m\"), frames (frame, time_s and metrics "
+               "Returns mean (metric -> value; names carry protocol and unit, \"strict/depth_medae_m\"), "
+               "frames (frame, time_s and metrics "
                "of each) and trace_ms, milliseconds a\n"
                "frame. Raises DataError where the log is another one.");
 }

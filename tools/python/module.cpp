@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Python module: the public faces of the library with numpy arrays. What the user imports is relidar/__init__.py, which takes
-// everything from here.
+// The Python module: the public faces of the library with numpy arrays. What the user
+// imports is relidar/__init__.py, which takes everything from here.
 #include "module.hpp"
 
 PYBIND11_MODULE(_relidar, module) {
     using namespace relidar::python;
-    module.doc() = "Re-simulate any LiDAR on any Vulkan device. Metres, seconds, radians; sensor frame x forward, y left, z up.";
+    module.doc() =
+        "Re-simulate any LiDAR on any Vulkan device. Metres, seconds, radians; sensor frame x forward, y "
+        "left, z up.";
     module.attr("__version__") = RELIDAR_VERSION;
     add_errors(module);
     add_device(module);

@@ -15,11 +15,13 @@ namespace {
 
 py::object get(const py::dict& scan, const char* name) {
     if (!scan.contains(name))
-        throw DataError(std::string("scan: found a dict without \"") + name + "\", expected range, intensity and drop_prob");
+        throw DataError(std::string("scan: found a dict without \"") + name +
+                        "\", expected range, intensity and drop_prob");
     return scan[name];
 }
 
-/// The image of a scan, as Run.render() gives it or as a log has it: without drop_prob, where a range of 0 is a drop.
+/// The image of a scan, as Run.render() gives it or as a log has it: without drop_prob,
+/// where a range of 0 is a drop.
 RenderedScan image_of(const py::dict& scan) {
     const py::object range = get(scan, "range");
     check_array(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});
@@ -33,7 +35,8 @@ RenderedScan image_of(const py::dict& scan) {
     if (scan.contains("drop_prob"))
         result.image.drop_prob = copied<float, float>(scan["drop_prob"], "scan: drop_prob", shape);
     else
-        for (const float range_m : result.image.range_m) result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
+        for (const float range_m : result.image.range_m)
+            result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
     return result;
 }
 
@@ -41,7 +44,10 @@ RenderedScan image_of(const py::dict& scan) {
 
 void add_pictures(py::module_& module) {
     module.def(
-        "write_picture", [](const std::filesystem::path& path, const py::dict& scan) { write_png(path, scan_picture(image_of(scan))); },
+        "write_picture",
+        [](const std::filesystem::path& path, const py::dict& scan) {
+            write_png(path, scan_picture(image_of(scan)));
+        },
         py::arg("path"), py::arg("scan"),
         "Writes a scan as PNG: range in false colours, intensity, drop probability, one above the other.\n\n"
         "scan: range, intensity and, but for a log's scan, drop_prob, [rows,columns] float32");

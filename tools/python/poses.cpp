@@ -17,9 +17,11 @@ constexpr double kRigid = 1e-4;  // what R^T R may differ from 1: files have six
 /// @param m  16 numbers, row by row
 Pose rigid_pose(const double* m, const std::string& what) {
     const auto fail = [&](const std::string& found) {
-        throw DataError(fmt::format("{}: found {}, expected a rigid pose: rotation and translation, last row 0 0 0 1", what, found));
+        throw DataError(fmt::format(
+            "{}: found {}, expected a rigid pose: rotation and translation, last row 0 0 0 1", what, found));
     };
-    if (!std::all_of(m, m + 16, [](double x) { return std::isfinite(x); })) fail("a matrix that is not finite");
+    if (!std::all_of(m, m + 16, [](double x) { return std::isfinite(x); }))
+        fail("a matrix that is not finite");
     if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
         fail(fmt::format("the last row {} {} {} {}", m[12], m[13], m[14], m[15]));
     const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);  // GLM takes columns
@@ -27,7 +29,8 @@ Pose rigid_pose(const double* m, const std::string& what) {
     double worst = 0.0;
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) worst = std::max(worst, std::abs(square[i][j] - (i == j ? 1.0 : 0.0)));
-    if (!(worst <= kRigid)) fail(fmt::format("a matrix whose axes are {:.1e} off right angles and length 1", worst));
+    if (!(worst <= kRigid))
+        fail(fmt::format("a matrix whose axes are {:.1e} off right angles and length 1", worst));
     if (glm::determinant(rotation) < 0.0) fail("a mirrored matrix");
     return {glm::normalize(glm::quat_cast(rotation)), {m[3], m[7], m[11]}};
 }
@@ -56,11 +59,14 @@ PoseTrack track_of(const py::handle& object, const std::string& what, double tim
     if (!py::isinstance<py::tuple>(object)) return {{time_s}, {pose_of(object, what)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
-        throw DataError(fmt::format("{}: found a tuple of {}, expected a pose [4,4] or (times [n], poses [n,4,4])", what, pair.size()));
-    PoseTrack track{copied<double, double>(pair[0], what + ": times", {kAny}), poses_of(pair[1], what + ": poses")};
-    if (track.time_s.size() != track.pose.size())
         throw DataError(
-            fmt::format("{}: found {} times and {} poses, expected as many of each", what, track.time_s.size(), track.pose.size()));
+            fmt::format("{}: found a tuple of {}, expected a pose [4,4] or (times [n], poses [n,4,4])", what,
+                        pair.size()));
+    PoseTrack track{copied<double, double>(pair[0], what + ": times", {kAny}),
+                    poses_of(pair[1], what + ": poses")};
+    if (track.time_s.size() != track.pose.size())
+        throw DataError(fmt::format("{}: found {} times and {} poses, expected as many of each", what,
+                                    track.time_s.size(), track.pose.size()));
     return track;
 }
 
@@ -75,7 +81,8 @@ py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m) {
     for (std::size_t i = 0; i < track.pose.size(); ++i)
         put_matrix({track.pose[i].rotation, track.pose[i].translation + offset_m}, numbers.data() + 16 * i);
     const auto n = static_cast<py::ssize_t>(track.pose.size());
-    return py::make_tuple(owned<double>(std::vector<double>(track.time_s), {n}), owned<double>(std::move(numbers), {n, 4, 4}));
+    return py::make_tuple(owned<double>(std::vector<double>(track.time_s), {n}),
+                          owned<double>(std::move(numbers), {n, 4, 4}));
 }
 
 void add_poses(py::module_& module) {
@@ -83,10 +90,13 @@ void add_poses(py::module_& module) {
         "pose",
         [](double x, double y, double z, double yaw_deg, double pitch_deg, double roll_deg) {
             const double radians = kPi / 180.0;
-            return to_matrix_array({rotation_of(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
+            return to_matrix_array(
+                {rotation_of(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
         },
-        py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0, py::arg("roll_deg") = 0.0,
-        "A pose a_from_b as [4,4] float64: b's origin at x, y, z of a, metres, turned by Rz(yaw) Ry(pitch) Rx(roll).");
+        py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,
+        py::arg("roll_deg") = 0.0,
+        "A pose a_from_b as [4,4] float64: b's origin at x, y, z of a, metres, turned by Rz(yaw) Ry(pitch) "
+        "Rx(roll).");
 }
 
 }  // namespace relidar::python

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses as numpy arrays: [4,4] float64 matrices a_from_b, and tracks as pairs of times and poses.
+// Poses as numpy arrays: [4,4] float64 matrices a_from_b, and tracks as pairs of times
+// and poses.
 #pragma once
 
 #include <string>
@@ -10,10 +11,12 @@
 
 namespace relidar::python {
 
-/// A rigid pose from [4,4] float64. @throws DataError where the matrix is not finite or no rigid motion, or as check_array()
+/// A rigid pose from [4,4] float64. @throws DataError where the matrix is not finite or
+/// no rigid motion, or as check_array()
 Pose pose_of(const py::handle& matrix, const std::string& what);
 
-/// A single pose, which stands; or (times [n] float64, poses [n,4,4] float64). @param time_s  of a single pose
+/// A single pose, which stands; or (times [n] float64, poses [n,4,4] float64). @param
+/// time_s  of a single pose
 /// @throws DataError as pose_of(), and for anything else
 PoseTrack track_of(const py::handle& object, const std::string& what, double time_s);
 

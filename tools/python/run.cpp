@@ -49,16 +49,19 @@ PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
-/// @throws UsageError for a time farther from all poses than some seconds: what moves would be extrapolated
+/// @throws UsageError for a time farther from all poses than some seconds: what moves
+/// would be extrapolated
 void check_covered(const PoseTrack& track, double time_s, double beside_s, const std::string& what) {
-    if (track.pose.size() < 2 || !std::isfinite(time_s)) return;   // it stands, or the library refuses the time
+    // it stands, or the library refuses the time
+    if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
     if (time_s < begin_s || time_s > end_s)
-        throw UsageError(fmt::format("{}: found {} s, expected seconds of {} to {}", what, time_s, begin_s, end_s));
+        throw UsageError(
+            fmt::format("{}: found {} s, expected seconds of {} to {}", what, time_s, begin_s, end_s));
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
-    constexpr double kBeside_s = 1.0;   // a sweep begins before and ends after its time
+    constexpr double kBeside_s = 1.0;  // a sweep begins before and ends after its time
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
         const std::string track = py::str(name);
@@ -71,15 +74,19 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
 
 /// Number of the log's sweep that is nearest in time.
 int nearest_sweep(const Sequence& sequence, double time_s) {
-    const auto farther = [&](const Frame& a, const Frame& b) { return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s); };
+    const auto farther = [&](const Frame& a, const Frame& b) {
+        return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s);
+    };
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
 }
 
 ScanRequest request_of(const AskedScan& asked, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = asked.time.value_or(run.sequence.frames.front().time_s);
-    request.dataset_from_sensor = asked.pose.is_none() ? log_track(run.sequence, lidar) : track_of(asked.pose, "pose", request.time_s);
-    check_covered(request.dataset_from_sensor, request.time_s, 0.0, asked.pose.is_none() ? "time in the log" : "time on the poses");
+    request.dataset_from_sensor =
+        asked.pose.is_none() ? log_track(run.sequence, lidar) : track_of(asked.pose, "pose", request.time_s);
+    check_covered(request.dataset_from_sensor, request.time_s, 0.0,
+                  asked.pose.is_none() ? "time in the log" : "time on the poses");
     if (asked.actors) request.dataset_from_actor = actors_from(*asked.actors, request.time_s);
     return request;
 }
@@ -89,9 +96,10 @@ py::dict render(LoadedRun& loaded, const AskedScan& asked) {
     const int lidar = find_lidar(run.sequence, asked.lidar);
     const ScanRequest request = request_of(asked, run, lidar);
     SensorChoice sensor = sensor_of(asked.sensor, run, lidar);
-    if (asked.pose.is_none()) sensor = sensor_in_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
-    const std::vector<bool> shown =
-        asked.only.empty() ? std::vector<bool>(run.scene.instances.size(), true) : select_instances(run.scene, asked.only);
+    if (asked.pose.is_none())
+        sensor = sensor_in_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
+    const std::vector<bool> shown = asked.only.empty() ? std::vector<bool>(run.scene.instances.size(), true)
+                                                       : select_instances(run.scene, asked.only);
     ScanFormat format = scan_format(run, sensor);
     format.frame = frame_of(asked.frame);
     format.deskew = asked.deskew;
@@ -114,7 +122,8 @@ std::vector<std::string> track_names(const Run& run) {
     return names;
 }
 
-std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings, const SharedDevice& device) {
+std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings,
+                                    const SharedDevice& device) {
     Run run = load_run(folder);
     set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
@@ -126,70 +135,90 @@ std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict&
     Scene& scene = changed->run.scene;
     scene = whole_scene(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
-        throw DataError(fmt::format("with_surfels: found {} surfels, expected {} of the same primitive, as the run has", surfels.size(),
-                                    scene.surfels.size()));
+        throw DataError(
+            fmt::format("with_surfels: found {} surfels, expected {} of the same primitive, as the run has",
+                        surfels.size(), scene.surfels.size()));
     scene.surfels = std::move(surfels);
     return changed;
 }
 
 constexpr const char* kRenderHelp =
     "Renders a scan.\n\n"
-    "sensor: one of relidar.sensors(), \"native\" (the log's), \"kitti360\", a CSV beam table, or a dict of rays as relidar.rays() gives; "
+    "sensor: one of relidar.sensors(), \"native\" (the log's), \"kitti360\", a CSV beam table, or a dict of "
+    "rays as relidar.rays() gives; "
     "None: as the run's settings say\n"
-    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]), also through the sweep, so that each ray "
+    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]), also through "
+    "the sweep, so that each ray "
     "is "
     "fired from where the\n"
     "    sensor is then; None: where the log's sensor was\n"
-    "time: seconds of the log at which the head faces forward, within the times of the poses; None: of the first frame.\n"
+    "time: seconds of the log at which the head faces forward, within the times of the poses; None: of the "
+    "first frame.\n"
     "    Without `pose`, at the time of a frame, the log's sensor points as its head did in that sweep\n"
-    "actors: track -> pose of its box's centre, as `pose`, at times up to a second from `time`; actors that are not named are absent.\n"
+    "actors: track -> pose of its box's centre, as `pose`, at times up to a second from `time`; actors that "
+    "are not named are absent.\n"
     "    None: all where their tracks have them\n"
     "lidar: of the log, by name, which the sensor is or in whose place it stands; empty: the first\n"
     "only: render these alone: \"background\", \"actors\" or tracks\n"
     "sample: seed; draws drops and range noise as likely as on the log. None: the likeliest scan\n"
     "frame: of origin and directions: \"sensor\" (at each ray's firing time) or \"world\" (the dataset's)\n"
-    "deskew: sensor frame at `time` for all rays. Without a rolling shutter it is the same (the log's sensor if its scans are\n"
+    "deskew: sensor frame at `time` for all rays. Without a rolling shutter it is the same (the log's sensor "
+    "if its scans are\n"
     "    motion-compensated): then `time` is 0 for all rays and `deskewed` 1\n"
-    "weather: \"fog=50\" (visibility in metres), \"rain=25\" or \"snow=2\" (mm of water an hour), \"wet=0.5\" (mm of water on level\n"
+    "weather: \"fog=50\" (visibility in metres), \"rain=25\" or \"snow=2\" (mm of water an hour), "
+    "\"wet=0.5\" (mm of water on level\n"
     "    ground), \"sun=120:5\" (azimuth:elevation, degrees of the dataset's world),\n"
-    "    \"bloom\" (stray light of reflectors), or several with commas between; drawn by `sample`, 0 without;\n"
+    "    \"bloom\" (stray light of reflectors), or several with commas between; drawn by `sample`, 0 "
+    "without;\n"
     "    adds `source` [rows,columns] int32: -1 nothing,\n"
     "    0 surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 noise of sunlight, 6 stray light\n\n"
-    "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, weight, time (seconds\n"
-    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; directions, origin\n"
-    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in time), instance_names, frame,\n"
-    "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or of vectors\n"
+    "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, "
+    "weight, time (seconds\n"
+    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; "
+    "directions, origin\n"
+    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in "
+    "time), instance_names, frame,\n"
+    "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or of "
+    "vectors\n"
     "[rows,columns,3]; unseen, share of the rays that look where the log never did, where the run knows.\n\n"
-    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for unknown names and weather.";
+    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
+    "unknown names and weather.";
 
 /// What a run does.
 void add_calls(py::class_<LoadedRun>& type) {
-    type.def_static("load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(), py::arg("device") = py::none(),
-                    "Reads a run folder.\n\n"
-                    "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
-                    "device: to render on; None: the default one\n\n"
-                    "Raises DataError naming the file that is missing, damaged or of another format.")
+    type.def_static(
+            "load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
+            py::arg("device") = py::none(),
+            "Reads a run folder.\n\n"
+            "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
+            "device: to render on; None: the default one\n\n"
+            "Raises DataError naming the file that is missing, damaged or of another format.")
         .def(
-            "save", [](LoadedRun& run, const fs::path& folder, bool overwrite) { save_to(run.run, folder, overwrite); }, py::arg("folder"),
-            py::kw_only(), py::arg("overwrite") = false,
-            "Writes config.toml, scene.json and model.safetensors, each whole or not at all. Raises UsageError where a run is in the way.")
+            "save",
+            [](LoadedRun& run, const fs::path& folder, bool overwrite) {
+                save_to(run.run, folder, overwrite);
+            },
+            py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
+            "Writes config.toml, scene.json and model.safetensors, each whole or not at all. Raises "
+            "UsageError where a run is in the way.")
         .def(
             "render",
-            [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time, std::optional<py::dict> actors,
-               std::string lidar, std::vector<std::string> only, std::optional<std::uint64_t> sample, std::string frame, bool deskew,
-               std::string weather) {
-                return render(run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample, std::move(frame),
-                                    deskew, std::move(weather)});
+            [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
+               std::optional<py::dict> actors, std::string lidar, std::vector<std::string> only,
+               std::optional<std::uint64_t> sample, std::string frame, bool deskew, std::string weather) {
+                return render(run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only),
+                                    sample, std::move(frame), deskew, std::move(weather)});
             },
-            py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(), py::arg("time") = py::none(),
-            py::arg("actors") = py::none(), py::arg("lidar") = "", py::arg("only") = std::vector<std::string>(),
-            py::arg("sample") = py::none(), py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
-            kRenderHelp)
+            py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
+            py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
+            py::arg("only") = std::vector<std::string>(), py::arg("sample") = py::none(),
+            py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "", kRenderHelp)
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
                 SensorChoice choice = sensor_of(sensor, run.run, find_lidar(run.run.sequence, lidar));
-                if (!has_rolling_shutter(choice, run.run.config)) std::ranges::fill(choice.rays.time_offset_s, 0.0f);
+                if (!has_rolling_shutter(choice, run.run.config))
+                    std::ranges::fill(choice.rays.time_offset_s, 0.0f);
                 return to_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "", "Rays of a sensor as render() takes it.")
@@ -200,11 +229,13 @@ void add_calls(py::class_<LoadedRun>& type) {
 /// What a run holds.
 void add_properties(py::class_<LoadedRun>& type) {
     type.def_property_readonly(
-            "folder", [](const LoadedRun& run) { return run.run.folder.string(); }, "Where it was read or saved; empty where it never was.")
+            "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
+            "Where it was read or saved; empty where it never was.")
         .def_property_readonly(
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
         .def_property_readonly(
-            "scene", [](const LoadedRun& run) { return std::make_shared<Scene>(whole_scene(run.run.scene)); }, "A copy of the scene.")
+            "scene", [](const LoadedRun& run) { return std::make_shared<Scene>(whole_scene(run.run.scene)); },
+            "A copy of the scene.")
         .def_property_readonly(
             "surfels", [](const LoadedRun& run) { return to_dict(whole_scene(run.run.scene).surfels); },
             "A copy of the surfels: dict of float32 arrays as relidar.Scene takes it.")
@@ -219,15 +250,18 @@ void add_properties(py::class_<LoadedRun>& type) {
             "Positions of the frames that training did not see, in times.")
         .def_property_readonly(
             "trajectory", [](const LoadedRun& run) { return trajectory_of(run.run.sequence); },
-            "(times [n], poses [n,4,4]) of the log's vehicle in the dataset's world: with one LiDAR those of the sensor, as render() takes "
+            "(times [n], poses [n,4,4]) of the log's vehicle in the dataset's world: with one LiDAR those of "
+            "the sensor, as render() takes "
             "them.")
         .def_property_readonly(
             "mountings", [](const LoadedRun& run) { return mountings_of(run.run.sequence); },
-            "LiDARs by name: vehicle from sensor, [4,4] float64; poses @ mountings[name] are those of a LiDAR. One alone is at the "
+            "LiDARs by name: vehicle from sensor, [4,4] float64; poses @ mountings[name] are those of a "
+            "LiDAR. One alone is at the "
             "identity and has an empty name.")
         .def_property_readonly(
             "actors", [](const LoadedRun& run) { return actors_of(run.run.sequence, track_names(run.run)); },
-            "Actors by track: (times [n], poses [n,4,4]) of their boxes' centres in the dataset's world, as render() takes them.")
+            "Actors by track: (times [n], poses [n,4,4]) of their boxes' centres in the dataset's world, as "
+            "render() takes them.")
         .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {
@@ -242,7 +276,8 @@ void add_properties(py::class_<LoadedRun>& type) {
 
 void save_to(Run& run, const fs::path& folder, bool overwrite) {
     if (!overwrite && is_run(folder))
-        throw UsageError(fmt::format("{}: found a run there, expected a new folder; overwrite=True replaces it", folder.string()));
+        throw UsageError(fmt::format(
+            "{}: found a run there, expected a new folder; overwrite=True replaces it", folder.string()));
     const fs::path before = std::exchange(run.folder, folder);
     try {
         save_run(run);
@@ -267,7 +302,8 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
 
 void add_run(py::module_& module) {
     py::class_<LoadedRun> type(module, "Run",
-                               "A trained scene with its log's sensor, poses and tracks: what `relidar train` writes. It does not change.");
+                               "A trained scene with its log's sensor, poses and tracks: what `relidar "
+                               "train` writes. It does not change.");
     add_calls(type);
     add_properties(type);
 }

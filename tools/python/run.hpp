@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run as Python holds it: with the device it renders on, and a renderer that is made when the first scan is wanted.
+// A run as Python holds it: with the device it renders on, and a renderer that is made
+// when the first scan is wanted.
 #pragma once
 
 #include <optional>
@@ -19,7 +20,8 @@ struct LoadedRun {
     OnDevice<ScanRenderer>& ready_renderer();
 };
 
-/// Writes a run into a folder, which becomes its own. @throws UsageError where a run is there that is not to be overwritten, as save_run()
+/// Writes a run into a folder, which becomes its own. @throws UsageError where a run is
+/// there that is not to be overwritten, as save_run()
 void save_to(Run& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

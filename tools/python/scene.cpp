@@ -17,7 +17,8 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// The groups of Surfels with their shapes: calls take(name, vector, number of floats a surfel as a shape).
+/// The groups of Surfels with their shapes: calls take(name, vector, number of floats a
+/// surfel as a shape).
 template <class Set, class Take>
 void for_each_group(Set& surfels, Take&& take) {
     take("mean", surfels.mean, Shape{3});
@@ -47,7 +48,8 @@ py::dict view_of(const py::object& scene_object) {
     py::dict dict;
     for_each_group(surfels, [&](const char* name, const auto& values, const Shape& row) {
         if (!has_group(surfels, name)) return;
-        dict[name] = view<float>(values, rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
+        dict[name] =
+            view<float>(values, rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
     });
     return dict;
 }
@@ -57,24 +59,27 @@ std::uint32_t count_of(const py::dict& dict, const char* name, const char* what)
     return dict[name].cast<std::uint32_t>();
 }
 
-/// @param models  dicts of name, first, count; none: one of all surfels @param instances  dicts of model, track; none: one of each model
+/// @param models  dicts of name, first, count; none: one of all surfels @param instances
+/// dicts of model, track; none: one of each model
 Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::dict>>& models,
                  const std::optional<std::vector<py::dict>>& instances) {
     Scene scene = make_background_scene(surfels_of(surfels));
     if (models) {
         scene.models.clear();
         for (const py::dict& model : *models)
-            scene.models.push_back({.name = model["name"].cast<std::string>(),
-                                    .first = count_of(model, "first", "models"),
-                                    .count = count_of(model, "count", "models"),
-                                    .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
+            scene.models.push_back(
+                {.name = model["name"].cast<std::string>(),
+                 .first = count_of(model, "first", "models"),
+                 .count = count_of(model, "count", "models"),
+                 .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
     }
     if (models || instances) {
         scene.instances.clear();
         for (std::uint32_t i = 0; !instances && i < scene.models.size(); ++i)
             scene.instances.push_back({i, i == 0 ? "" : scene.models[i].name});
         for (const py::dict& instance : instances.value_or(std::vector<py::dict>{}))
-            scene.instances.push_back({count_of(instance, "model", "instances"), instance["track"].cast<std::string>()});
+            scene.instances.push_back(
+                {count_of(instance, "model", "instances"), instance["track"].cast<std::string>()});
     }
     return scene;
 }
@@ -82,7 +87,8 @@ Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::di
 py::list models_of(const Scene& scene) {
     py::list list;
     for (const Model& model : scene.models)
-        list.append(py::dict(py::arg("name") = model.name, py::arg("first") = model.first, py::arg("count") = model.count));
+        list.append(py::dict(py::arg("name") = model.name, py::arg("first") = model.first,
+                             py::arg("count") = model.count));
     return list;
 }
 
@@ -98,21 +104,26 @@ py::list instances_of(const Scene& scene) {
 Surfels surfels_of(const py::dict& arrays) {
     Surfels surfels;
     std::vector<std::string> names;
-    for_each_group(surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const Shape& row) {
+    for_each_group(surfels, [&]<class Element>(const char* name, std::vector<Element>& values,
+                                               const Shape& row) {
         names.emplace_back(name);
         if (arrays.contains(name))
-            values = copied<float, Element>(arrays[name], fmt::format("surfels: {}", name), rows_of(kAny, row));
+            values =
+                copied<float, Element>(arrays[name], fmt::format("surfels: {}", name), rows_of(kAny, row));
         else if (name != kThirdScale && name != kGait)
-            throw DataError(fmt::format("surfels: found no array \"{}\", expected mean, rotation, log_scale, opacity_logit and sh", name));
+            throw DataError(fmt::format(
+                "surfels: found no array \"{}\", expected mean, rotation, log_scale, opacity_logit and sh",
+                name));
     });
     for (const auto& [name, array] : arrays) {
         const std::string text = py::str(name);
         if (std::find(names.begin(), names.end(), text) == names.end())
-            throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text, did_you_mean(text, names, "\""),
-                                         fmt::join(names, ", ")));
+            throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text,
+                                         did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
     // a dict has the first primitive with the arrays that it holds
-    const auto kind = std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
+    const auto kind =
+        std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);
     surfels.check_shapes();
     return surfels;
@@ -130,20 +141,28 @@ py::dict to_dict(Surfels&& surfels) {
 
 void add_scene(py::module_& module) {
     py::class_<Scene, std::shared_ptr<Scene>>(
-        module, "Scene", "Surfels, the models they belong to, and the instances that place models. It does not change.")
-        .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(), py::arg("instances") = py::none(),
-             "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, log_scale [n,2] ln metres, "
+        module, "Scene",
+        "Surfels, the models they belong to, and the instances that place models. It does not change.")
+        .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(),
+             py::arg("instances") = py::none(),
+             "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, "
+             "log_scale [n,2] ln metres, "
              "opacity_logit [n],\n"
              "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] makes them 3D Gaussians,\n"
              "    gait [n,5] lets models with a stride bend (phase in turns, sharpness, swing in metres)\n"
-             "models: dicts of name, first, count and, of one that bends, stride_m: ranges of the surfels, one behind the other;\n"
+             "models: dicts of name, first, count and, of one that bends, stride_m: ranges of the surfels, "
+             "one behind the other;\n"
              "    None: one of all, the background\n"
-             "instances: dicts of model (its index) and track (\"\" for the background); None: one of each model\n\n"
-             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit is checked by who renders them.")
+             "instances: dicts of model (its index) and track (\"\" for the background); None: one of each "
+             "model\n\n"
+             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit "
+             "is checked by who renders them.")
         .def_property_readonly(
-            "surfels", [](const py::object& scene) { return view_of(scene); }, "The arrays, read-only and not copied.")
+            "surfels", [](const py::object& scene) { return view_of(scene); },
+            "The arrays, read-only and not copied.")
         .def_property_readonly("models", &models_of, "Dicts of name, first, count.")
-        .def_property_readonly("instances", &instances_of, "Dicts of model, track; instance 0 is the background.")
+        .def_property_readonly("instances", &instances_of,
+                               "Dicts of model, track; instance 0 is the background.")
         .def(
             "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");
 }

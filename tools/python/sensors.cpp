@@ -22,14 +22,16 @@ void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);
         if (!(std::abs(length - 1.0f) <= kUnit))
-            throw DataError(fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
+            throw DataError(
+                fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
         if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
             throw DataError(fmt::format("sensor: found an origin or time that is not finite at ray {}", i));
     }
 }
 
 RayTable rays_of(const py::dict& dict) {
-    if (!dict.contains("directions")) throw DataError("sensor: found a dict without \"directions\", expected rays by the names of an npz");
+    if (!dict.contains("directions"))
+        throw DataError("sensor: found a dict without \"directions\", expected rays by the names of an npz");
     const py::object directions = dict["directions"];
     check_array(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);
@@ -38,7 +40,9 @@ RayTable rays_of(const py::dict& dict) {
     rays.rows = static_cast<int>(image[0]);
     rays.columns = static_cast<int>(image[1]);
     rays.direction = to_scan_array(copied<float, glm::vec3>(directions, "sensor: directions", vectors));
-    const auto given = [&](const char* name) { return dict.contains(name) ? py::object(dict[name]) : py::object(); };
+    const auto given = [&](const char* name) {
+        return dict.contains(name) ? py::object(dict[name]) : py::object();
+    };
     const std::size_t n = rays.size();
     const py::object origin = given("origin"), time = given("time"), ring = given("ring");
     rays.origin.resize(n);
@@ -55,10 +59,12 @@ RayTable rays_of(const py::dict& dict) {
 
 SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
     if (sensor.is_none()) return configured_sensor(run.config, run.sequence, lidar);
-    if (py::isinstance<py::str>(sensor)) return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
+    if (py::isinstance<py::str>(sensor))
+        return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
     if (!py::isinstance<py::dict>(sensor))
         throw UsageError(
-            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a sensor file or a dict with "
+            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a sensor "
+            "file or a dict with "
             "\"directions\"");
     SensorChoice choice;
     choice.rays = rays_of(py::reinterpret_borrow<py::dict>(sensor));
@@ -79,15 +85,20 @@ py::dict to_dict(const RayTable& rays) {
 }
 
 void add_sensors(py::module_& module) {
-    module.def("sensors", &sensor_names, "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
+    module.def("sensors", &sensor_names,
+               "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
     module.def(
-        "rays", [](const std::string& sensor, double time) { return to_dict(make_rays(find_sensor(sensor), time)); }, py::arg("sensor"),
-        py::arg("time") = 0.0,
-        "Rays of one scan of a sensor, by name or file (a beam table as \"beams.csv:1024x10\", a ray table, an Ouster's metadata); a\n"
+        "rays",
+        [](const std::string& sensor, double time) { return to_dict(make_rays(find_sensor(sensor), time)); },
+        py::arg("sensor"), py::arg("time") = 0.0,
+        "Rays of one scan of a sensor, by name or file (a beam table as \"beams.csv:1024x10\", a ray table, "
+        "an Ouster's metadata); a\n"
         "rosette has other rays at another time, in seconds.\n\n"
-        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time [rows,columns] float32 (seconds "
+        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time "
+        "[rows,columns] float32 (seconds "
         "from the moment the head\n"
-        "faces forward), ring [rows,columns] uint16 (beam, 0 the highest). Such a dict, also one of your own, is a sensor for "
+        "faces forward), ring [rows,columns] uint16 (beam, 0 the highest). Such a dict, also one of your "
+        "own, is a sensor for "
         "Run.render().");
 }
 

@@ -11,13 +11,13 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
+#include <relidar/run/stage_options.hpp>
 #include <relidar/train/train.hpp>
 #include "arrays.hpp"
 #include "calls.hpp"
 #include "module.hpp"
 #include "poses.hpp"
 #include "sensors.hpp"
-#include <relidar/run/stage_options.hpp>
 
 namespace relidar::python {
 namespace {
@@ -40,7 +40,8 @@ py::dict scan_of(const Log& log, int position) {
     const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
     const Shape image{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
-    if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);   // points are where they are at the frame's time
+    // points are where they are at the frame's time
+    if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     py::dict dict = to_dict(rays);
     dict["range"] = owned<float>(to_vector(scan.range_m), image);
     dict["intensity"] = owned<float>(to_vector(scan.intensity), image);
@@ -53,7 +54,8 @@ std::vector<std::string> box_names(const Sequence& sequence) {
     return names;
 }
 
-void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns, bool people, bool gait) {
+void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns, bool people,
+                 bool gait) {
     SyntheticOptions options;
     options.seed = seed;
     options.n_frames = n_frames;
@@ -90,7 +92,8 @@ py::object lidars_of(const Sequence& sequence) {
 
 py::object mountings_of(const Sequence& sequence) {
     py::dict mountings;
-    for (const Lidar& lidar : sequence.lidars) mountings[py::str(lidar.name)] = to_matrix_array(lidar.vehicle_from_sensor);
+    for (const Lidar& lidar : sequence.lidars)
+        mountings[py::str(lidar.name)] = to_matrix_array(lidar.vehicle_from_sensor);
     return mountings;
 }
 
@@ -104,45 +107,54 @@ py::object actors_of(const Sequence& sequence, const std::vector<std::string>& n
 
 void add_sequence(py::module_& module) {
     py::class_<Log>(module, "Sequence",
-                    "A LiDAR log: scans with their rays, poses of the sensor in time, tracked boxes. Made by load_sequence().")
+                    "A LiDAR log: scans with their rays, poses of the sensor in time, tracked boxes. Made by "
+                    "load_sequence().")
         .def(
             "__len__", [](const Log& log) { return log.sequence.frames.size(); }, "Number of frames.")
         .def_property_readonly("name", [](const Log& log) { return log.sequence.name; })
         .def_property_readonly(
             "notes", [](const Log& log) { return log.sequence.notes; }, "What the log lacks, a line each.")
         .def_property_readonly(
-            "config", [](const Log& log) { return log.config; }, "A copy of the settings that it was read with.")
+            "config", [](const Log& log) { return log.config; },
+            "A copy of the settings that it was read with.")
         .def_property_readonly(
-            "times", [](const Log& log) { return times_of(log.sequence); }, "[frames] float64: seconds at which the head faces forward.")
+            "times", [](const Log& log) { return times_of(log.sequence); },
+            "[frames] float64: seconds at which the head faces forward.")
         .def_property_readonly(
-            "frame_numbers", [](const Log& log) { return frame_numbers_of(log.sequence); }, "[frames] int32: the dataset's own numbers.")
+            "frame_numbers", [](const Log& log) { return frame_numbers_of(log.sequence); },
+            "[frames] int32: the dataset's own numbers.")
         .def_property_readonly(
             "frame_lidars", [](const Log& log) { return lidars_of(log.sequence); },
             "[frames] names of the LiDARs that took the frames; empty where the log has one.")
         .def_property_readonly(
             "trajectory", [](const Log& log) { return trajectory_of(log.sequence); },
-            "(times [n], poses [n,4,4]) of the vehicle in the dataset's world, float64, metres: with one LiDAR those of the sensor.")
+            "(times [n], poses [n,4,4]) of the vehicle in the dataset's world, float64, metres: with one "
+            "LiDAR those of the sensor.")
         .def_property_readonly(
             "mountings", [](const Log& log) { return mountings_of(log.sequence); },
-            "LiDARs by name: vehicle from sensor, [4,4] float64; identity where the log has one, whose name is empty.")
+            "LiDARs by name: vehicle from sensor, [4,4] float64; identity where the log has one, whose name "
+            "is empty.")
         .def_property_readonly(
             "boxes", [](const Log& log) { return actors_of(log.sequence, box_names(log.sequence)); },
             "Labelled boxes by track: (times [n], poses [n,4,4]) of their centres in the dataset's world.")
         .def(
             "rays",
             [](const Log& log, const std::string& lidar) {
-                return to_dict(make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
+                return to_dict(
+                    make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
             },
             py::arg("lidar") = "", "Rays of a LiDAR of the log, as relidar.rays(). Empty name: the first.")
         .def("scan", &scan_of, py::arg("position"),
-             "The scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 (metres along the ray, 0 where dropped) and "
+             "The scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 (metres along "
+             "the ray, 0 where dropped) and "
              "intensity.\n\n"
              "position: 0 ... len(sequence) - 1");
 
     module.def(
         "load_sequence",
         [](const py::object& dataset, const std::optional<Config>& config, const Tell& progress) {
-            return load(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(), config, progress);
+            return load(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(), config,
+                        progress);
         },
         py::arg("dataset"), py::arg("config") = py::none(), py::arg("progress") = py::none(),
         "Reads a log.\n\n"
@@ -150,10 +162,11 @@ void add_sequence(py::module_& module) {
         "config: its dataset.* say which frames, poses and ranges; None: preset \"default\"\n"
         "progress: called with what is done and its share, 0 to 1\n\n"
         "Raises DataError naming the file and what is wrong with it.");
-    module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1, py::arg("n_frames") = 30,
-               py::arg("rows") = 32, py::arg("columns") = 512, py::arg("people") = false,
-               py::arg("gait") = false,
-               "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. people: it has pedestrians and a\n"
+    module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
+               py::arg("n_frames") = 30, py::arg("rows") = 32, py::arg("columns") = 512,
+               py::arg("people") = false, py::arg("gait") = false,
+               "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. "
+               "people: it has pedestrians and a\n"
                "cyclist. gait: and the pedestrians swing their legs and arms.");
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as Python holds it: with the settings that it was read with, so that training knows them.
+// A log as Python holds it: with the settings that it was read with, so that training
+// knows them.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -18,8 +19,10 @@ struct Log {
 pybind11::object times_of(const Sequence& sequence);          ///< [frames] float64
 pybind11::object frame_numbers_of(const Sequence& sequence);  ///< [frames] int32
 pybind11::object lidars_of(const Sequence& sequence);         ///< [frames] names
-pybind11::object trajectory_of(const Sequence& sequence);     ///< (times, poses) of the vehicle, dataset's world
-pybind11::object mountings_of(const Sequence& sequence);      ///< dict of vehicle_from_sensor, by LiDAR
-pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);  ///< dict of (times, poses) of box centres
+/// (times, poses) of the vehicle, dataset's world
+pybind11::object trajectory_of(const Sequence& sequence);
+pybind11::object mountings_of(const Sequence& sequence);  ///< dict of vehicle_from_sensor, by LiDAR
+/// dict of (times, poses) of box centres
+pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);
 
 }  // namespace relidar::python

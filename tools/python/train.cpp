@@ -40,9 +40,11 @@ Config config_of(const Log& log, const std::optional<Config>& wanted) {
     return config;
 }
 
-std::optional<Checkpoint> find_start(const AskedTraining& asked, const std::function<void(const std::string&)>& note) {
+std::optional<Checkpoint> find_start(const AskedTraining& asked,
+                                     const std::function<void(const std::string&)>& note) {
     if (!asked.resume) return std::nullopt;
-    if (!asked.checkpoints) throw UsageError("train: found resume=True without checkpoints, expected the folder that holds them");
+    if (!asked.checkpoints)
+        throw UsageError("train: found resume=True without checkpoints, expected the folder that holds them");
     return load_newest_checkpoint(*asked.checkpoints, note);
 }
 
@@ -55,7 +57,8 @@ TrainResult trained(OpenDevice& open, Run& run, const AskedTraining& asked, Pyth
     const auto stop = [&] { return !python.go_on(); };
     const std::optional<Checkpoint> start = find_start(asked, note);
     const DeviceUse use(open);
-    prepare_log(run.sequence, run.split, run.config, {note, stop, [&](std::string_view, double) { (void)python.go_on(); }});
+    prepare_log(run.sequence, run.split, run.config,
+                {note, stop, [&](std::string_view, double) { (void)python.go_on(); }});
     if (start) check_resumable(*start, run.sequence, run.split, run.config);
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
@@ -82,7 +85,8 @@ void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     python.raise_again();
 }
 
-/// The ray-drop network. A log that has nothing to teach it is no error, and a checkpoint of another network none either.
+/// The ray-drop network. A log that has nothing to teach it is no error, and a checkpoint
+/// of another network none either.
 void refined(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (asked.note) python([&] { (*asked.note)(line); });
@@ -112,7 +116,11 @@ void refined(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls
 
 std::unique_ptr<LoadedRun> train_run(const Log& log, const AskedTraining& asked) {
     const Config config = config_of(log, asked.config);
-    Run run{{}, config, log.sequence, split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames), {}};
+    Run run{{},
+            config,
+            log.sequence,
+            split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
+            {}};
     const SharedDevice device = device_or_default(asked.device);
     PythonCalls python;
     TrainResult result;
@@ -151,24 +159,31 @@ void add_train(py::module_& module) {
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",
-        [](const Log& sequence, std::optional<Config> config, std::optional<std::function<py::object(const TrainProgress&)>> callback,
-           std::optional<std::function<void(const std::string&)>> note, std::optional<fs::path> checkpoints, bool resume,
-           SharedDevice device) {
-            return train_run(sequence,
-                             {std::move(config), std::move(callback), std::move(note), std::move(checkpoints), resume, std::move(device)});
+        [](const Log& sequence, std::optional<Config> config,
+           std::optional<std::function<py::object(const TrainProgress&)>> callback,
+           std::optional<std::function<void(const std::string&)>> note, std::optional<fs::path> checkpoints,
+           bool resume, SharedDevice device) {
+            return train_run(sequence, {std::move(config), std::move(callback), std::move(note),
+                                        std::move(checkpoints), resume, std::move(device)});
         },
-        py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(), py::arg("note") = py::none(),
-        py::arg("checkpoints") = py::none(), py::arg("resume") = false, py::arg("device") = py::none(),
-        "Trains a scene on the training frames of a log, and with refine.enabled the network that corrects its ray-drop.\n\n"
-        "config: settings; dataset.* stay as the log was read, test_every and test_frames excepted. None: those that the log was read "
+        py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(),
+        py::arg("note") = py::none(), py::arg("checkpoints") = py::none(), py::arg("resume") = false,
+        py::arg("device") = py::none(),
+        "Trains a scene on the training frames of a log, and with refine.enabled the network that corrects "
+        "its ray-drop.\n\n"
+        "config: settings; dataset.* stay as the log was read, test_every and test_frames excepted. None: "
+        "those that the log was read "
         "with\n"
-        "callback: called with a TrainProgress every train.log_every iterations; returning False ends the training with the scene so far. "
+        "callback: called with a TrainProgress every train.log_every iterations; returning False ends the "
+        "training with the scene so far. "
         "It may not use the same device\n"
         "note: called with one line about each estimate and whatever goes wrong without ending the training\n"
-        "checkpoints: folder for what a training continues from; one is written where it stops early, by Ctrl-C too; those of the network "
+        "checkpoints: folder for what a training continues from; one is written where it stops early, by "
+        "Ctrl-C too; those of the network "
         "lie in drop_network below it\n"
         "resume: continue from the newest checkpoint there, where there is one\n\n"
-        "Returns a Run that is in memory alone: save() it. Raises KeyboardInterrupt on Ctrl-C, what the callback raises, DataError where "
+        "Returns a Run that is in memory alone: save() it. Raises KeyboardInterrupt on Ctrl-C, what the "
+        "callback raises, DataError where "
         "the log cannot be trained on.");
 }
 

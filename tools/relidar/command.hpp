@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a command is: a function that adds a subcommand with its options to the parser, and leaves in `call.run` what to do
-// when the user chose it. A new command is a file, a line here and a line in commands.cpp.
+// What a command is: a function that adds a subcommand with its options to the parser,
+// and leaves in `call.run` what to do when the user chose it. A new command is a file, a
+// line here and a line in commands.cpp.
 #pragma once
 
 #include <functional>
@@ -16,8 +17,8 @@ namespace relidar::cli {
 
 /// What the user asked for.
 struct Call {
-    std::string command_line;        ///< as typed, for reports
-    std::function<void()> run;       ///< of the chosen command; failures are exceptions
+    std::string command_line;   ///< as typed, for reports
+    std::function<void()> run;  ///< of the chosen command; failures are exceptions
 };
 
 /// Adds all of them.

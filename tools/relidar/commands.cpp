@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// All commands, in the order of `relidar --help`. main.cpp runs the one that the user typed.
+// All commands, in the order of `relidar --help`. main.cpp runs the one that the user
+// typed.
 #include "command.hpp"
 
 namespace relidar::cli {
 
 void add_commands(CLI::App& app, Call& call) {
-    for (const auto& add :
-         {add_demo, add_train, add_refine, add_render, add_view, add_serve, add_edit, add_assets, add_eval,
-          add_export, add_convert, add_info, add_list, add_bench})
+    for (const auto& add : {add_demo, add_train, add_refine, add_render, add_view, add_serve, add_edit,
+                            add_assets, add_eval, add_export, add_convert, add_info, add_list, add_bench})
         add(app, call);
 }
 

@@ -14,15 +14,15 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};   // what is done sooner needs no line
+constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};  // what is done sooner needs no line
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
-bool line_open = false;   // a progress line without its line break is on the terminal
+bool line_open = false;  // a progress line without its line break is on the terminal
 
 /// Columns a text takes on the terminal: its UTF-8 characters.
 std::size_t width(const std::string& text) {
-    return static_cast<std::size_t>(
-        std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
+    return static_cast<std::size_t>(std::count_if(
+        text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
 }
 
 /// A line that wraps could not be rewritten.
@@ -80,7 +80,8 @@ std::string byte_size(std::uint64_t n_bytes) {
 std::string number(double value) { return fmt::format("{:.4g}", value); }
 
 std::string one_line(std::string text) {
-    std::replace_if(text.begin(), text.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+    std::replace_if(
+        text.begin(), text.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
     return text;
 }
 
@@ -130,7 +131,9 @@ void Progress::count(const std::string& what, std::size_t done, std::size_t tota
 }
 
 relidar::Progress shown_by(Progress& progress) {
-    return [&progress](std::string_view what, double done) { progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done)); };
+    return [&progress](std::string_view what, double done) {
+        progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done));
+    };
 }
 
 }  // namespace relidar::cli

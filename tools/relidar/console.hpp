@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text for people: tables, durations, sizes, and a progress line that rewrites itself on a terminal and comes as a plain line
-// after two seconds and then every ten elsewhere. Results go to stdout, progress to stderr.
+// Text for people: tables, durations, sizes, and a progress line that rewrites itself on
+// a terminal and comes as a plain line after two seconds and then every ten elsewhere.
+// Results go to stdout, progress to stderr.
 #pragma once
 
 #include <chrono>
@@ -12,14 +13,15 @@
 
 namespace relidar::cli {
 
-/// Rows of cells with aligned columns, two blanks apart; the first row is the head. Columns of numbers are right-aligned.
+/// Rows of cells with aligned columns, two blanks apart; the first row is the head.
+/// Columns of numbers are right-aligned.
 std::string table(const std::vector<std::vector<std::string>>& rows);
 
-std::string duration(double seconds);               ///< "0:42", "1:54:00"
-std::string byte_size(std::uint64_t n_bytes);       ///< "512 B", "1.3 GiB"
-std::string number(double value);                   ///< four significant digits
-std::string one_line(std::string text);             ///< line breaks and other control characters become blanks
-std::string shell_word(const std::string& word);    ///< quoted where a shell would need it
+std::string duration(double seconds);             ///< "0:42", "1:54:00"
+std::string byte_size(std::uint64_t n_bytes);     ///< "512 B", "1.3 GiB"
+std::string number(double value);                 ///< four significant digits
+std::string one_line(std::string text);           ///< line breaks and other control characters become blanks
+std::string shell_word(const std::string& word);  ///< quoted where a shell would need it
 
 /// Writes to stdout.
 void print(const std::string& text);

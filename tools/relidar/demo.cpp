@@ -1,30 +1,31 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar demo: the whole way on a synthetic street, where the answer is known exactly: log, training, held-out frames, and a
-// sensor 2 m to the left and 1 m up, which no real log could check.
+// relidar demo: the whole way on a synthetic street, where the answer is known exactly:
+// log, training, held-out frames, and a sensor 2 m to the left and 1 m up, which no real
+// log could check.
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "command.hpp"
-#include "console.hpp"
-#include "evaluate/evaluation.hpp"
-#include "interrupt.hpp"
-#include "options.hpp"
-#include "output_folder.hpp"
-#include "evaluate/pictures.hpp"
-#include "evaluate/run_report.hpp"
-#include "train/training.hpp"
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/scan_files.hpp>
+#include "command.hpp"
+#include "console.hpp"
+#include "evaluate/evaluation.hpp"
+#include "evaluate/pictures.hpp"
+#include "evaluate/run_report.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "train/training.hpp"
 
 namespace relidar::cli {
 namespace {
 
 namespace fs = std::filesystem;
 
-const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};   // 2 m to the left, 1 m up
+const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};  // 2 m to the left, 1 m up
 constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
                                         "points/f_22cm",        "peer/depth_psnr_db",  "peer/depth_ssim"};
@@ -40,8 +41,9 @@ struct DemoOptions {
 Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
-    config.init.scale_factor = 0.6;   // 32 beams leave wider gaps between points than the 64 the preset is made for
-    config.train.iterations = 250;    // one to two minutes in all on two cores; preset quick has 540
+    // 32 beams leave wider gaps between points than the 64 the preset is made for
+    config.init.scale_factor = 0.6;
+    config.train.iterations = 250;  // one to two minutes in all on two cores; preset quick has 540
     apply_sets(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street.string());
     return config;
@@ -50,14 +52,16 @@ Config config_of(const DemoOptions& options, const fs::path& street) {
 Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
-    std::vector<ScoredFrame> with_images;   // which are written as scans
-    Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress),
-                                            [&](const ScoredFrame& frame) { with_images.push_back(frame); });
+    std::vector<ScoredFrame> with_images;  // which are written as scans
+    Evaluation evaluation =
+        evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress),
+                        [&](const ScoredFrame& frame) { with_images.push_back(frame); });
     evaluation.frames = std::move(with_images);
     return evaluation;
 }
 
-/// The held-out frames seen from the shifted sensor, against what that sensor would have measured.
+/// The held-out frames seen from the shifted sensor, against what that sensor would have
+/// measured.
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
@@ -83,37 +87,45 @@ void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run
     ScanFolder scans(folder, format);
     for (const ScoredFrame& frame : evaluation.frames) {
         scans.write(frame.frame, frame.rendered);
-        write_png(folder / fmt::format("range_{:06}.png", frame.frame), range_pair(frame, run.config.dataset.max_range_m));
+        write_png(folder / fmt::format("range_{:06}.png", frame.frame),
+                  range_pair(frame, run.config.dataset.max_range_m));
     }
     scans.finish();
 }
 
 std::string short_table(const Evaluation& held_out, const Evaluation& shifted) {
     std::vector<std::vector<std::string>> rows{{"metric", "held out", "shifted sensor"}};
-    const auto cell = [](const MetricRow& row, const char* name) { return row.contains(name) ? number(row.at(name)) : std::string("-"); };
-    for (const char* name : kDemoMetrics) rows.push_back({name, cell(held_out.mean, name), cell(shifted.mean, name)});
+    const auto cell = [](const MetricRow& row, const char* name) {
+        return row.contains(name) ? number(row.at(name)) : std::string("-");
+    };
+    for (const char* name : kDemoMetrics)
+        rows.push_back({name, cell(held_out.mean, name), cell(shifted.mean, name)});
     return table(rows);
 }
 
-void finish(Device& device, const Run& run, const SyntheticOptions& street, Report report, const fs::path& out, bool quiet) {
+void finish(Device& device, const Run& run, const SyntheticOptions& street, Report report,
+            const fs::path& out, bool quiet) {
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
-    write_text(run.folder / "metrics.json",
-               metrics_json(held_out, run.config,
-                            {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text(run.folder / "metrics.json", metrics_json(held_out, run.config,
+                                                         {absolute_path(run.folder.string()),
+                                                          device.info().name, device.peak_bytes(), 0.0}));
     write_scans(out / "held_out", held_out, run, {});
     write_scans(out / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
     report.same_scans = false;
     add_evaluation(report, held_out, run, {"held out", "real"});
     report.summary +=
-        " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes from casting rays into the street "
+        " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes "
+        "from casting rays into the street "
         "itself, without noise. "
         "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";
     add_evaluation(report, shifted, run, {"shifted sensor", "exact"});
     write_report(run.folder / "report.html", report);
     write_report(out / "report.html", report);
-    if (!quiet) print(short_table(held_out, shifted) + fmt::format("\nreport  {}\n", absolute_path((out / "report.html").string())));
+    if (!quiet)
+        print(short_table(held_out, shifted) +
+              fmt::format("\nreport  {}\n", absolute_path((out / "report.html").string())));
 }
 
 void run_demo(const DemoOptions& options, const std::string& command_line) {
@@ -129,9 +141,9 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     Sequence sequence = load_dataset(config, options.quiet);
     const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) {
-        print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n", sequence.name,
-                          sequence.frames.size(), street.rows, street.columns, split.test.size(), config.train.iterations,
-                          device.info().name));
+        print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n",
+                          sequence.name, sequence.frames.size(), street.rows, street.columns,
+                          split.test.size(), config.train.iterations, device.info().name));
         std::fflush(stdout);
     }
 
@@ -159,14 +171,18 @@ void add_demo(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
-    command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")->type_name("S");
+    command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")
+        ->type_name("S");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer("DIR gets report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as npz, png, ply, exr).\n"
-                    "Training has 250 steps: --set train.iterations=N changes that.\n"
-                    "Example: relidar demo --out demo");
-    command->callback([&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
+    command->footer(
+        "DIR gets report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as npz, "
+        "png, ply, exr).\n"
+        "Training has 250 steps: --set train.iterations=N changes that.\n"
+        "Example: relidar demo --out demo");
+    command->callback(
+        [&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
 }
 
 }  // namespace relidar::cli

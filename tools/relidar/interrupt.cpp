@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The handler notes the first signal and when it came; later ones end the program as if nobody had asked for signals. What comes within a
-// second of the first is that one again: an engine that stops a job tells every process of it, and so does the process that started them.
+// The handler notes the first signal and when it came; later ones end the program as if
+// nobody had asked for signals. What comes within a second of the first is that one
+// again: an engine that stops a job tells every process of it, and so does the process
+// that started them.
 #include "interrupt.hpp"
 
 #include <atomic>
@@ -14,7 +16,7 @@ namespace {
 
 constexpr long long kSameSignal_ms = 1000;
 
-std::atomic<long long> first_signal_ms{0};   // 0: none yet
+std::atomic<long long> first_signal_ms{0};  // 0: none yet
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 
 extern "C" void remember_signal(int number) {
@@ -22,7 +24,8 @@ extern "C" void remember_signal(int number) {
     ::clock_gettime(CLOCK_MONOTONIC, &now);
     const long long now_ms = now.tv_sec * 1000LL + now.tv_nsec / 1'000'000;
     long long first_ms = 0;
-    if (first_signal_ms.compare_exchange_strong(first_ms, now_ms) || now_ms - first_ms < kSameSignal_ms) return;
+    if (first_signal_ms.compare_exchange_strong(first_ms, now_ms) || now_ms - first_ms < kSameSignal_ms)
+        return;
     std::signal(number, SIG_DFL);
     std::raise(number);
 }

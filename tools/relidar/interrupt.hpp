@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ctrl-C ends long work in order: finished files stay, the rest stops at the next safe point. Another Ctrl-C a second later or more ends at
-// once.
+// Ctrl-C ends long work in order: finished files stay, the rest stops at the next safe
+// point. Another Ctrl-C a second later or more ends at once.
 #pragma once
 
 namespace relidar::cli {

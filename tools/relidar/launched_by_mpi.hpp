@@ -5,10 +5,11 @@
 
 namespace relidar::cli {
 
-/// Whether mpirun, or an engine in its place, has started this process with others: without them MPI is left alone, which may not even be
-/// set up on the machine.
+/// Whether mpirun, or an engine in its place, has started this process with others:
+/// without them MPI is left alone, which may not even be set up on the machine.
 inline bool launched_by_mpi() {
-    for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE"})   // Open MPI; MPICH, Intel MPI, and Slurm with either
+    // Open MPI; MPICH, Intel MPI, and Slurm with either
+    for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE"})
         if (const char* size = std::getenv(name); size && std::atoi(size) > 1) return true;
     return false;
 }

@@ -5,14 +5,14 @@
 #include <charconv>
 #include <cmath>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <CLI/CLI.hpp>
 
-#include "console.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/train/train.hpp>
+#include "console.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -32,19 +32,21 @@ bool parse(const std::string& text, T& value) {
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
     command
         .add_option("--device", choice.index,
-                    "Vulkan device by its number in `relidar list devices` (default: a GPU, one with ray query first; else a CPU device)")
+                    "Vulkan device by its number in `relidar list devices` (default: a GPU, one with ray "
+                    "query first; else a CPU device)")
         ->type_name("N");
     command
-        .add_option(
-            "--traversal", choice.traversal,
-            "how rays find surfels: auto, ray_query or software; auto is ray_query on a GPU that has it, else software (default: auto)")
+        .add_option("--traversal", choice.traversal,
+                    "how rays find surfels: auto, ray_query or software; auto is ray_query on a GPU that has "
+                    "it, else software (default: auto)")
         ->type_name("HOW");
 }
 
 DeviceOptions device_options(const DeviceChoice& choice) {
     DeviceOptions options;
     if (choice.index < -1)
-        throw UsageError(fmt::format("--device: found {}, expected a number that `relidar list devices` lists", choice.index));
+        throw UsageError(fmt::format(
+            "--device: found {}, expected a number that `relidar list devices` lists", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
     return from_environment(options);
@@ -60,7 +62,8 @@ std::vector<std::string> device_words(const DeviceChoice& choice) {
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels) {
     command
         .add_option("--channels", channels,
-                    fmt::format("what scans say of each ray beside the basic channels: some of {}, separated by commas; as --set "
+                    fmt::format("what scans say of each ray beside the basic channels: some of {}, separated "
+                                "by commas; as --set "
                                 "render.channels=LIST",
                                 fmt::join(optional_channel_names(), ", ")))
         ->type_name("LIST");
@@ -69,16 +72,22 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& channels
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& which) {
     command
         .add_option("--weather", weather,
-                    fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), wet=MILLIMETRES (of water on level "
-                                "ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees of the dataset's world) or bloom=REFLECTIVITY (stray "
-                                "light of reflectors), or several with commas between, in {} (default: clear); channel source says "
+                    fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), "
+                                "wet=MILLIMETRES (of water on level "
+                                "ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees of the dataset's world) or "
+                                "bloom=REFLECTIVITY (stray "
+                                "light of reflectors), or several with commas between, in {} (default: "
+                                "clear); channel source says "
                                 "why there is a point",
                                 which))
         ->type_name("WEATHER");
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
-    command.add_option("--set", sets, "change one setting, as in loss.depth=0.2; repeatable; `relidar list settings` lists all keys")
+    command
+        .add_option(
+            "--set", sets,
+            "change one setting, as in loss.depth=0.2; repeatable; `relidar list settings` lists all keys")
         ->type_name("KEY=VALUE")
         ->type_size(1)
         ->allow_extra_args(false);
@@ -87,9 +96,11 @@ void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
 void add_settings_options(CLI::App& command, Settings& settings) {
     command
         .add_option("--preset", settings.preset,
-                    "settings to start from: default, quick (minutes on a CPU), paper (its text) or released (its authors' settings)")
+                    "settings to start from: default, quick (minutes on a CPU), paper (its text) or released "
+                    "(its authors' settings)")
         ->type_name("NAME");
-    command.add_option("--config", settings.file, "TOML file with settings, over the preset")->type_name("FILE");
+    command.add_option("--config", settings.file, "TOML file with settings, over the preset")
+        ->type_name("FILE");
     add_set_option(command, settings.sets);
 }
 
@@ -104,35 +115,52 @@ void apply_sets(Config& config, const std::vector<std::string>& sets) {
     for (const std::string& set : sets) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
-            throw UsageError(fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
+            throw UsageError(
+                fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
         set_key(config, set.substr(0, equals), set.substr(equals + 1));
     }
 }
 
 std::vector<std::string> rendering_settings() {
-    return {"dataset.min_range_m", "dataset.max_range_m", "sensor.grid", "sensor.grid_method", "sensor.rolling_shutter",
-            "sensor.sub_rays", "sensor.divergence_mrad", "sensor.returns", "sensor.return_separation_m", "image.", "refine.enabled",
-            "render.", "trace."};
+    return {"dataset.min_range_m",
+            "dataset.max_range_m",
+            "sensor.grid",
+            "sensor.grid_method",
+            "sensor.rolling_shutter",
+            "sensor.sub_rays",
+            "sensor.divergence_mrad",
+            "sensor.returns",
+            "sensor.return_separation_m",
+            "image.",
+            "refine.enabled",
+            "render.",
+            "trace."};
 }
 
-void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used, const std::string& command) {
+void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used,
+                const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
-        apply_sets(scratch, {set});   // a wrong key or value has its own message
+        apply_sets(scratch, {set});  // a wrong key or value has its own message
         const std::string key = set.substr(0, set.find('='));
-        const bool is_used = std::ranges::any_of(
-            used, [&](const std::string& name) { return name.ends_with('.') ? key.starts_with(name) : key == name; });
+        const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {
+            return name.ends_with('.') ? key.starts_with(name) : key == name;
+        });
         if (is_used) continue;
-        throw UsageError(fmt::format("--set: found {}, which changes nothing in `relidar {}`; expected {}", key, command,
-                                     used.empty() ? "no setting" : fmt::format("some of {}", fmt::join(used, ", "))));
+        throw UsageError(
+            fmt::format("--set: found {}, which changes nothing in `relidar {}`; expected {}", key, command,
+                        used.empty() ? "no setting" : fmt::format("some of {}", fmt::join(used, ", "))));
     }
 }
 
 void add_log_part_options(CLI::App& command, LogPart& part) {
-    command.add_option("--frames", part.frames, "frames of a log to read, first:end, by the dataset's own numbers (default: all)")
+    command
+        .add_option("--frames", part.frames,
+                    "frames of a log to read, first:end, by the dataset's own numbers (default: all)")
         ->type_name("A:B");
     command
-        .add_option("--sequence", part.sequence, "which drive of a dataset that holds several, by its own name (default: the first)")
+        .add_option("--sequence", part.sequence,
+                    "which drive of a dataset that holds several, by its own name (default: the first)")
         ->type_name("NAME");
 }
 
@@ -147,10 +175,13 @@ void apply_log_part(Config& config, const LogPart& part) {
 FrameRange parse_frames(const std::string& text) {
     FrameRange range;
     const std::size_t colon = text.find(':');
-    const std::string begin = text.substr(0, colon), end = colon == std::string::npos ? "" : text.substr(colon + 1);
-    const bool good = colon != std::string::npos && (begin.empty() || parse(begin, range.begin)) && (end.empty() || parse(end, range.end));
+    const std::string begin = text.substr(0, colon),
+                      end = colon == std::string::npos ? "" : text.substr(colon + 1);
+    const bool good = colon != std::string::npos && (begin.empty() || parse(begin, range.begin)) &&
+                      (end.empty() || parse(end, range.end));
     if (!good || range.begin < 0 || (!end.empty() && range.end < 0)) {
-        throw UsageError(fmt::format("--frames: found \"{}\", expected first:end, end not included, as in 0:50", text));
+        throw UsageError(
+            fmt::format("--frames: found \"{}\", expected first:end, end not included, as in 0:50", text));
     }
     if (range.end != -1 && range.begin >= range.end)
         throw UsageError(fmt::format("--frames: found \"{}\", an empty range, expected first < end", text));
@@ -159,7 +190,8 @@ FrameRange parse_frames(const std::string& text) {
 
 void note_frames_beyond(const FrameRange& range, int last, const std::string& where) {
     if (range.end > last + 1)
-        note(fmt::format("frames {}:{}: {} ends with frame {}; the rest is left out", range.begin, range.end, where, last));
+        note(fmt::format("frames {}:{}: {} ends with frame {}; the rest is left out", range.begin, range.end,
+                         where, last));
 }
 
 std::vector<double> parse_list(const std::string& option, const std::string& text) {
@@ -168,7 +200,8 @@ std::vector<double> parse_list(const std::string& option, const std::string& tex
         const std::string word = without_blanks(typed);
         double value = 0.0;
         if (!parse(word, value) || !std::isfinite(value))
-            throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas", option, word, text));
+            throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas",
+                                         option, word, text));
         numbers.push_back(value);
     }
     return numbers;
@@ -198,10 +231,12 @@ Sequence load_dataset(const Config& config, bool quiet, int most_scans) {
     Progress progress(quiet);
     Sequence sequence = load_log(config, shown_by(progress), most_scans);
     if (!sequence.frames.empty())
-        note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end}, sequence.frames.back().index, sequence.source);
+        note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end},
+                           sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
-        note(fmt::format("{} of the scans lie in memory, {} in a file in {} (dataset.memory_mib)", byte_size(use.in_memory),
-                         byte_size(use.in_file), fs::temp_directory_path().string()));
+        note(fmt::format("{} of the scans lie in memory, {} in a file in {} (dataset.memory_mib)",
+                         byte_size(use.in_memory), byte_size(use.in_file),
+                         fs::temp_directory_path().string()));
     return sequence;
 }
 

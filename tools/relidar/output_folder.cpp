@@ -31,21 +31,25 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kLockLook{50};
-/// mpirun and batch systems may start a job anew before the processes of the old one have ended.
+/// mpirun and batch systems may start a job anew before the processes of the old one have
+/// ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
 
-/// What a process that was killed at once may have left: its lock, which the system has let go, and half of a file.
+/// What a process that was killed at once may have left: its lock, which the system has
+/// let go, and half of a file.
 bool is_left_over(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
 
-/// Nothing in it but such. A folder that cannot be looked into is told when it is written.
+/// Nothing in it but such. A folder that cannot be looked into is told when it is
+/// written.
 bool holds_nothing(const fs::path& folder) {
     std::error_code failed;
-    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
+         entry.increment(failed)) {
         if (!is_left_over(entry->path())) return false;
     }
     return true;
@@ -54,29 +58,36 @@ bool holds_nothing(const fs::path& folder) {
 void check_content(const fs::path& folder, Existing existing) {
     if (holds_nothing(folder)) return;
     if (is_dataset(folder))
-        throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run", folder.string()));
+        throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run",
+                                     folder.string()));
     if (!holds_run(folder))
-        throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one", folder.string()));
+        throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one",
+                                     folder.string()));
     if (existing == Existing::refuse)
-        throw UsageError(
-            fmt::format("--out {}: the folder is not empty, expected a new one; --force overwrites the run in it", folder.string()));
+        throw UsageError(fmt::format(
+            "--out {}: the folder is not empty, expected a new one; --force overwrites the run in it",
+            folder.string()));
 }
 
-/// What a killed process left half written in a folder that is locked now: of a run, its checkpoints too.
+/// What a killed process left half written in a folder that is locked now: of a run, its
+/// checkpoints too.
 void remove_half_written(const fs::path& folder) {
-    for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)}) remove_temporaries(in);
+    for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
+        remove_temporaries(in);
 }
 
-/// Whether the name still leads to the file that is open: whoever let it go has removed it.
+/// Whether the name still leads to the file that is open: whoever let it go has removed
+/// it.
 bool is_same_file(int descriptor, const fs::path& file) {
-    struct stat opened {}, named {};
-    return ::fstat(descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 && opened.st_dev == named.st_dev &&
-           opened.st_ino == named.st_ino;
+    struct stat opened {
+    }, named{};
+    return ::fstat(descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 &&
+           opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
 struct OpenLock {
     int descriptor;
-    bool exclusive;   ///< the file system knows locks
+    bool exclusive;  ///< the file system knows locks
 };
 
 /// Opens and locks a file. @return nothing where another process has locked it
@@ -84,7 +95,8 @@ std::optional<OpenLock> open_locked(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
         if (descriptor < 0)
-            throw DataError(fmt::format("{}: cannot be written: {}", file.string(), std::generic_category().message(errno)));
+            throw DataError(fmt::format("{}: cannot be written: {}", file.string(),
+                                        std::generic_category().message(errno)));
         const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
         const bool held = !locked && errno == EWOULDBLOCK;
         if (!held && is_same_file(descriptor, file)) return OpenLock{descriptor, locked};
@@ -103,17 +115,20 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    if (!was_there_) fs::remove(path_, failed);   // refuses where something is in it
+    if (!was_there_) fs::remove(path_, failed);  // refuses where something is in it
 }
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
 
-FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patience) : file_(folder / kLockFile) {
+FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patience)
+    : file_(folder / kLockFile) {
     const auto end = std::chrono::steady_clock::now() + patience;
     std::optional<OpenLock> lock = open_locked(file_);
-    for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_)) std::this_thread::sleep_for(kLockLook);
-    if (!lock) throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time", folder.string(),
-                                              holds_run(folder) ? "run" : "folder"));
+    for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_))
+        std::this_thread::sleep_for(kLockLook);
+    if (!lock)
+        throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time",
+                                    folder.string(), holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_half_written(folder);
 }
@@ -135,12 +150,13 @@ bool FolderLock::is_held(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());   // while it is held: nobody else can hold what is removed
+    // while it is held: nobody else can hold what is removed
+    if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunFolder::RunFolder(const fs::path& path, Existing existing) {
-    if (!holds_run(path)) check_content(path, existing);   // nothing is written beside what is no run
+    if (!holds_run(path)) check_content(path, existing);  // nothing is written beside what is no run
     folder_.emplace(path);
     lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
     check_content(path, existing);
@@ -150,10 +166,20 @@ namespace {
 
 /// Whether a run's folder has nothing in it that a run does not write.
 bool holds_run_alone(const fs::path& folder) {
-    static const std::set<std::string> kNames{"config.toml",  "scene.json",     "model.safetensors", "drop_network.safetensors",
-                                              "blocks",       "checkpoints",    "log.jsonl",         "sweeps.safetensors",
-                                              "metrics.json", "report.html",    "views.png",         "coverage.safetensors",
-                                              "asset.json",   "intensity_scatter.safetensors"};
+    static const std::set<std::string> kNames{"config.toml",
+                                              "scene.json",
+                                              "model.safetensors",
+                                              "drop_network.safetensors",
+                                              "blocks",
+                                              "checkpoints",
+                                              "log.jsonl",
+                                              "sweeps.safetensors",
+                                              "metrics.json",
+                                              "report.html",
+                                              "views.png",
+                                              "coverage.safetensors",
+                                              "asset.json",
+                                              "intensity_scatter.safetensors"};
     for (const auto& entry : fs::directory_iterator(folder))
         if (!is_left_over(entry.path()) && !kNames.contains(entry.path().filename().string())) return false;
     return true;
@@ -175,7 +201,7 @@ void NewRun::save(Run& run) const {
             replace_folder(run);
             run.folder = path_;
             return;
-        } catch (const DataError&) {   // a mount point, or a folder that cannot be written above it
+        } catch (const DataError&) {  // a mount point, or a folder that cannot be written above it
             run.folder = path_;
         }
     }
@@ -183,7 +209,7 @@ void NewRun::save(Run& run) const {
         remove_run_files(path_);
         remove_blocks(path_);
         std::error_code failed;
-        fs::remove_all(checkpoint_folder(path_), failed);   // training would go on from them
+        fs::remove_all(checkpoint_folder(path_), failed);  // training would go on from them
     });
 }
 
@@ -210,12 +236,14 @@ fs::path blocks_folder(const fs::path& run) { return run / "blocks"; }
 
 fs::path checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
 
-fs::path network_checkpoint_folder(const fs::path& run) { return checkpoint_folder(run) / kRefineCheckpoints; }
+fs::path network_checkpoint_folder(const fs::path& run) {
+    return checkpoint_folder(run) / kRefineCheckpoints;
+}
 
 void remove_network_checkpoints(const fs::path& run) {
     remove_checkpoints(network_checkpoint_folder(run));
     std::error_code failed;
-    fs::remove(checkpoint_folder(run), failed);   // refuses where the scene's are in it
+    fs::remove(checkpoint_folder(run), failed);  // refuses where the scene's are in it
 }
 
 }  // namespace relidar::cli

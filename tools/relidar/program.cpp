@@ -6,8 +6,8 @@
 #include <filesystem>
 #include <new>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include "console.hpp"
 #include "freed_memory.hpp"
@@ -23,13 +23,14 @@ std::string command_line_text(const std::string& name, int argc, char** argv) {
 }
 
 void flush_output() {
-    if (std::fflush(stdout) != 0 || std::ferror(stdout)) throw DataError("writing to standard output: it cannot take all of the text");
+    if (std::fflush(stdout) != 0 || std::ferror(stdout))
+        throw DataError("writing to standard output: it cannot take all of the text");
 }
 
 /// The help of the program: a line for each command, so that it fits on one screen.
 std::string program_help(const CLI::App& app) {
-    std::string text =
-        fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n", app.get_description(), app.get_name());
+    std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
+                                   app.get_description(), app.get_name());
     for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
         text += fmt::format("  {:<9} {}\n", command->get_name(), command->get_description());
     return text + "\n" + app.get_footer() + "\n";
@@ -42,16 +43,18 @@ void run(const Program& program, int argc, char** argv) {
     app.require_subcommand(0, 1);
     app.footer(program.footer);
     program.add_commands(app, call);
-    app.formatter_fn([](const CLI::App* shown, std::string, CLI::AppFormatMode) { return program_help(*shown); });
+    app.formatter_fn(
+        [](const CLI::App* shown, std::string, CLI::AppFormatMode) { return program_help(*shown); });
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
-        app.exit(help);   // prints it
+        app.exit(help);  // prints it
         return flush_output();
     } catch (const CLI::ParseError& error) {
         throw UsageError(usage_message(app, error.what()));
     }
-    if (!call.run) throw UsageError(fmt::format("found no command, expected one; `{} --help` lists them", program.name));
+    if (!call.run)
+        throw UsageError(fmt::format("found no command, expected one; `{} --help` lists them", program.name));
     call.run();
     flush_output();
 }
@@ -72,9 +75,11 @@ int run_program(const Program& program, int argc, char** argv) {
         return report(error.code(), error.what());
     } catch (const std::bad_alloc&) {
         return report(ExitCode::data,
-                      "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames a:b) or larger voxels (--set "
+                      "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames "
+                      "a:b) or larger voxels (--set "
                       "init.voxel_m=...)");
-    } catch (const std::filesystem::filesystem_error& error) {   // what the system refuses is no fault of ours
+        // what the system refuses is no fault of ours
+    } catch (const std::filesystem::filesystem_error& error) {
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
         return report(ExitCode::bug, std::string("a fault of relidar itself: ") + error.what());

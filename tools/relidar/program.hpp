@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a program that consists of commands: parses the command line, prints help, and turns
-// each failure into one line on stderr and an exit code (error.hpp).
+// Runs a program that consists of commands: parses the command line, prints help, and
+// turns each failure into one line on stderr and an exit code (error.hpp).
 #pragma once
 
 #include <string>
@@ -11,9 +11,9 @@ namespace relidar::cli {
 
 /// A program of several commands: relidar or relidar-dev.
 struct Program {
-    std::string name;          ///< as typed
-    std::string description;   ///< one line
-    std::string footer;        ///< what its help prints after the list of commands
+    std::string name;         ///< as typed
+    std::string description;  ///< one line
+    std::string footer;       ///< what its help prints after the list of commands
     void (*add_commands)(CLI::App& app, Call& call);
 };
 

@@ -11,10 +11,10 @@
 #include <fmt/format.h>
 #include <mpi.h>
 
-#include "launched_by_mpi.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/sensor.hpp>
+#include "launched_by_mpi.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -25,7 +25,8 @@ void sleep_until(MPI_Request request) {
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// FNV-1a of the program's own file: what tells one build from another. 0 where it cannot be read.
+/// FNV-1a of the program's own file: what tells one build from another. 0 where it cannot
+/// be read.
 unsigned long long build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -36,14 +37,17 @@ unsigned long long build_number() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Two builds may number settings and arrays otherwise. @throws UsageError in a process that is not the build of the first
+/// Two builds may number settings and arrays otherwise. @throws UsageError in a process
+/// that is not the build of the first
 void check_build(int rank) {
     const unsigned long long own = build_number();
     unsigned long long first = own;
     MPI_Bcast(&first, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (own != first)
         throw UsageError(
-            fmt::format("started by mpirun: process {} is another build of relidar than the first one, expected the same program", rank));
+            fmt::format("started by mpirun: process {} is another build of relidar than the first one, "
+                        "expected the same program",
+                        rank));
 }
 
 /// Texts of all processes one after the other, in all of them.
@@ -51,16 +55,18 @@ std::string gather_in_all(const std::string& own, int size) {
     const auto n = static_cast<unsigned long long>(own.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
     MPI_Request request;
-    MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD, &request);
+    MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD,
+                   &request);
     sleep_until(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))   // MPI counts in int
-        throw Error(ExitCode::bug, "collecting results of several processes: found more than 2 GiB of them, expected less");
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int
+        throw Error(ExitCode::bug,
+                    "collecting results of several processes: found more than 2 GiB of them, expected less");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
     std::string all(total, '\0');
-    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(), MPI_CHAR, MPI_COMM_WORLD,
-                    &request);
+    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
+                    MPI_CHAR, MPI_COMM_WORLD, &request);
     sleep_until(request);
     return all;
 }

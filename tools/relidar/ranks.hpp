@@ -12,11 +12,13 @@
 
 namespace relidar::cli {
 
-/// One of several processes that share a job and its folder, or the only one: then everything here does nothing. Where an exception leaves
-/// it, the process ends without a word to the others, and mpirun ends them.
+/// One of several processes that share a job and its folder, or the only one: then
+/// everything here does nothing. Where an exception leaves it, the process ends without a
+/// word to the others, and mpirun ends them.
 class Ranks {
 public:
-    /// Joins the others. @throws UsageError where mpirun has started a program that was built without MPI, or several builds
+    /// Joins the others. @throws UsageError where mpirun has started a program that was
+    /// built without MPI, or several builds
     Ranks();
     ~Ranks();
     Ranks(const Ranks&) = delete;
@@ -27,7 +29,8 @@ public:
     bool is_first() const { return group_.is_first(); }
     /// For the library's work that they share.
     const ProcessGroup& group() const { return group_; }
-    /// Brings a text of each process to the first. @return [size] there, in order of ranks; elsewhere nothing
+    /// Brings a text of each process to the first. @return [size] there, in order of
+    /// ranks; elsewhere nothing
     std::vector<std::string> gather(const std::string& text) const;
     /// Returns once all have come here. Takes no time of the processor.
     void wait_for_all() const;

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parser leaves words it did not expect in the (sub)command that met them; the first of them is what the user mistyped.
+// The parser leaves words it did not expect in the (sub)command that met them; the first
+// of them is what the user mistyped.
 #include "usage.hpp"
 
 #include <vector>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 
@@ -15,7 +16,8 @@ namespace {
 
 std::vector<std::string> command_names(const CLI::App& app) {
     std::vector<std::string> names;
-    for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; })) names.push_back(command->get_name());
+    for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
+        names.push_back(command->get_name());
     return names;
 }
 
@@ -27,7 +29,8 @@ std::vector<std::string> option_names(const CLI::App& command) {
     return names;
 }
 
-/// "Could not convert: --device = x" is the one message of the parser that does not say what it wants.
+/// "Could not convert: --device = x" is the one message of the parser that does not say
+/// what it wants.
 std::string in_our_words(const std::string& what) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = what.find(middle);
@@ -51,11 +54,13 @@ std::string usage_message(const CLI::App& app, const std::string& what) {
     const std::string help = path + " --help";
     std::vector<std::string> unexpected = app.remaining(true);
     if (unexpected.empty() && what.find("subcommand") != std::string::npos)
-        return fmt::format("found no subcommand, expected {} (see `{}`)", fmt::join(command_names(command), ", "), help);
+        return fmt::format("found no subcommand, expected {} (see `{}`)",
+                           fmt::join(command_names(command), ", "), help);
     if (unexpected.empty()) return fmt::format("{} (see `{}`)", in_our_words(what), help);
     const std::string word = without_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
-        return fmt::format("option {}: unknown{} (see `{}`)", word, did_you_mean(word, option_names(command)), help);
+        return fmt::format("option {}: unknown{} (see `{}`)", word, did_you_mean(word, option_names(command)),
+                           help);
     }
     if (const std::vector<std::string> names = command_names(command); !names.empty())
         return fmt::format("command {}: unknown{} (see `{}`)", word, did_you_mean(word, names), help);

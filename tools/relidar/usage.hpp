@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What to say about a command line that cannot be parsed: one line, with the nearest known command or option.
+// What to say about a command line that cannot be parsed: one line, with the nearest
+// known command or option.
 #pragma once
 
 #include <string>

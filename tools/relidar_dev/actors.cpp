@@ -8,14 +8,14 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "dev_case.hpp"
-#include "measure.hpp"
-#include "console.hpp"
-#include "interrupt.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/diff/accel.hpp>
-#include "scene/benchmark_street.hpp"
 #include <relidar/scene/device_scene.hpp>
+#include "console.hpp"
+#include "dev_case.hpp"
+#include "interrupt.hpp"
+#include "measure.hpp"
+#include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -42,14 +42,16 @@ Scene scene_of_actors(int n_actors, bool own_models) {
     return own_models ? relidar::own_models(std::move(scene)) : scene;
 }
 
-/// The first actor is 8 m ahead, the others on a spiral that leaves some 5 m between neighbours; at each step all are a centimetre further.
+/// The first actor is 8 m ahead, the others on a spiral that leaves some 5 m between
+/// neighbours; at each step all are a centimetre further.
 std::vector<InstancePose> poses_at(int n_actors, int step) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};
     for (int i = 0; i < n_actors; ++i) {
         const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
         placed.push_back(
-            {Pose{{1.0, 0.0, 0.0, 0.0}, {radius_m * std::cos(azimuth_rad) + 0.01 * step, radius_m * std::sin(azimuth_rad), 0.0}}});
+            {Pose{{1.0, 0.0, 0.0, 0.0},
+                  {radius_m * std::cos(azimuth_rad) + 0.01 * step, radius_m * std::sin(azimuth_rad), 0.0}}});
     }
     return placed;
 }
@@ -96,7 +98,8 @@ void measure_moves(Device& device, const DevCase& bench, int repeat, ActorTimes&
 
 Spread iteration_of(const BenchResult& result) {
     const auto row = std::ranges::find(result.phases, "iteration_wall", &BenchRow::name);
-    if (row == result.phases.end()) throw DeviceError("timing actors: found a device without timestamps, expected one that has them");
+    if (row == result.phases.end())
+        throw DeviceError("timing actors: found a device without timestamps, expected one that has them");
     return row->ms;
 }
 
@@ -104,7 +107,9 @@ std::string milliseconds(const Spread& spread) { return fmt::format("{:.2f}", sp
 
 }  // namespace
 
-std::uint64_t ActorTimes::n_surfels() const { return std::uint64_t(own_models ? n_actors : 1) * kActorSurfels; }
+std::uint64_t ActorTimes::n_surfels() const {
+    return std::uint64_t(own_models ? n_actors : 1) * kActorSurfels;
+}
 
 ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const BenchSettings& settings) {
     const DevCase bench = case_of_actors(n_actors, own_models);
@@ -116,25 +121,32 @@ ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const B
     times.scan_ms = iteration_of(measure(device, bench, scan));
     const BenchResult trained = measure(device, bench, step);
     times.step_ms = iteration_of(trained);
-    times.memory = trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
+    times.memory =
+        trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
     return times;
 }
 
 std::string actors_text(const std::vector<ActorTimes>& times) {
-    std::vector<std::vector<std::string>> rows{
-        {"actors", "models", "surfels", "build ms", "move ms", "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
+    std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
+                                                "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
     for (const ActorTimes& t : times)
-        rows.push_back({fmt::format("{}", t.n_actors), t.own_models ? "own" : "one", fmt::format("{}", t.n_surfels()),
-                        fmt::format("{:.2f}", t.build_ms), milliseconds(t.move_ms), milliseconds(t.scan_ms), milliseconds(t.step_ms),
-                        fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
+        rows.push_back({fmt::format("{}", t.n_actors), t.own_models ? "own" : "one",
+                        fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
+                        milliseconds(t.move_ms), milliseconds(t.scan_ms), milliseconds(t.step_ms),
+                        fmt::format("{:.1f}", double(t.memory) / double(1 << 20)),
+                        fmt::format("{}", t.builds)});
     return table(rows);
 }
 
-std::string actors_json(const std::vector<ActorTimes>& times, const Device& device, const std::string& command_line) {
-    const auto json_of = [](const Spread& s) { return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}}; };
-    nlohmann::ordered_json json = {{"format", "relidar-dev bench actors"}, {"version", 2},
-                                   {"relidar", RELIDAR_VERSION},       {"command", command_line},
-                                   {"device", device.info().name},     {"actors", nlohmann::ordered_json::array()}};
+std::string actors_json(const std::vector<ActorTimes>& times, const Device& device,
+                        const std::string& command_line) {
+    const auto json_of = [](const Spread& s) {
+        return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}};
+    };
+    nlohmann::ordered_json json = {
+        {"format", "relidar-dev bench actors"}, {"version", 2},
+        {"relidar", RELIDAR_VERSION},           {"command", command_line},
+        {"device", device.info().name},         {"actors", nlohmann::ordered_json::array()}};
     for (const ActorTimes& t : times)
         json["actors"].push_back({{"actors", t.n_actors},
                                   {"own_models", t.own_models},

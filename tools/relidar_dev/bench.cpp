@@ -1,27 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar-dev bench: milliseconds a kernel, rays a second and memory of a training iteration, on a street that is the same everywhere
-// or on a run.
+// relidar-dev bench: milliseconds a kernel, rays a second and memory of a training
+// iteration, on a street that is the same everywhere or on a run.
 #include <memory>
 #include <optional>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/base/files.hpp>
 #include "actors.hpp"
+#include "commands.hpp"
+#include "console.hpp"
 #include "dev_case.hpp"
 #include "floor.hpp"
+#include "gpu/copy_rate.hpp"
+#include "interrupt.hpp"
 #include "measure.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
 #include "scans.hpp"
 #include "serve.hpp"
 #include "steps.hpp"
 #include "text.hpp"
-#include "commands.hpp"
-#include "console.hpp"
-#include "interrupt.hpp"
-#include "options.hpp"
-#include "output_folder.hpp"
-#include <relidar/base/files.hpp>
-#include "gpu/copy_rate.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -30,14 +30,14 @@ constexpr int kMaxRepeat = 100000;
 
 struct BenchOptions {
     BenchChoice choice;
-    bool describes_street = false;   ///< --scene, --surfels or --rays was given
+    bool describes_street = false;  ///< --scene, --surfels or --rays was given
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    std::string actors;   ///< "1,10,100": scenes of so many actors are timed instead
+    std::string actors;  ///< "1,10,100": scenes of so many actors are timed instead
     ServeBench service;
     ScanBench scans;
-    int n_steps = 0;   ///< of training; 0: not asked for
+    int n_steps = 0;  ///< of training; 0: not asked for
     DeviceChoice device;
 };
 
@@ -47,7 +47,8 @@ std::vector<int> actor_counts(const std::string& list) {
     std::vector<int> counts;
     for (const double n : parse_list("--actors", list)) {
         if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n))
-            throw UsageError(fmt::format("--actors: found {} in \"{}\", expected whole numbers from 1 to {}", n, list, kMaxActors));
+            throw UsageError(fmt::format("--actors: found {} in \"{}\", expected whole numbers from 1 to {}",
+                                         n, list, kMaxActors));
         counts.push_back(static_cast<int>(n));
     }
     return counts;
@@ -56,7 +57,8 @@ std::vector<int> actor_counts(const std::string& list) {
 void bench_actors(const BenchOptions& options, Device& device, const std::string& command_line) {
     std::vector<ActorTimes> times;
     for (const int n : actor_counts(options.actors))
-        for (const bool own_models : {false, true}) times.push_back(measure_actors(device, n, own_models, options.settings));
+        for (const bool own_models : {false, true})
+            times.push_back(measure_actors(device, n, own_models, options.settings));
     end_progress_line();
     if (!options.json.empty()) write_text(options.json, actors_json(times, device, command_line));
     if (!options.settings.quiet) print(actors_text(times));
@@ -72,7 +74,8 @@ void bench_scans(const BenchOptions& options, Device& device, const std::string&
 }
 
 void bench_steps(const BenchOptions& options, Device& device, const std::string& command_line) {
-    const StepTimes times = measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
+    const StepTimes times =
+        measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
     if (!options.json.empty()) write_text(options.json, steps_json(times, device, command_line));
     if (!options.settings.quiet) print(steps_text(times, device));
 }
@@ -81,7 +84,9 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!options.service.address.empty()) return bench_service(options.service);
     check(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
-        throw UsageError("--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its scene and rays");
+        throw UsageError(
+            "--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its "
+            "scene and rays");
     BenchSettings settings = options.settings;
     settings.backward = !options.no_backward;
     if (settings.repeat < 1 || settings.repeat > kMaxRepeat)
@@ -95,9 +100,11 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.n_steps != 0 && options.choice.run.empty())
         throw UsageError("--steps: found no --run beside it, expected the run that is to be trained on");
     if (options.n_steps != 0 && options.scans.n_scans != 0)
-        throw UsageError("--steps: found --scans beside it, expected one of them: scans are rendered, steps train");
+        throw UsageError(
+            "--steps: found --scans beside it, expected one of them: scans are rendered, steps train");
     if (options.n_steps < 0 || options.n_steps > kMostTimedSteps)
-        throw UsageError(fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
+        throw UsageError(
+            fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
@@ -108,7 +115,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const DevCase bench = make_case(options.choice);
     BenchResult result = measure(device, bench, settings);
-    result.copy_bytes_per_s = copy_bytes_per_s(device);   // now that the case has left the memory
+    result.copy_bytes_per_s = copy_bytes_per_s(device);  // now that the case has left the memory
     end_progress_line();
     if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
     if (!settings.quiet) print(bench_text(bench, result, device));
@@ -117,92 +124,130 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
 /// What a training step does beside the forward pass.
 void add_training_options(CLI::App& command, BenchChoice& choice) {
     command
-        .add_option(
-            "--keep-hits", choice.keep_hits,
-            "hits a ray that the backward pass need not search again; 0: it casts every ray again (default: 64, or as the run says, and "
-            "more where training would keep more)")
+        .add_option("--keep-hits", choice.keep_hits,
+                    "hits a ray that the backward pass need not search again; 0: it casts every ray again "
+                    "(default: 64, or as the run says, and "
+                    "more where training would keep more)")
         ->type_name("N");
-    command.add_option("--distortion", choice.distortion, "weight of loss.distortion (default: 0, or as the run says)")
+    command
+        .add_option("--distortion", choice.distortion,
+                    "weight of loss.distortion (default: 0, or as the run says)")
         ->type_name("WEIGHT");
-    command.add_option("--likelihood", choice.likelihood, "weight of loss.likelihood (default: 0, or as the run says)")
+    command
+        .add_option("--likelihood", choice.likelihood,
+                    "weight of loss.likelihood (default: 0, or as the run says)")
         ->type_name("WEIGHT");
-    command.add_flag("--deterministic", choice.deterministic, "gather gradients in a fixed order instead of adding them with atomics");
+    command.add_flag("--deterministic", choice.deterministic,
+                     "gather gradients in a fixed order instead of adding them with atomics");
 }
 
 /// What times whole scans instead, of many actors, of a run or from a service.
 void add_scan_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,
-                    "time scans, training and moves of so many copies of an actor of 1000 surfels; several numbers parted by commas")
+                    "time scans, training and moves of so many copies of an actor of 1000 surfels; several "
+                    "numbers parted by commas")
         ->type_name("LIST");
-    command.add_option("--scans", options.scans.n_scans, "time so many scans along the way of --run instead, from poses to scans")
+    command
+        .add_option("--scans", options.scans.n_scans,
+                    "time so many scans along the way of --run instead, from poses to scans")
         ->type_name("N");
     command
         .add_option("--together", options.scans.together,
-                    "so many scans of --scans go to the device at once; a GPU renders them side by side (default: all of a rig, else 1)")
+                    "so many scans of --scans go to the device at once; a GPU renders them side by side "
+                    "(default: all of a rig, else 1)")
         ->type_name("N");
     command
         .add_option("--steps", options.n_steps,
-                    "time so many steps of training on from --run instead, on its own batches, and what lies between their kernels")
+                    "time so many steps of training on from --run instead, on its own batches, and what lies "
+                    "between their kernels")
         ->type_name("N");
-    command.add_flag("--sampled", options.scans.sampled, "scans of --scans are drawn by a seed, with the sensor's noise");
+    command.add_flag("--sampled", options.scans.sampled,
+                     "scans of --scans are drawn by a seed, with the sensor's noise");
     ServeBench& service = options.service;
-    command.add_option("--serve", service.address, "time calls of a running `relidar serve` at this address instead")
+    command
+        .add_option("--serve", service.address,
+                    "time calls of a running `relidar serve` at this address instead")
         ->type_name("HOST:PORT");
-    command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")->type_name("NAME");
+    command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")
+        ->type_name("NAME");
     command
         .add_option("--sensor", service.sensor,
-                    "of these scans: one of `relidar list sensors`, as HDL-32E:512x10, or with --scans a rig (default: the log's own)")
+                    "of these scans: one of `relidar list sensors`, as HDL-32E:512x10, or with --scans a rig "
+                    "(default: the log's own)")
         ->type_name("NAME|RIG.json");
-    command.add_option("--clients", service.clients, "that call at the same time (default: 1)")->type_name("N");
+    command.add_option("--clients", service.clients, "that call at the same time (default: 1)")
+        ->type_name("N");
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
 
 }  // namespace
 
 void add_dev_bench(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("bench", "time every kernel of a training iteration, on a benchmark street or a run");
+    CLI::App* command = app.add_subcommand(
+        "bench", "time every kernel of a training iteration, on a benchmark street or a run");
     const auto options = std::make_shared<BenchOptions>();
     BenchChoice& choice = options->choice;
-    const CLI::Option* scene =
-        command
-            ->add_option("--scene", choice.street,
-                         "street A: surfels of 0.1 to 0.3 m; B: smaller the more there are; C: as B, all of opacity 0.1 (default: A)")
-            ->type_name("A|B|C");
+    const CLI::Option* scene = command
+                                   ->add_option("--scene", choice.street,
+                                                "street A: surfels of 0.1 to 0.3 m; B: smaller the more "
+                                                "there are; C: as B, all of opacity 0.1 (default: A)")
+                                   ->type_name("A|B|C");
     const CLI::Option* surfels =
-        command->add_option("--surfels", choice.n_surfels, "surfels of the street (default: 100000)")->type_name("N");
+        command->add_option("--surfels", choice.n_surfels, "surfels of the street (default: 100000)")
+            ->type_name("N");
     const CLI::Option* rays =
         command
-            ->add_option("--rays", choice.rays, "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")
+            ->add_option(
+                "--rays", choice.rays,
+                "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")
             ->type_name("NAME|ROWSxCOLUMNS");
-    command->add_option("--run", choice.run, "bench a run instead: its scene, and its sensor's rays at the first held-out frame")
+    command
+        ->add_option("--run", choice.run,
+                     "bench a run instead: its scene, and its sensor's rays at the first held-out frame")
         ->type_name("RUN");
-    command->add_option("--chunk", choice.chunk, "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")->type_name("N");
+    command
+        ->add_option("--chunk", choice.chunk,
+                     "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")
+        ->type_name("N");
     command
         ->add_option("--proxy", choice.proxy,
-                     "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as the run says)")
+                     "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as "
+                     "the run says)")
         ->type_name("WHAT");
     command
-        ->add_option("--walk", choice.walk, "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
+        ->add_option(
+            "--walk", choice.walk,
+            "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
         ->type_name("HOW");
     command
         ->add_option("--order", choice.order,
-                     "how hits come in order: auto, chunks as they are found, or lists that are sorted (default: auto: lists on a GPU)")
+                     "how hits come in order: auto, chunks as they are found, or lists that are sorted "
+                     "(default: auto: lists on a GPU)")
         ->type_name("HOW");
-    command->add_option("--sh", choice.sh, "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
+    command
+        ->add_option(
+            "--sh", choice.sh,
+            "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
         ->type_name("ray|surfel");
     add_training_options(*command, choice);
-    command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")->type_name("N");
-    command->add_flag("--no-backward", options->no_backward, "rendering alone: no loss, gradients or optimiser, nor their memory");
+    command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")
+        ->type_name("N");
+    command->add_flag("--no-backward", options->no_backward,
+                      "rendering alone: no loss, gradients or optimiser, nor their memory");
     add_scan_options(*command, *options);
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
     command->footer(
-        "A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, loss, backward, Adam with\n"
-        "learning rate 0, so that the scene stays); one instance moved (top level). Times are device timestamps; a kernel launched\n"
-        "several times in an iteration counts in full. Mrays/s: of forward and backward tracing, median. A floor is the bytes that a\n"
-        "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no arithmetic.\n"
+        "A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, "
+        "loss, backward, Adam with\n"
+        "learning rate 0, so that the scene stays); one instance moved (top level). Times are device "
+        "timestamps; a kernel launched\n"
+        "several times in an iteration counts in full. Mrays/s: of forward and backward tracing, median. A "
+        "floor is the bytes that a\n"
+        "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no "
+        "arithmetic.\n"
         "Examples:\n"
         "  relidar-dev bench --json bench.json\n"
         "  relidar-dev bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"

@@ -11,10 +11,10 @@
 #include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
-#include "scene/benchmark_street.hpp"
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/render.hpp>
+#include "scene/benchmark_street.hpp"
 
 #include "console.hpp"
 #include "options.hpp"
@@ -22,9 +22,10 @@
 namespace relidar::cli {
 namespace {
 
-constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;   // a channel number has 16 bits
-constexpr float kFaintLogit = -2.19722458f;                // opacity 0.1
-constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;   // HDL-64E, as the kitti rays
+// a channel number has 16 bits
+constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;
+constexpr float kFaintLogit = -2.19722458f;            // opacity 0.1
+constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;  // HDL-64E, as the kitti rays
 
 struct ImageSize {
     long long rows = 0;
@@ -42,10 +43,12 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
     const std::vector<std::string> words = split(text, 'x');
     ImageSize size;
     if (words.size() != 2 || !parse_count(words[0], size.rows) || !parse_count(words[1], size.columns)) {
-        throw UsageError(fmt::format("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, as in 64x1024", text));
+        throw UsageError(
+            fmt::format("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, as in 64x1024", text));
     }
     if (size.rows > kMaxRows || size.columns > kMaxRays / size.rows) {
-        throw UsageError(fmt::format("--rays: found {}, expected at most {} rows and {} rays", text, kMaxRows, kMaxRays));
+        throw UsageError(
+            fmt::format("--rays: found {}, expected at most {} rows and {} rays", text, kMaxRows, kMaxRays));
     }
     return size;
 }
@@ -63,28 +66,35 @@ void apply(const BenchChoice& choice, Config& config) {
 /// Place of a word among those of an option. @throws UsageError for another one
 std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
     const auto found = std::find(words.begin(), words.end(), word);
-    if (found == words.end()) throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
+    if (found == words.end())
+        throw UsageError(
+            fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
     return std::size_t(found - words.begin());
 }
 
 /// In the order of Proxy, of Walk and of HitOrder. @throws UsageError
 Proxy proxy_of(const BenchChoice& choice) {
-    return choice.proxy.empty() ? Proxy::automatic : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
+    return choice.proxy.empty() ? Proxy::automatic
+                                : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
 }
 Walk walk_of(const BenchChoice& choice) {
-    return choice.walk.empty() ? Walk::automatic : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
+    return choice.walk.empty() ? Walk::automatic
+                               : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
 }
 HitOrder order_of(const BenchChoice& choice) {
-    return choice.order.empty() ? HitOrder::automatic : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
+    return choice.order.empty() ? HitOrder::automatic
+                                : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
 }
 
 DevCase street_case(const BenchChoice& choice) {
     const std::optional<ImageSize> size = parse_rays(choice.rays);
-    const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows), static_cast<int>(size->columns), kTop_deg, kBottom_deg)
+    const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows),
+                                                     static_cast<int>(size->columns), kTop_deg, kBottom_deg)
                                : make_benchmark_rays(choice.rays);
     DevCase bench{make_street_case(static_cast<std::uint32_t>(choice.n_surfels), choice.street != "A", rays)};
     bench.name = "street " + choice.street;
-    if (choice.street == "C") bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
+    if (choice.street == "C")
+        bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
     return bench;
 }
 

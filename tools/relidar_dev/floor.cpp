@@ -9,11 +9,11 @@ namespace relidar::cli {
 namespace {
 
 // Bytes of what the kernels exchange (shaders/shared).
-constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36, kTarget = 12, kUpstream = 20,
-                 kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
+constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
+                 kTarget = 12, kUpstream = 20, kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
-constexpr double kFewestNodes = 1.0 / 28.0;   // wide nodes a surfel: 8 children, leaves of 4
-constexpr double kNodeOperations = 150, kSurfelOperations = 40;   // shaders/diff/traversal/software_bvh.glsl
+constexpr double kFewestNodes = 1.0 / 28.0;  // wide nodes a surfel: 8 children, leaves of 4
+constexpr double kNodeOperations = 150, kSurfelOperations = 40;  // shaders/diff/traversal/software_bvh.glsl
 
 double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
 double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
@@ -22,10 +22,13 @@ double sh_a_surfel(const FloorSizes& s) { return s.sh_per_surfel ? sh(s) : 0.0; 
 /// Digits of 8 bits that n different keys have, at least.
 double digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
 
-double refit(const FloorSizes& s) { return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox); }
+double refit(const FloorSizes& s) {
+    return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox);
+}
 
-/// Boxes in; keys out; a sort of 39 bits and the model: keys read twice, values once, both written, a digit; the binary tree out and its
-/// topology in; leaf order and wide nodes out.
+/// Boxes in; keys out; a sort of 39 bits and the model: keys read twice, values once,
+/// both written, a digit; the binary tree out and its topology in; leaf order and wide
+/// nodes out.
 double build(const FloorSizes& s) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
@@ -34,12 +37,17 @@ double build(const FloorSizes& s) {
 }
 
 double backward_trace(const FloorSizes& s) {
-    const double sums = s.gather ? s.n_hits * (kHitRecord + kRow) : s.n_touched * 2 * (kRecord + sh_along_ray(s));
-    return s.n_rays * (kRay + kRendered + kUpstream) + s.n_hits_kept * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s)) + sums;
+    const double sums =
+        s.gather ? s.n_hits * (kHitRecord + kRow) : s.n_touched * 2 * (kRecord + sh_along_ray(s));
+    return s.n_rays * (kRay + kRendered + kUpstream) + s.n_hits_kept * kKeptHit +
+           s.n_touched * (kRecord + sh_along_ray(s)) + sums;
 }
 
-/// Record gradients in, marks of the touched surfels out; of these parameters in, gradients out.
-double activate_vjp(const FloorSizes& s) { return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s)); }
+/// Record gradients in, marks of the touched surfels out; of these parameters in,
+/// gradients out.
+double activate_vjp(const FloorSizes& s) {
+    return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s));
+}
 
 /// Marks and the gradients that are not zero in; values and both moments in and out.
 double adam(const FloorSizes& s) {
@@ -57,34 +65,44 @@ struct Row {
 
 /// One row a kernel. Surfels met are those with a gradient: others need not be loaded.
 constexpr Row kFloorRows[] = {
-    {"scene/activate", When::always, [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
-    {"diff/accel/proxies", When::always, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
+    {"scene/activate", When::always,
+     [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
+    {"diff/accel/proxies", When::always,
+     [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
     {"accel/build", When::software, build},
     {"accel/refit", When::software, refit},
-    {"diff/forward/append", When::lists, [](const FloorSizes& s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
+    {"diff/forward/append", When::lists,
+     [](const FloorSizes& s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
     {"diff/forward/sort_hits", When::lists, [](const FloorSizes& s) { return 2 * s.n_hits * kHit; }},
     {"diff/forward/blend", When::lists,
      [](const FloorSizes& s) {
-         return s.n_rays * kRendered + s.n_hits * kHit + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
+         return s.n_rays * kRendered + s.n_hits * kHit + s.n_hits_written * kKeptHit +
+                s.n_touched * (kRecord + sh_along_ray(s));
      }},
     {"diff/forward/trace", When::chunks,
      [](const FloorSizes& s) {
-         return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit + s.n_touched * (kRecord + sh_along_ray(s));
+         return s.n_rays * (kRay + kRendered) + s.n_hits_written * kKeptHit +
+                s.n_touched * (kRecord + sh_along_ray(s));
      }},
-    {"diff/loss/image_loss", When::training, [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
-    {"fill", When::training, [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
+    {"diff/loss/image_loss", When::training,
+     [](const FloorSizes& s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
+    {"fill", When::training,
+     [](const FloorSizes& s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
     {"diff/backward/trace", When::training, backward_trace},
-    {"backward/sort", When::gather, [](const FloorSizes& s) { return s.n_hits * digits(s.n_surfels) * (kRow + 2 * (kRow + kIndex)); }},
+    {"backward/sort", When::gather,
+     [](const FloorSizes& s) { return s.n_hits * digits(s.n_surfels) * (kRow + 2 * (kRow + kIndex)); }},
     {"diff/backward/gather", When::gather,
-     [](const FloorSizes& s) { return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s)); }},
+     [](const FloorSizes& s) {
+         return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + sh_along_ray(s));
+     }},
     {"scene/activate_vjp", When::training, activate_vjp},
     {"diff/optimizer/adam", When::training, adam},
 };
 
 bool runs(const Row& row, const FloorSizes& s) {
     if (row.when == When::chunks || row.when == When::lists) return s.lists == (row.when == When::lists);
-    return row.when == When::always || (row.when == When::software && s.software) || (row.when == When::training && s.training) ||
-           (row.when == When::gather && s.training && s.gather);
+    return row.when == When::always || (row.when == When::software && s.software) ||
+           (row.when == When::training && s.training) || (row.when == When::gather && s.training && s.gather);
 }
 
 }  // namespace
@@ -108,12 +126,15 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
         bytes["diff/forward/trace"] = search + shading;
     }
     if (!s.training) return bytes;
-    const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;   // share of the hits
-    const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);          // 16 float atomics a hit
+    // share of the hits
+    const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;
+    const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);  // 16 float atomics a hit
     bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
     return bytes;
 }
 
-double search_operations(const FloorSizes& s) { return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations; }
+double search_operations(const FloorSizes& s) {
+    return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations;
+}
 
 }  // namespace relidar::cli

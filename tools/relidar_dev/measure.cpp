@@ -13,16 +13,16 @@
 
 #include <fmt/format.h>
 
-#include "bench/training_step.hpp"
-#include "dev_case.hpp"
-#include "console.hpp"
-#include "interrupt.hpp"
 #include <relidar/base/error.hpp>
-#include "diff/forward/count_visits.hpp"
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "bench/training_step.hpp"
+#include "console.hpp"
+#include "dev_case.hpp"
+#include "diff/forward/count_visits.hpp"
+#include "interrupt.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -33,14 +33,26 @@ using Samples = std::map<std::string, std::vector<double>>;
 /// Kernels are compiled in the first moments, and a GPU raises its clocks.
 double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
-constexpr const char* kOrder[] = {"scene/activate",     "diff/accel/proxies",  "accel/build",     "accel/refit",
-                                  "accel/top_level",    "diff/forward/append", "diff/forward/sort_hits", "diff/forward/blend",
-                                  "diff/forward/trace",      "diff/loss/image_loss", "fill",
-                                  "backward/sort",      "diff/backward/trace", "diff/backward/gather", "diff/backward/gather_heads",
-                                  "scene/activate_vjp", "diff/optimizer/adam"};
+constexpr const char* kOrder[] = {"scene/activate",
+                                  "diff/accel/proxies",
+                                  "accel/build",
+                                  "accel/refit",
+                                  "accel/top_level",
+                                  "diff/forward/append",
+                                  "diff/forward/sort_hits",
+                                  "diff/forward/blend",
+                                  "diff/forward/trace",
+                                  "diff/loss/image_loss",
+                                  "fill",
+                                  "backward/sort",
+                                  "diff/backward/trace",
+                                  "diff/backward/gather",
+                                  "diff/backward/gather_heads",
+                                  "scene/activate_vjp",
+                                  "diff/optimizer/adam"};
 
-/// Row that a kernel counts in. Those of the software tree go together, under the names of the driver's builds; so do prefix sums and
-/// sorts.
+/// Row that a kernel counts in. Those of the software tree go together, under the names
+/// of the driver's builds; so do prefix sums and sorts.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
@@ -67,7 +79,8 @@ RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) 
 std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
-        const auto n_overfull = std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
+        const auto n_overfull =
+            std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
         const std::uint32_t more = kept_hits_wanted(keep, static_cast<std::uint64_t>(n_overfull));
         if (more == keep) break;
         keep = more;
@@ -103,7 +116,8 @@ public:
     /// The first image; with it the targets and all that training needs.
     void prepare(bool training) {
         memory_ = memory_of_parts(device_, case_, training);
-        image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
+        image_ =
+            std::make_unique<Renderer>(device_, case_.scene, case_.config.image, renderer_options(case_));
         image_->place(case_.placed, case_.view_origin_m);
         image_->record_forward(batch());
         image_->stream().finish();
@@ -117,8 +131,9 @@ public:
         }
         if (!training) return;
         image_.reset();
-        training_ = std::make_unique<TrainingStep>(device_, case_, training_options(case_, keep),
-                                                   noisy_targets(rendering, case_.config.loss.normalised_depth));
+        training_ =
+            std::make_unique<TrainingStep>(device_, case_, training_options(case_, keep),
+                                           noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// One repetition: rebuild, a whole iteration, an instance moved and put back.
@@ -146,7 +161,7 @@ public:
         r.accel().move(stream, r.scene());
         stream.finish();
         take("move", rebuild_kernels_);
-        r.scene().place(stream, before);   // takes effect in the next iteration
+        r.scene().place(stream, before);  // takes effect in the next iteration
     }
 
     /// Without timestamps: forward alone between two waits.
@@ -173,15 +188,19 @@ private:
     const DevCase& case_;
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
-    BenchMemory memory_;   ///< of the parts
-    std::unique_ptr<Renderer> image_;          ///< one of the two
+    BenchMemory memory_;               ///< of the parts
+    std::unique_ptr<Renderer> image_;  ///< one of the two
     std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
 
     Renderer& renderer() { return training_ ? training_->renderer : *image_; }
     RayBatch batch() const {
-        return {&rays_, 0, 1, static_cast<std::uint32_t>(rays_.size()), static_cast<std::uint32_t>(case_.columns),
+        return {&rays_,
+                0,
+                1,
+                static_cast<std::uint32_t>(rays_.size()),
+                static_cast<std::uint32_t>(case_.columns),
                 training_ ? &training_->targets : nullptr};
     }
 
@@ -207,7 +226,8 @@ std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> o
     }
     std::vector<BenchRow> rows;
     for (const std::string& name : order) {
-        if (const auto it = samples.find(name); it != samples.end()) rows.push_back({name, spread_of(it->second)});
+        if (const auto it = samples.find(name); it != samples.end())
+            rows.push_back({name, spread_of(it->second)});
     }
     return rows;
 }
@@ -216,9 +236,10 @@ BenchResult Bench::result() {
     Renderer& r = renderer();
     if (const std::uint32_t capped = r.forward_pass().pass_cap_count().download()[0])
         throw DeviceError(
-            fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, expected every ray to end",
+            fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
+                        "expected every ray to end",
                         rays_.size(), capped));
-    kernels_.merge(rebuild_kernels_);   // those that an iteration has not
+    kernels_.merge(rebuild_kernels_);  // those that an iteration has not
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
     result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
@@ -233,9 +254,11 @@ BenchResult Bench::result() {
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
     result.kept_hits = r.kept_hits();
     result.memory = memory_;
-    result.memory.rays = device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
+    result.memory.rays =
+        device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
     result.memory.peak = device_.peak_bytes();
-    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
+    if (const auto visits =
+            count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.sizes = sizes(result);
     return result;
@@ -260,14 +283,17 @@ FloorSizes Bench::sizes(const BenchResult& result) {
         s.surfels_tested = result.visits->surfels * s.n_rays;
     }
     if (training_)
-        for (const std::uint32_t touched : training_->renderer.gradients().touched.download(renderer().scene().size()))
+        for (const std::uint32_t touched :
+             training_->renderer.gradients().touched.download(renderer().scene().size()))
             s.n_touched += touched;
     return s;
 }
 
 }  // namespace
 
-double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
+double ms_since(Clock::time_point start) {
+    return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
 
 Spread spread_of(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());
@@ -295,7 +321,8 @@ BenchResult measure(Device& device, const DevCase& bench_case, const BenchSettin
     for (int i = 0; i < settings.repeat; ++i) {
         stop_if_interrupted();
         repeat();
-        progress.count("repetition", static_cast<std::size_t>(i) + 1, static_cast<std::size_t>(settings.repeat));
+        progress.count("repetition", static_cast<std::size_t>(i) + 1,
+                       static_cast<std::size_t>(settings.repeat));
     }
     BenchResult result = bench.result();
     result.device_clock = device_clock;

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar-dev pipelines: compiles every pipeline of the program on a device and prints what the driver's compiler says of it.
+// relidar-dev pipelines: compiles every pipeline of the program on a device and prints
+// what the driver's compiler says of it.
 #include <memory>
 #include <set>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/gpu/device.hpp>
 #include "commands.hpp"
 #include "console.hpp"
-#include <relidar/gpu/device.hpp>
 #include "train/compile_pipelines.hpp"
 
 namespace relidar::cli {
@@ -28,8 +29,8 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
     return device.pipelines();
 }
 
-/// Compiles for the requested traversals; "both" means those that the device has. Lists each
-/// pipeline once.
+/// Compiles for the requested traversals; "both" means those that the device has. Lists
+/// each pipeline once.
 std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
@@ -38,7 +39,8 @@ std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
         if (options.traversal != name && !(options.traversal == "both" && has)) return;
         for (PipelineStatistics& p : compiled(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
-            if (known.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size)).second) all.push_back(std::move(p));
+            if (known.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size)).second)
+                all.push_back(std::move(p));
         }
     };
     add("software", Traversal::software, info.software);
@@ -58,9 +60,10 @@ std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatisti
     std::vector<std::vector<std::string>> rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
     rows[0].insert(rows[0].end(), names.begin(), names.end());
     for (const PipelineStatistics& p : pipelines) {
-        std::vector<std::string> row{p.kernel, p.constants, fmt::format("{}", p.workgroup_size), fmt::format("{}", p.subgroup_size),
-                                     p.failure};
-        for (const std::string& name : names) row.push_back(p.values.count(name) ? fmt::format("{}", p.values.at(name)) : "");
+        std::vector<std::string> row{p.kernel, p.constants, fmt::format("{}", p.workgroup_size),
+                                     fmt::format("{}", p.subgroup_size), p.failure};
+        for (const std::string& name : names)
+            row.push_back(p.values.count(name) ? fmt::format("{}", p.values.at(name)) : "");
         rows.push_back(row);
     }
     return rows;
@@ -72,14 +75,16 @@ void run(const PipelinesOptions& options) {
         print(table(rows_of(pipelines)));
         return;
     }
-    for (const std::vector<std::string>& row : rows_of(pipelines)) print(fmt::format("{}\n", fmt::join(row, "\t")));
+    for (const std::vector<std::string>& row : rows_of(pipelines))
+        print(fmt::format("{}\n", fmt::join(row, "\t")));
 }
 
 }  // namespace
 
 void add_pipelines(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand(
-        "pipelines", "compile every kernel as the program uses it and print what the device's compiler says: registers, spills, waves");
+    CLI::App* command = app.add_subcommand("pipelines",
+                                           "compile every kernel as the program uses it and print what the "
+                                           "device's compiler says: registers, spills, waves");
     const auto options = std::make_shared<PipelinesOptions>();
     command->add_option("--device", options->device, "number of `relidar list devices`");
     command->add_option("--traversal", options->traversal, "software, ray_query or both")
@@ -87,7 +92,8 @@ void add_pipelines(CLI::App& app, Call& call) {
     command->add_option("--kernel", options->kernel, "only kernels whose name contains this");
     command->add_flag("--tsv", options->tsv, "one line a pipeline, columns separated by tabs");
     command->footer(
-        "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar-dev pipelines --kernel trace");
+        "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar-dev "
+        "pipelines --kernel trace");
     command->callback([&call, options] { call.run = [options] { run(*options); }; });
 }
 

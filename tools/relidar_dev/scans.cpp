@@ -9,18 +9,19 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "measure.hpp"
-#include "interrupt.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
+#include "interrupt.hpp"
+#include "measure.hpp"
 
 namespace relidar::cli {
 namespace {
 
 constexpr int kMostInOneGo = 1'000'000;
-constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;   // the device has work while others are taken
+// the device has work while others are taken
+constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
 /// A sensor, or those of a rig in turn, on the log's own way.
 class Drive {
@@ -34,7 +35,8 @@ public:
                 tracks_.push_back(moved_track(with_fine_turns(log), mounted.rig_from_sensor));
             }
         } else {
-            sensors_.push_back(choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence));
+            sensors_.push_back(
+                choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence));
             tracks_.push_back(log);
         }
         n_moments_ = (bench.n_scans - 1) / n_sensors() + 1;
@@ -42,7 +44,8 @@ public:
     int n_sensors() const { return int(sensors_.size()); }
     const SensorChoice& sensor(int scan) const { return sensors_[std::size_t(scan % n_sensors())]; }
     ScanRequest at(int scan) const {
-        return {first_s_ + (last_s_ - first_s_) * (scan / n_sensors() + 0.5) / n_moments_, tracks_[std::size_t(scan % n_sensors())]};
+        return {first_s_ + (last_s_ - first_s_) * (scan / n_sensors() + 0.5) / n_moments_,
+                tracks_[std::size_t(scan % n_sensors())]};
     }
 
 private:
@@ -72,11 +75,13 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
     if (bench.n_scans < 1 || bench.n_scans > kMostInOneGo)
         throw UsageError(fmt::format("--scans: found {}, expected 1 to {}", bench.n_scans, kMostInOneGo));
     if (bench.together < 0 || bench.together > kMostTogether)
-        throw UsageError(fmt::format("--together: found {}, expected 1 to {}", bench.together, kMostTogether));
+        throw UsageError(
+            fmt::format("--together: found {}, expected 1 to {}", bench.together, kMostTogether));
     const Run run = load_run(bench.run);
     ScanRenderer renderer(device, run);
     const Drive drive(run, bench);
-    const int together = std::min(bench.together ? bench.together : drive.n_sensors(), std::min(kMostTogether, bench.n_scans));
+    const int together =
+        std::min(bench.together ? bench.together : drive.n_sensors(), std::min(kMostTogether, bench.n_scans));
     const auto ask = [&](int first) {
         const int end = std::min(first + together, bench.n_scans);
         for (int scan = first; scan < end; ++scan) {
@@ -87,7 +92,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         }
         return end - first;
     };
-    for (int n = ask(0); n > 0; --n) renderer.take_points();   // finds memory
+    for (int n = ask(0); n > 0; --n) renderer.take_points();  // finds memory
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
                      .together = together,
@@ -102,7 +107,8 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const auto begun = std::chrono::steady_clock::now();
         const int n_taken = n_asked;
         first += n_taken;
-        n_asked = first < bench.n_scans ? ask(first) : 0;   // the device has work while the points of these are taken
+        // the device has work while the points of these are taken
+        n_asked = first < bench.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_taken; ++i) {
             scan = renderer.take_points(std::move(scan.points));
             result.points += double(scan.points.size()) / bench.n_scans;
@@ -118,21 +124,30 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
 }
 
 std::string scans_text(const ScanTimes& t) {
-    return fmt::format("{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
-                       "{:.1f} scans/s, {:.2f} ms a scan (median), of it kernels {:.2f}; the thread that asks works {:.2f}\n",
-                       t.sensor, t.n_scans, t.rays, t.points,
-                       t.together > 1 ? fmt::format(", {} sent at once, {} side by side", t.together, t.side_by_side) : "", t.scans_per_s,
-                       t.scan_ms, t.device_ms, t.host_ms);
+    return fmt::format(
+        "{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
+        "{:.1f} scans/s, {:.2f} ms a scan (median), of it kernels {:.2f}; the thread that asks works "
+        "{:.2f}\n",
+        t.sensor, t.n_scans, t.rays, t.points,
+        t.together > 1 ? fmt::format(", {} sent at once, {} side by side", t.together, t.side_by_side) : "",
+        t.scans_per_s, t.scan_ms, t.device_ms, t.host_ms);
 }
 
 std::string scans_json(const ScanTimes& t, const Device& device, const std::string& command_line) {
-    const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"}, {"version", 1},
-                                         {"relidar", RELIDAR_VERSION},      {"command", command_line},
-                                         {"device", device.info().name},    {"sensor", t.sensor},
-                                         {"scans", t.n_scans},              {"together", t.together},
-                                         {"side_by_side", t.side_by_side},  {"rays", t.rays},
-                                         {"points", t.points},              {"scans_per_s", t.scans_per_s},
-                                         {"scan_ms", t.scan_ms},            {"kernels_ms", t.device_ms},
+    const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"},
+                                         {"version", 1},
+                                         {"relidar", RELIDAR_VERSION},
+                                         {"command", command_line},
+                                         {"device", device.info().name},
+                                         {"sensor", t.sensor},
+                                         {"scans", t.n_scans},
+                                         {"together", t.together},
+                                         {"side_by_side", t.side_by_side},
+                                         {"rays", t.rays},
+                                         {"points", t.points},
+                                         {"scans_per_s", t.scans_per_s},
+                                         {"scan_ms", t.scan_ms},
+                                         {"kernels_ms", t.device_ms},
                                          {"host_ms", t.host_ms}};
     return json.dump(1) + "\n";
 }

@@ -3,10 +3,10 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/error.hpp>
 #include "../network/host_port.hpp"
 #include "../serve/latency.hpp"
 #include "console.hpp"
-#include <relidar/base/error.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -21,15 +21,19 @@ void bench_service(const ServeBench& bench) {
     if (bench.calls < 1 || bench.calls > kMostCalls)
         throw UsageError(fmt::format("--calls: found {}, expected 1 to {}", bench.calls, kMostCalls));
     (void)parse_host_port(bench.address, "--serve", 1);
-    const serve::LatencyResult r = serve::measure_latency({bench.address, bench.scene, bench.sensor, bench.clients, bench.calls});
+    const serve::LatencyResult r =
+        serve::measure_latency({bench.address, bench.scene, bench.sensor, bench.clients, bench.calls});
     const auto row = [](const char* name, const serve::Percentiles& p) -> std::vector<std::string> {
         return {name, fmt::format("{:.1f}", p.p50), fmt::format("{:.1f}", p.p99)};
     };
-    print(fmt::format("{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n", r.scene, bench.address,
-                      bench.calls, bench.clients, r.rays, r.points,
-                      table({{"ms", "p50", "p99"}, row("latency", r.latency_ms), row("of it queued", r.queued_ms),
-                             row("of it rendering", r.rendered_ms)}),
-                      r.scans_per_s));
+    print(
+        fmt::format("{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n",
+                    r.scene, bench.address, bench.calls, bench.clients, r.rays, r.points,
+                    table({{"ms", "p50", "p99"},
+                           row("latency", r.latency_ms),
+                           row("of it queued", r.queued_ms),
+                           row("of it rendering", r.rendered_ms)}),
+                    r.scans_per_s));
 }
 
 }  // namespace relidar::cli

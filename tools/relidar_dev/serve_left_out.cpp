@@ -7,7 +7,9 @@
 namespace relidar::cli {
 
 void bench_service(const ServeBench&) {
-    throw UsageError("--serve: this program was built without gRPC, expected one with it: `tools/dev/setup --serve`, then build again");
+    throw UsageError(
+        "--serve: this program was built without gRPC, expected one with it: `tools/dev/setup --serve`, then "
+        "build again");
 }
 
 }  // namespace relidar::cli

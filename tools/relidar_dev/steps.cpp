@@ -8,9 +8,9 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/score/evaluation.hpp>
 #include "interrupt.hpp"
 #include "options.hpp"
-#include <relidar/score/evaluation.hpp>
 
 namespace relidar::cli {
 
@@ -26,8 +26,9 @@ std::string steps_text(const StepTimes& t, const Device& device) {
     using Row = std::pair<std::string, StepTimes::Kernel>;
     std::vector<Row> rows(t.kernels.begin(), t.kernels.end());
     std::sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) { return a.second.ms > b.second.ms; });
-    std::string text = fmt::format("{}\n{} surfels, {} rays a step, {} hits kept a ray; means of {} steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
-                                   device.info().name, t.surfels, t.rays, t.kept_hits, t.n_steps, "kernel", "launches", "ms", "share");
+    std::string text = fmt::format(
+        "{}\n{} surfels, {} rays a step, {} hits kept a ray; means of {} steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
+        device.info().name, t.surfels, t.rays, t.kept_hits, t.n_steps, "kernel", "launches", "ms", "share");
     const auto row = [&](const std::string& name, const std::string& launches, double ms) {
         text += fmt::format("{:<28}{:>9}{:>10.3f}{:>7.1f}%\n", name, launches, ms, 100.0 * ms / t.wall_ms);
     };
@@ -40,13 +41,20 @@ std::string steps_text(const StepTimes& t, const Device& device) {
 
 std::string steps_json(const StepTimes& t, const Device& device, const std::string& command_line) {
     nlohmann::ordered_json kernels = nlohmann::ordered_json::object();
-    for (const auto& [name, kernel] : t.kernels) kernels[name] = {{"launches", kernel.launches}, {"ms", kernel.ms}};
-    const nlohmann::ordered_json json = {{"format", "relidar-dev bench steps"}, {"version", 1},
-                                         {"relidar", RELIDAR_VERSION},      {"command", command_line},
-                                         {"device", device.info().name},    {"steps", t.n_steps},
-                                         {"surfels", t.surfels},            {"rays", t.rays},
-                                         {"kept_hits", t.kept_hits},        {"wall_ms", t.wall_ms},
-                                         {"between_ms", t.between_ms()},    {"kernels", kernels}};
+    for (const auto& [name, kernel] : t.kernels)
+        kernels[name] = {{"launches", kernel.launches}, {"ms", kernel.ms}};
+    const nlohmann::ordered_json json = {{"format", "relidar-dev bench steps"},
+                                         {"version", 1},
+                                         {"relidar", RELIDAR_VERSION},
+                                         {"command", command_line},
+                                         {"device", device.info().name},
+                                         {"steps", t.n_steps},
+                                         {"surfels", t.surfels},
+                                         {"rays", t.rays},
+                                         {"kept_hits", t.kept_hits},
+                                         {"wall_ms", t.wall_ms},
+                                         {"between_ms", t.between_ms()},
+                                         {"kernels", kernels}};
     return json.dump(1) + "\n";
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar-dev bench --run RUN --steps N`: a training step on the run's own batches, and the time between its kernels.
+// `relidar-dev bench --run RUN --steps N`: a training step on the run's own batches, and
+// the time between its kernels.
 #pragma once
 
 #include <string>

@@ -7,10 +7,10 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/gpu/device.hpp>
+#include "console.hpp"
 #include "dev_case.hpp"
 #include "measure.hpp"
-#include "console.hpp"
-#include <relidar/gpu/device.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -30,13 +30,19 @@ std::string walk_name(const DevCase& bench) {
     return bench.walk == Walk::lane ? "lane" : bench.walk == Walk::subgroup ? "subgroup" : "automatic";
 }
 
-std::string traversal_of(const Device& device) { return device.traversal() == Traversal::software ? "software" : "ray_query"; }
+std::string traversal_of(const Device& device) {
+    return device.traversal() == Traversal::software ? "software" : "ray_query";
+}
 /// What there is to choose about a traversal.
 std::string search_of(const Device& device, const DevCase& bench, const BenchResult& result) {
     return device.traversal() == Traversal::software ? "walk " + walk_name(bench) : "proxy " + result.proxy;
 }
-std::string sh_of(const DevCase& bench) { return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel"; }
-std::string reduction_of(const BenchResult& result) { return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics"; }
+std::string sh_of(const DevCase& bench) {
+    return bench.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
+}
+std::string reduction_of(const BenchResult& result) {
+    return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics";
+}
 std::uint64_t surfel_bytes(const BenchMemory& m) { return m.scene + m.accel + m.training; }
 
 double each(std::uint64_t n_bytes, std::size_t n) {
@@ -45,44 +51,53 @@ double each(std::uint64_t n_bytes, std::size_t n) {
 
 std::string memory_text(const BenchMemory& m, std::size_t n_surfels, std::size_t n_rays) {
     return fmt::format(
-        "memory    {} at peak; {:.0f} bytes a surfel (scene {:.0f}, acceleration structure {:.0f}, gradients and moments {:.0f}), {:.0f} "
+        "memory    {} at peak; {:.0f} bytes a surfel (scene {:.0f}, acceleration structure {:.0f}, gradients "
+        "and moments {:.0f}), {:.0f} "
         "bytes a ray\n",
-        byte_size(m.peak), each(surfel_bytes(m), n_surfels), each(m.scene, n_surfels), each(m.accel, n_surfels),
-        each(m.training, n_surfels), each(m.rays, n_rays));
+        byte_size(m.peak), each(surfel_bytes(m), n_surfels), each(m.scene, n_surfels),
+        each(m.accel, n_surfels), each(m.training, n_surfels), each(m.rays, n_rays));
 }
 
-/// Milliseconds below which each row cannot fall; of the phases, the sum over their kernels.
+/// Milliseconds below which each row cannot fall; of the phases, the sum over their
+/// kernels.
 std::map<std::string, double> floors_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;
-    for (const auto& [kernel, bytes] : floor_bytes(result.sizes)) floors[kernel] = bytes / *result.copy_bytes_per_s * 1000.0;
+    for (const auto& [kernel, bytes] : floor_bytes(result.sizes))
+        floors[kernel] = bytes / *result.copy_bytes_per_s * 1000.0;
     double iteration = 0.0;
     for (const auto& [kernel, ms] : floors) iteration += kernel == "accel/build" ? 0.0 : ms;
     floors["iteration"] = floors["iteration_wall"] = iteration;
-    if (floors.contains("accel/build")) floors["rebuild"] = floors["diff/accel/proxies"] + floors["accel/build"];
+    if (floors.contains("accel/build"))
+        floors["rebuild"] = floors["diff/accel/proxies"] + floors["accel/build"];
     return floors;
 }
 
 std::string floor_text(const BenchResult& result) {
     if (!result.copy_bytes_per_s) return "floors    none: no room for a copy to compare with\n";
-    std::string text =
-        fmt::format("floors    bytes that must move once, at the {:.1f} GB/s of a copy; latency, divergence and arithmetic are left out\n",
-                    *result.copy_bytes_per_s * 1e-9);
+    std::string text = fmt::format(
+        "floors    bytes that must move once, at the {:.1f} GB/s of a copy; latency, divergence and "
+        "arithmetic are left out\n",
+        *result.copy_bytes_per_s * 1e-9);
     const std::map<std::string, double> cached = cache_bytes(result.sizes);
     for (const auto& [kernel, bytes] : cached)
-        text += fmt::format("caches    {} asks for {:.3f} GB, {} ms at the copy's rate\n", kernel, bytes * 1e-9,
-                            milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
+        text += fmt::format("caches    {} asks for {:.3f} GB, {} ms at the copy's rate\n", kernel,
+                            bytes * 1e-9, milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
-        text += fmt::format("search    about {:.3f} G operations in {}\n", search_operations(result.sizes) * 1e-9,
-                            result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
+        text +=
+            fmt::format("search    about {:.3f} G operations in {}\n", search_operations(result.sizes) * 1e-9,
+                        result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
     return text;
 }
 
 Json spreads(const std::vector<BenchRow>& rows, const std::map<std::string, double>& floors) {
     Json json = Json::object();
     for (const BenchRow& row : rows) {
-        Json& entry = json[row.name] = {
-            {"p10", row.ms.p10}, {"median", row.ms.median}, {"p90", row.ms.p90}, {"floor", nullptr}, {"median_over_floor", nullptr}};
+        Json& entry = json[row.name] = {{"p10", row.ms.p10},
+                                        {"median", row.ms.median},
+                                        {"p90", row.ms.p90},
+                                        {"floor", nullptr},
+                                        {"median_over_floor", nullptr}};
         if (const auto floor = floors.find(row.name); floor != floors.end())
             entry["floor"] = floor->second, entry["median_over_floor"] = row.ms.median / floor->second;
     }
@@ -114,34 +129,44 @@ Json memory_json(const BenchMemory& m, std::size_t n_surfels, std::size_t n_rays
 }  // namespace
 
 std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device) {
-    std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench.name, bench.scene.surfels.size(),
-                                   bench.rays.size(), bench.rows, bench.columns);
-    text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}", device.info().name,
-                        traversal_of(device), search_of(device, bench, result), bench.config.trace.chunk, sh_of(bench));
-    text += result.sizes.training
-                ? fmt::format(", {} hits kept a ray, gradients by {}\n", result.kept_hits, reduction_of(result))
-                : "\n";
-    if (!result.device_clock) text += "note      the device has no timestamps: wall time of the forward pass alone, waits included\n";
-    std::vector<std::vector<std::string>> rows{{"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
+    std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench.name,
+                                   bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
+    text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
+                        device.info().name, traversal_of(device), search_of(device, bench, result),
+                        bench.config.trace.chunk, sh_of(bench));
+    text += result.sizes.training ? fmt::format(", {} hits kept a ray, gradients by {}\n", result.kept_hits,
+                                                reduction_of(result))
+                                  : "\n";
+    if (!result.device_clock)
+        text +=
+            "note      the device has no timestamps: wall time of the forward pass alone, waits included\n";
+    std::vector<std::vector<std::string>> rows{
+        {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
     const std::map<std::string, double> floors = floors_ms(result);
     const auto add = [&](const BenchRow& row, const std::string& name) {
         const auto floor = floors.find(row.name);
         const bool known = floor != floors.end();
         rows.push_back({name, milliseconds(row.ms.p10), milliseconds(row.ms.median), milliseconds(row.ms.p90),
-                        known ? milliseconds(floor->second) : "-", known ? fmt::format("{:.1f}", row.ms.median / floor->second) : "-"});
+                        known ? milliseconds(floor->second) : "-",
+                        known ? fmt::format("{:.1f}", row.ms.median / floor->second) : "-"});
     };
     for (const BenchRow& row : result.kernels) add(row, row.name);
-    for (const BenchRow& row : result.phases) add(row, phase_text(row.name, result.backward_mrays_per_s.has_value()));
+    for (const BenchRow& row : result.phases)
+        add(row, phase_text(row.name, result.backward_mrays_per_s.has_value()));
     text += "\n" + table(rows) +
-            fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits a ray\n", result.forward_mrays_per_s, result.hits_per_ray);
+            fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits a ray\n", result.forward_mrays_per_s,
+                        result.hits_per_ray);
     if (result.visits)
-        text += fmt::format("visits    {:.1f} nodes and {:.1f} surfels tested a ray\n", result.visits->nodes, result.visits->surfels);
-    if (result.backward_mrays_per_s) text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
-    return text + floor_text(result) + memory_text(result.memory, bench.scene.surfels.size(), bench.rays.size());
+        text += fmt::format("visits    {:.1f} nodes and {:.1f} surfels tested a ray\n", result.visits->nodes,
+                            result.visits->surfels);
+    if (result.backward_mrays_per_s)
+        text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
+    return text + floor_text(result) +
+           memory_text(result.memory, bench.scene.surfels.size(), bench.rays.size());
 }
 
-std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device,
-                       const std::string& command_line) {
+std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
+                       const Device& device, const std::string& command_line) {
     const DeviceInfo& info = device.info();
     Json json = {{"format", "relidar-dev bench"},
                  {"version", 1},
@@ -180,7 +205,8 @@ std::string bench_json(const DevCase& bench, const BenchSettings& settings, cons
                  {"surfels_tested_per_ray", nullptr},
                  {"memory", memory_json(result.memory, bench.scene.surfels.size(), bench.rays.size())}};
     if (result.backward_mrays_per_s) json["backward_mrays_per_s"] = *result.backward_mrays_per_s;
-    if (result.visits) json["nodes_per_ray"] = result.visits->nodes, json["surfels_tested_per_ray"] = result.visits->surfels;
+    if (result.visits)
+        json["nodes_per_ray"] = result.visits->nodes, json["surfels_tested_per_ray"] = result.visits->surfels;
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

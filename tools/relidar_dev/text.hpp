@@ -17,7 +17,7 @@ struct BenchSettings;
 std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device);
 
 /// @param command_line  as typed
-std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result, const Device& device,
-                       const std::string& command_line);
+std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
+                       const Device& device, const std::string& command_line);
 
 }  // namespace relidar::cli

@@ -26,14 +26,15 @@
 namespace relidar::serve {
 namespace {
 
-constexpr std::chrono::milliseconds kPause{50};   // until the system may have descriptors again
-constexpr int kMostDescriptors = 16384;           // of the process, connections included
-constexpr int kReservedDescriptors = 256;         // descriptors that are kept for files and the driver
+constexpr std::chrono::milliseconds kPause{50};  // until the system may have descriptors again
+constexpr int kMostDescriptors = 16384;          // of the process, connections included
+constexpr int kReservedDescriptors = 256;        // descriptors that are kept for files and the driver
 
 std::string message_of(int error) { return std::generic_category().message(error); }
 
 [[noreturn]] void fail(const std::string& address, const std::string& why) {
-    throw UsageError(fmt::format("listening at {}: {}, expected a free HOST:PORT of this machine", address, why));
+    throw UsageError(
+        fmt::format("listening at {}: {}, expected a free HOST:PORT of this machine", address, why));
 }
 
 struct FreeAddresses {
@@ -46,7 +47,8 @@ Addresses addresses_of(const std::string& host, const std::string& address) {
     hints.ai_socktype = SOCK_STREAM;
     hints.ai_flags = AI_PASSIVE;
     addrinfo* all = nullptr;
-    if (const int error = ::getaddrinfo(host.c_str(), nullptr, &hints, &all); error != 0) fail(address, ::gai_strerror(error));
+    if (const int error = ::getaddrinfo(host.c_str(), nullptr, &hints, &all); error != 0)
+        fail(address, ::gai_strerror(error));
     return Addresses(all);
 }
 
@@ -64,26 +66,31 @@ int port_of(int listener) {
     return ntohs(reinterpret_cast<const sockaddr_in&>(storage).sin_port);
 }
 
-void set_option(int socket, int level, int name, int value) { (void)::setsockopt(socket, level, name, &value, sizeof(value)); }
+void set_option(int socket, int level, int name, int value) {
+    (void)::setsockopt(socket, level, name, &value, sizeof(value));
+}
 
 /// @return the listening socket, or -1 with errno
 int listen_at(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
     set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
-    set_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);   // its connections have it too
+    set_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);  // its connections have it too
     if (address.ai_family == AF_INET6) set_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
-    if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0) return listener;
+    if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0)
+        return listener;
     const int error = errno;
     ::close(listener);
     errno = error;
     return -1;
 }
 
-/// Connections have lower descriptors than this. The system always assigns the lowest one that is free.
+/// Connections have lower descriptors than this. The system always assigns the lowest one
+/// that is free.
 int first_spare_descriptor() {
     rlimit limit{};
-    const bool is_known = ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
+    const bool is_known =
+        ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
     const int most = is_known ? int(limit.rlim_cur) : kMostDescriptors;
     return most - std::min(kReservedDescriptors, most / 4);
 }
@@ -100,7 +107,7 @@ Acceptor::Acceptor(const std::string& text) {
         const int listener = listen_at(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && wanted.port != 0) break;
-        if (listener < 0) continue;   // a family that this machine does not have
+        if (listener < 0) continue;  // a family that this machine does not have
         listeners_.push_back(listener);
         port_ = port_of(listener);
     }
@@ -131,10 +138,9 @@ void Acceptor::start(Receive receive) {
 void Acceptor::stop() {
     if (!thread_.joinable()) return;
     const char any = 0;
-    while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {
-    }
+    while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
     thread_.join();
-    for (const int listener : listeners_) ::close(listener);   // clients are refused from now on
+    for (const int listener : listeners_) ::close(listener);  // clients are refused from now on
     listeners_.clear();
 }
 
@@ -151,9 +157,10 @@ void Acceptor::serve() {
 
 void Acceptor::accept_one(int listener) {
     const int connection = ::accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
-    const bool is_full = connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
+    const bool is_full =
+        connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
     if (is_full) std::this_thread::sleep_for(kPause);
-    if (connection < 0) return;   // the client has left already
+    if (connection < 0) return;  // the client has left already
     if (connection >= first_spare_descriptor()) ::close(connection);
     else receive_(listener, connection);
 }

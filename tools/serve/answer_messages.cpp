@@ -14,7 +14,8 @@
 namespace relidar::serve {
 namespace {
 
-static_assert(std::endian::native == std::endian::little, "arrays of messages are sent as they lie in memory");
+static_assert(std::endian::native == std::endian::little,
+              "arrays of messages are sent as they lie in memory");
 
 template <class T>
 void append(std::string& bytes, const T& value) {
@@ -42,17 +43,20 @@ void write_channels(const std::vector<ScanChannel>& channels, Messages& messages
 /// Turns the last value of a channel of points into their frame, where it is a direction.
 void turn_last(ScanChannel& of_points, const Pose& points_from_firing) {
     auto* vectors = std::get_if<std::vector<glm::vec3>>(&of_points.values);
-    if (vectors && of_points.info.turns) vectors->back() = glm::vec3(points_from_firing.rotation * glm::dvec3(vectors->back()));
+    if (vectors && of_points.info.turns)
+        vectors->back() = glm::vec3(points_from_firing.rotation * glm::dvec3(vectors->back()));
 }
 
-void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config, v1::Points& points) {
+void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config,
+                  v1::Points& points) {
     FiringPoses firing(scan, inverse(dataset_from_points));
     const std::vector<float>& range_m = point_ranges(scan, config);
     std::vector<ScanChannel> channels = emptied(scan.channels);
     std::uint32_t n = 0;
     const auto add = [&](std::size_t ray, float range, float intensity, std::uint8_t number) {
         const Pose& points_from_firing = firing.at(ray);
-        const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[ray]) + double(range) * glm::dvec3(scan.image.direction[ray]);
+        const glm::dvec3 seen_m =
+            glm::dvec3(scan.image.origin[ray]) + double(range) * glm::dvec3(scan.image.direction[ray]);
         append(*points.mutable_xyz_m(), glm::vec3(points_from_firing * seen_m));
         append(*points.mutable_intensity(), intensity);
         append(*points.mutable_ring(), scan.ring[ray]);
@@ -78,7 +82,8 @@ void write_points(const RenderedScan& scan, const Pose& dataset_from_points, con
 
 std::uint32_t count_returned(const RenderedScan& scan) {
     std::uint32_t n = 0;
-    for (std::size_t ray = 0; ray < scan.image.range_m.size(); ++ray) n += returned(scan.image.drop_prob[ray], scan.image.range_m[ray]);
+    for (std::size_t ray = 0; ray < scan.image.range_m.size(); ++ray)
+        n += returned(scan.image.drop_prob[ray], scan.image.range_m[ray]);
     return n;
 }
 
@@ -89,7 +94,8 @@ struct ScanHead {
     std::optional<double> unseen_share;
 };
 
-void write_head(const ScanHead& scan, const WantedScan& wanted, const Pose& dataset_from_points, v1::LidarScan& message) {
+void write_head(const ScanHead& scan, const WantedScan& wanted, const Pose& dataset_from_points,
+                v1::LidarScan& message) {
     message.set_sensor(wanted.sensor->name);
     message.set_time_s(scan.time_s);
     message.set_points_at_s(wanted.points_at_s);
@@ -124,9 +130,11 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
 
 }  // namespace
 
-void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config, v1::LidarScan& message) {
+void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
+                v1::LidarScan& message) {
     const Pose dataset_from_points = wanted.request.dataset_from_sensor.at(wanted.points_at_s);
-    write_head({scan.time_s, scan.image.range_m.size(), count_returned(scan), scan.unseen_share}, wanted, dataset_from_points, message);
+    write_head({scan.time_s, scan.image.range_m.size(), count_returned(scan), scan.unseen_share}, wanted,
+               dataset_from_points, message);
     if (wanted.points) write_points(scan, dataset_from_points, config, *message.mutable_points());
     if (!wanted.range_image && !wanted.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
@@ -140,7 +148,8 @@ void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config
 }
 
 void write_scan(const PointScan& scan, const WantedScan& wanted, v1::LidarScan& message) {
-    write_head({scan.time_s, scan.n_rays, scan.points.size(), scan.unseen_share}, wanted, scan.dataset_from_points, message);
+    write_head({scan.time_s, scan.n_rays, scan.points.size(), scan.unseen_share}, wanted,
+               scan.dataset_from_points, message);
     v1::Points& points = *message.mutable_points();
     const auto set = [&](std::string& bytes, const auto& value_of) {
         using Value = decltype(value_of(scan.points[0]));
@@ -164,7 +173,8 @@ void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
     message.set_name(name);
     message.set_begin_s(log.frames.front().time_s);
     message.set_end_s(log.frames.back().time_s);
-    message.set_sampled_noise(std::ranges::any_of(log.lidars, [](const Lidar& lidar) { return !lidar.range_noise.sigma_m.empty(); }));
+    message.set_sampled_noise(std::ranges::any_of(
+        log.lidars, [](const Lidar& lidar) { return !lidar.range_noise.sigma_m.empty(); }));
     for (std::size_t i = 0; i < log.lidars.size(); ++i) {
         const Lidar& lidar = log.lidars[i];
         v1::Lidar& added = *message.add_lidars();
@@ -188,8 +198,10 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     for (const std::string& name : names) {
         const BoxTrack* box = find_box(run.sequence, name);
         if (!box)
-            throw Refusal(grpc::StatusCode::NOT_FOUND,
-                          fmt::format("reading actors: found {}, expected an actor of the log that ListScenes gives", quoted(name)));
+            throw Refusal(
+                grpc::StatusCode::NOT_FOUND,
+                fmt::format("reading actors: found {}, expected an actor of the log that ListScenes gives",
+                            quoted(name)));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());

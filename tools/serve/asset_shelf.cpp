@@ -14,8 +14,9 @@ AssetShelf::AssetShelf(const std::vector<std::string>& folders) {
         for (const std::filesystem::path& entry : asset_folders(folder)) {
             AssetFacts facts = read_asset_facts(entry);
             if (const Entry* same = find(facts.name))
-                throw UsageError(fmt::format("serving assets of {}: found {} in {} too, expected each name once", folder, facts.name,
-                                             same->folder.parent_path().string()));
+                throw UsageError(
+                    fmt::format("serving assets of {}: found {} in {} too, expected each name once", folder,
+                                facts.name, same->folder.parent_path().string()));
             entries_.push_back({entry, std::move(facts)});
         }
     }

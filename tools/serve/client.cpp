@@ -12,17 +12,19 @@ namespace relidar::serve {
 
 std::shared_ptr<grpc::Channel> connect(const std::string& address) {
     grpc::ChannelArguments arguments;
-    arguments.SetMaxReceiveMessageSize(-1);                       // a scan of a million rays has 50 MB
-    arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);      // a connection of its own, as another process would have
+    arguments.SetMaxReceiveMessageSize(-1);  // a scan of a million rays has 50 MB
+    // a connection of its own, as another process would have
+    arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
     return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
 }
 
-ScanClient::ScanClient(std::string address) : address_(std::move(address)), stub_(v1::RenderService::NewStub(connect(address_))) {}
+ScanClient::ScanClient(std::string address)
+    : address_(std::move(address)), stub_(v1::RenderService::NewStub(connect(address_))) {}
 
 void ScanClient::check(const grpc::Status& status) const {
     if (status.ok()) return;
-    throw DataError(fmt::format("asking the service at {}: found status {}, {}, expected an answer", address_, int(status.error_code()),
-                                status.error_message()));
+    throw DataError(fmt::format("asking the service at {}: found status {}, {}, expected an answer", address_,
+                                int(status.error_code()), status.error_message()));
 }
 
 v1::ListScenesResponse ScanClient::list_scenes() {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The other end of the line: what tests and `relidar-dev bench --serve` call a service with.
+// The other end of the line: what tests and `relidar-dev bench --serve` call a service
+// with.
 #pragma once
 
 #include <memory>
@@ -14,7 +15,8 @@ namespace relidar::serve {
 /// A channel of its own, without TLS, that takes scans of any size.
 std::shared_ptr<grpc::Channel> connect(const std::string& address);
 
-/// Calls that wait for their answer. @throws DataError with code and message of a status that is not OK
+/// Calls that wait for their answer. @throws DataError with code and message of a status
+/// that is not OK
 class ScanClient {
 public:
     explicit ScanClient(std::string address);

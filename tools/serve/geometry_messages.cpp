@@ -15,7 +15,8 @@ constexpr double kDoublePrecision = 1e-12;  // a quaternion this close to unit l
 constexpr int kMostPoses = 100'000;
 
 double read_number(double value, const std::string& field) {
-    if (!(std::abs(value) <= kFarthest)) refuse(field, fmt::format("{}", value), "a finite number within 1e10");
+    if (!(std::abs(value) <= kFarthest))
+        refuse(field, fmt::format("{}", value), "a finite number within 1e10");
     return value;
 }
 
@@ -26,18 +27,21 @@ double read_time(double time_s, const std::string& field) { return read_number(t
 Pose read_pose(const v1::Pose& message, const std::string& field) {
     const v1::Vector& t = message.translation();
     Pose pose;
-    pose.translation = {read_number(t.x(), field + ".translation.x"), read_number(t.y(), field + ".translation.y"),
+    pose.translation = {read_number(t.x(), field + ".translation.x"),
+                        read_number(t.y(), field + ".translation.y"),
                         read_number(t.z(), field + ".translation.z")};
     if (!message.has_rotation()) return pose;
     const v1::Quaternion& q = message.rotation();
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
     const double length = glm::length(pose.rotation);
-    if (!(std::abs(length - 1.0) <= kUnitSlack)) refuse(field + ".rotation", fmt::format("a quaternion of length {}", length), "1");
+    if (!(std::abs(length - 1.0) <= kUnitSlack))
+        refuse(field + ".rotation", fmt::format("a quaternion of length {}", length), "1");
     if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
     return pose;
 }
 
-PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages, const std::string& field) {
+PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
+                     const std::string& field) {
     if (messages.empty() || messages.size() > kMostPoses)
         refuse(field, fmt::format("{} poses", messages.size()), fmt::format("1 to {}", kMostPoses));
     PoseTrack track;
@@ -45,7 +49,8 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
         const std::string entry = fmt::format("{}[{}]", field, i);
         const double time_s = read_time(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
-            refuse(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()), "times that rise");
+            refuse(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
+                   "times that rise");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
     }

@@ -33,14 +33,15 @@ double percentile(std::vector<double> values, double share) {
     return values[std::max<std::size_t>(rank, 1) - 1];
 }
 
-Percentiles percentiles(const std::vector<Sample>& samples, double Sample::* value) {
+Percentiles percentiles(const std::vector<Sample>& samples, double Sample::*value) {
     std::vector<double> values;
     for (const Sample& sample : samples) values.push_back(sample.*value);
     return {percentile(values, 0.5), percentile(values, 0.99)};
 }
 
 /// The sweep from one pose of the log to the next; the last is followed by the first.
-v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& scene, const v1::GetTracksResponse& tracks, int number) {
+v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& scene,
+                             const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
     request.set_scene(scene);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
@@ -63,13 +64,16 @@ Sample call(ScanClient& client, const v1::RenderLidarRequest& request) {
 LatencyResult measure_latency(const LatencyOptions& options) {
     ScanClient first(options.address);
     const v1::ListScenesResponse scenes = first.list_scenes();
-    if (scenes.scenes().empty()) throw DataError(fmt::format("asking the service at {}: found no scene, expected one", options.address));
+    if (scenes.scenes().empty())
+        throw DataError(
+            fmt::format("asking the service at {}: found no scene, expected one", options.address));
     LatencyResult result;
     result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
     const v1::GetTracksResponse tracks = first.get_tracks(which);
-    call(first, sweep(options, result.scene, tracks, 0));   // makes the rays of the sensor, and room for them
+    // makes the rays of the sensor, and room for them
+    call(first, sweep(options, result.scene, tracks, 0));
 
     std::vector<Sample> samples;
     std::exception_ptr failure;

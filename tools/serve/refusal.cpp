@@ -11,22 +11,29 @@
 namespace relidar::serve {
 
 void refuse(const std::string& field, const std::string& found, const std::string& expected) {
-    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT, fmt::format("reading {}: found {}, expected {}", field, found, expected));
+    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT,
+                  fmt::format("reading {}: found {}, expected {}", field, found, expected));
 }
 
-void refuse_unknown(const std::string& field, const std::string& name, const std::vector<std::string>& known) {
+void refuse_unknown(const std::string& field, const std::string& name,
+                    const std::vector<std::string>& known) {
     const std::string nearest = nearest_name(name.substr(0, 80), known);
-    const std::string expected = nearest.empty() ? "none: there is none" : fmt::format("one that is there, as \"{}\"", nearest);
-    throw Refusal(grpc::StatusCode::NOT_FOUND, fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
+    const std::string expected =
+        nearest.empty() ? "none: there is none" : fmt::format("one that is there, as \"{}\"", nearest);
+    throw Refusal(grpc::StatusCode::NOT_FOUND,
+                  fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
 }
 
 std::string quoted(const std::string& word) {
     constexpr std::size_t kMost = 80;
     std::size_t n = std::min(word.size(), kMost);
-    while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;   // no half of a character of UTF-8
+    // no half of a character of UTF-8
+    while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;
     std::string shown = word.substr(0, n);
-    std::replace_if(shown.begin(), shown.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }, ' ');
-    return n == word.size() ? fmt::format("\"{}\"", shown) : fmt::format("\"{}...\" of {} bytes", shown, word.size());
+    std::replace_if(
+        shown.begin(), shown.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }, ' ');
+    return n == word.size() ? fmt::format("\"{}\"", shown)
+                            : fmt::format("\"{}...\" of {} bytes", shown, word.size());
 }
 
 grpc::Status answered(const std::function<void()>& answer) {
@@ -38,10 +45,13 @@ grpc::Status answered(const std::function<void()>& answer) {
     } catch (const UsageError& error) {
         return {grpc::StatusCode::INVALID_ARGUMENT, error.what()};
     } catch (const std::bad_alloc&) {
-        return {grpc::StatusCode::RESOURCE_EXHAUSTED, "answering a request: the server is out of memory, expected a smaller one"};
+        return {grpc::StatusCode::RESOURCE_EXHAUSTED,
+                "answering a request: the server is out of memory, expected a smaller one"};
     } catch (const DeviceLost& error) {
-        return {grpc::StatusCode::UNAVAILABLE, fmt::format("{}; this server ends, expected a new one", error.what())};
-    } catch (const std::exception& error) {   // of the device, of a run folder that has changed, of ourselves
+        return {grpc::StatusCode::UNAVAILABLE,
+                fmt::format("{}; this server ends, expected a new one", error.what())};
+        // of the device, of a run folder that has changed, of ourselves
+    } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};
     }
 }

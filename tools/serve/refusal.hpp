@@ -24,8 +24,10 @@ private:
 /// Of a field of a request that makes no sense. @throws Refusal, always
 [[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
 
-/// Of a name that nothing has. @param known  where there is anything to be meant instead @throws Refusal, always
-[[noreturn]] void refuse_unknown(const std::string& field, const std::string& name, const std::vector<std::string>& known);
+/// Of a name that nothing has. @param known  where there is anything to be meant instead
+/// @throws Refusal, always
+[[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
+                                 const std::vector<std::string>& known);
 
 /// A client's word as messages show it: cut where it is long, in one line.
 std::string quoted(const std::string& word);

@@ -10,7 +10,8 @@
 namespace relidar::serve {
 namespace {
 
-/// How often somebody who waits looks whether the client is still there. What was left in between is noticed before it is begun.
+/// How often somebody who waits looks whether the client is still there. What was left in
+/// between is noticed before it is begun.
 constexpr std::chrono::milliseconds kLook{10};
 
 }  // namespace
@@ -64,15 +65,18 @@ WorkEnd RenderQueue::Place::run(const WorkInTwo& work, const std::function<bool(
 }
 
 void RenderQueue::wait(Job& job, std::unique_lock<std::mutex>& lock) {
-    while (job.state == Job::State::waits && !job.changed.wait_for(lock, kLook, [&] { return job.state != Job::State::waits; })) {
+    while (job.state == Job::State::waits &&
+           !job.changed.wait_for(lock, kLook, [&] { return job.state != Job::State::waits; })) {
         if (job.is_wanted()) continue;
         job.state = Job::State::unwanted;
         line_.erase(std::find(line_.begin(), line_.end(), &job));
     }
-    job.changed.wait(lock, [&] { return job.state == Job::State::done || job.state == Job::State::unwanted; });
+    job.changed.wait(lock,
+                     [&] { return job.state == Job::State::done || job.state == Job::State::unwanted; });
 }
 
-/// The next job that is wanted; null where none is there. @param before  only one that may be begun right after it
+/// The next job that is wanted; null where none is there. @param before  only one that
+/// may be begun right after it
 RenderQueue::Job* RenderQueue::next(const Job* before) {
     while (!line_.empty()) {
         Job* job = line_.front();
@@ -86,7 +90,8 @@ RenderQueue::Job* RenderQueue::next(const Job* before) {
 }
 
 /// Does a part of a job, and ends it with the last one, or with what it throws.
-void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last, std::unique_lock<std::mutex>& lock) {
+void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last,
+                          std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
@@ -106,13 +111,16 @@ void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_l
     job.changed.notify_one();
 }
 
-/// Begins a job, and those behind it that go to the device with it. @return those that have not ended
+/// Begins a job, and those behind it that go to the device with it. @return those that
+/// have not ended
 std::vector<RenderQueue::Job*> RenderQueue::begin(Job* job, std::unique_lock<std::mutex>& lock) {
     std::vector<Job*> begun;
     for (std::size_t n = 1; job; ++n) {
         Job* with_it = job->work.finish && n < together_ ? next(job) : nullptr;
-        do_part(*job, [&] { job->work.begin(!with_it); }, !job->work.finish, lock);
-        if (job->state == Job::State::runs) begun.push_back(job);   // else it has ended, and goes with who waits for it
+        do_part(
+            *job, [&] { job->work.begin(!with_it); }, !job->work.finish, lock);
+        // else it has ended, and goes with who waits for it
+        if (job->state == Job::State::runs) begun.push_back(job);
         job = with_it;
     }
     return begun;
@@ -124,7 +132,7 @@ void RenderQueue::finish(const std::vector<Job*>& jobs, std::unique_lock<std::mu
 
 void RenderQueue::serve() {
     std::unique_lock lock(mutex_);
-    std::vector<Job*> begun;   // the device works for them
+    std::vector<Job*> begun;  // the device works for them
     while (true) {
         Job* job = next();
         if (!job && begun.empty()) {
@@ -132,7 +140,8 @@ void RenderQueue::serve() {
             if (line_.empty()) return;
             continue;
         }
-        const bool overlap = job && !begun.empty() && job->work.finish && job->work.kind == begun.front()->work.kind;
+        const bool overlap =
+            job && !begun.empty() && job->work.finish && job->work.kind == begun.front()->work.kind;
         if (!overlap) finish(std::exchange(begun, {}), lock);
         if (!job) continue;
         const std::vector<Job*> next_ones = begin(job, lock);

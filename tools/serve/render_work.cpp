@@ -17,12 +17,18 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-double ms_between(Clock::time_point begin, Clock::time_point end) { return std::chrono::duration<double, std::milli>(end - begin).count(); }
+double ms_between(Clock::time_point begin, Clock::time_point end) {
+    return std::chrono::duration<double, std::milli>(end - begin).count();
+}
 
-bool is_late(const grpc::ServerContext& context) { return std::chrono::system_clock::now() >= context.deadline(); }
+bool is_late(const grpc::ServerContext& context) {
+    return std::chrono::system_clock::now() >= context.deadline();
+}
 
-/// What a scene's renderer does for a request, which has been looked at: the run's folder is at fault where it fails.
-SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted, const std::function<void(ScanRenderer&)>& work) {
+/// What a scene's renderer does for a request, which has been looked at: the run's folder
+/// is at fault where it fails.
+SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
+                   const std::function<void(ScanRenderer&)>& work) {
     try {
         return scenes.use(wanted.scene, wanted.weather, work);
     } catch (const DataError& error) {
@@ -32,13 +38,15 @@ SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted, const std::functi
 
 /// Has a scan made on the queue's thread. @param finish  none: the work has one part
 template <class Scan>
-Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context, const std::function<void(Scan&, bool is_last)>& begin,
+Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context,
+                  const std::function<void(Scan&, bool is_last)>& begin,
                   const std::function<void(Scan&)>& finish = {}, std::size_t kind = 0) {
     const Clock::time_point asked = Clock::now();
     Clock::time_point begun = asked;
     Timed<Scan> result;
     const auto take_time = [&] { result.rendered_ms = ms_between(begun, Clock::now()); };
-    WorkInTwo work{[&](bool is_last) { begun = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
+    WorkInTwo work{
+        [&](bool is_last) { begun = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
     if (finish) work.finish = [&] { finish(result.scan), take_time(); };
     const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
     if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
@@ -52,30 +60,39 @@ bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled
 
 void give_up(const grpc::ServerContext& context) {
     if (is_late(context))
-        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED, "answering a request: found the deadline passed, expected a later one");
+        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED,
+                      "answering a request: found the deadline passed, expected a later one");
     throw Refusal(grpc::StatusCode::CANCELLED, "answering a request: the client has left");
 }
 
 RenderQueue::Place enter(RenderQueue& queue) {
     std::optional<RenderQueue::Place> place = queue.enter();
     if (!place)
-        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      fmt::format("queueing a request: found all {} places taken, expected a free one: try again later", queue.places()));
+        throw Refusal(
+            grpc::StatusCode::RESOURCE_EXHAUSTED,
+            fmt::format("queueing a request: found all {} places taken, expected a free one: try again later",
+                        queue.places()));
     return std::move(*place);
 }
 
-Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context) {
+Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted,
+                                const grpc::ServerContext& context) {
     return timed<RenderedScan>(place, context, [&](RenderedScan& scan, bool) {
-        use(scenes, wanted, [&](ScanRenderer& renderer) { scan = renderer.render(*wanted.sensor, wanted.request, wanted.sample); });
+        use(scenes, wanted, [&](ScanRenderer& renderer) {
+            scan = renderer.render(*wanted.sensor, wanted.request, wanted.sample);
+        });
     });
 }
 
-Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes, std::span<const WantedScan> wanted,
+Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes,
+                                            std::span<const WantedScan> wanted,
                                             const grpc::ServerContext& context) {
     using Send = ScanRenderer::Send;
     std::size_t n_asked = 0;
     SceneSet::Load load{};
-    std::exception_ptr failure;   // told when those before it have been taken: their places in the renderer's line are theirs
+    // told when those before it have been taken: their places in the renderer's line are
+    // theirs
+    std::exception_ptr failure;
     const auto begin = [&](std::vector<PointScan>&, bool is_last) {
         try {
             for (const WantedScan& scan : wanted) {

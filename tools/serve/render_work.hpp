@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How a call gets its scans: a place in the line, work on the render thread, and a refusal where the client has left.
+// How a call gets its scans: a place in the line, work on the render thread, and a
+// refusal where the client has left.
 #pragma once
 
 #include <span>
@@ -29,17 +30,22 @@ struct Timed {
     double queued_ms = 0.0, rendered_ms = 0.0;
 };
 
-/// Renders a scan on the queue's thread. @throws Refusal where nobody waits for it any more, or the run's folder cannot be read
-Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted, const grpc::ServerContext& context);
+/// Renders a scan on the queue's thread. @throws Refusal where nobody waits for it any
+/// more, or the run's folder cannot be read
+Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted,
+                                const grpc::ServerContext& context);
 /// How many scans one call may send to the device at once.
 inline constexpr std::size_t kMostAtOnce = 8;
-/// How many calls may have theirs go together: twice as many scans are in flight, since the next ones are begun before these are taken.
+/// How many calls may have theirs go together: twice as many scans are in flight, since
+/// the next ones are begun before these are taken.
 inline constexpr std::size_t kCallsTogether = 4;
 static_assert(2 * kCallsTogether * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
-/// The points alone of scans of one scene, which go to the device at once, and perhaps with those of other calls.
+/// The points alone of scans of one scene, which go to the device at once, and perhaps
+/// with those of other calls.
 /// @param wanted  at most kMostAtOnce
-Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes, std::span<const WantedScan> wanted,
+Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes,
+                                            std::span<const WantedScan> wanted,
                                             const grpc::ServerContext& context);
 
 }  // namespace relidar::serve

@@ -21,20 +21,23 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostSensors = 64;         // of a rig
-constexpr std::size_t kLongestSpawnName = 200;   // bytes, of spawned actors
-constexpr double kBeyondPath_s = 1.0;   // a sweep may begin before its path and end after it; more is a mistake of times
+constexpr int kMostSensors = 64;                // of a rig
+constexpr std::size_t kLongestSpawnName = 200;  // bytes, of spawned actors
+// a sweep may begin before its path and end after it; more is a mistake of times
+constexpr double kBeyondPath_s = 1.0;
 
 bool is_far_beyond(double time_s, const PoseTrack& path) {
     const bool moves = path.pose.size() > 1;
-    return moves && (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
+    return moves &&
+           (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
 /// A moment on the sensor's path, or not far beyond it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
-        refuse(field, fmt::format("{} with a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
+        refuse(field,
+               fmt::format("{} with a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
                fmt::format("seconds on the path, or at most {} s before or after it", kBeyondPath_s));
     return time_s;
 }
@@ -50,12 +53,15 @@ std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s
     std::vector<ActorWish> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const std::string field = fmt::format("actors.actors[{}]", i);
-        wishes.push_back({field + ".name", message.actors(i).name(), read_track(message.actors(i).poses(), field + ".poses")});
+        wishes.push_back({field + ".name", message.actors(i).name(),
+                          read_track(message.actors(i).poses(), field + ".poses")});
         const PoseTrack& track = wishes.back().dataset_from_actor;
         if (is_far_beyond(time_s, track))
             refuse(field + ".poses",
-                   fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(), track.time_s.back(), time_s),
-                   fmt::format("poses that cover the scan's time, or end at most {} s before or after it", kBeyondPath_s));
+                   fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
+                               track.time_s.back(), time_s),
+                   fmt::format("poses that cover the scan's time, or end at most {} s before or after it",
+                               kBeyondPath_s));
     }
     return wishes;
 }
@@ -83,10 +89,11 @@ std::vector<std::string> actor_names(const Run& run) {
     return names;
 }
 
-RequestReader::RequestReader(SceneSet& scenes) : RequestReader(scenes.outlines(), scenes.sources(), scenes.assets(), scenes.spawned()) {}
+RequestReader::RequestReader(SceneSet& scenes)
+    : RequestReader(scenes.outlines(), scenes.sources(), scenes.assets(), scenes.spawned()) {}
 
-RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources, const AssetShelf& assets,
-                             const SpawnedActors& spawned)
+RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
+                             const AssetShelf& assets, const SpawnedActors& spawned)
     : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
 
 std::size_t RequestReader::find_scene(const std::string& name, const std::string& field) const {
@@ -110,21 +117,26 @@ int RequestReader::find_lidar(std::size_t scene, const std::string& name) const 
     refuse_unknown("lidar", name, known);
 }
 
-std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::upload(const v1::SensorSpec& spec) {
+std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::upload(
+    const v1::SensorSpec& spec) {
     const std::string handle = uploaded_.add(read_sensor(spec, "sensor"));
     const std::shared_ptr<const SensorChoice> sensor = uploaded_.find(handle);
-    if (!sensor) throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED, "uploading a sensor: others came at once, expected fewer: try again");
+    if (!sensor)
+        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                      "uploading a sensor: others came at once, expected fewer: try again");
     return {handle, sensor};
 }
 
 /// By name, its rays made once.
-std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene, int lidar) {
+std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene,
+                                                                int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
     if (auto sensor = named_.find(key)) return sensor;
     return named_.put(key, named_sensor(name, outlines_[scene], lidar));
 }
 
-std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish& wish, std::size_t scene, int lidar) {
+std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish& wish, std::size_t scene,
+                                                               int lidar) {
     if (wish.returns > 2) refuse(wish.field + ".returns", fmt::format("{}", wish.returns), "1 or 2, or 0");
     std::shared_ptr<const SensorChoice> sensor;
     if (wish.sensor.has_spec()) {
@@ -133,14 +145,16 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish&
         sensor = uploaded_.find(wish.sensor.handle());
         if (!sensor)
             throw Refusal(grpc::StatusCode::NOT_FOUND,
-                          fmt::format("reading {}.handle: found {}, which is not there or no longer, expected one of UploadSensor: upload "
+                          fmt::format("reading {}.handle: found {}, which is not there or no longer, "
+                                      "expected one of UploadSensor: upload "
                                       "it again",
                                       wish.field, quoted(wish.sensor.handle())));
     } else {
         sensor = known_sensor(wish.sensor.name(), scene, lidar);
     }
     if (count_rays(*sensor) == 0)
-        refuse(wish.field, "a LiDAR that is known by its scans alone", "another sensor: it has no rays of its own");
+        refuse(wish.field, "a LiDAR that is known by its scans alone",
+               "another sensor: it has no rays of its own");
     const int returns = int(wish.returns);
     if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
     SensorChoice placed = *sensor;
@@ -156,17 +170,19 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     for (const Instance& instance : run.scene.instances) {
         if (instance.track.empty()) continue;
         const auto box = std::ranges::find(run.sequence.boxes, instance.track, &BoxTrack::id);
-        known.push_back({instance.track, instance.track, box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
+        known.push_back({instance.track, instance.track,
+                         box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
                          run.scene.models[instance.model].count});
     }
     for (const SpawnedActors::Place& place : spawned_.taken(scene))
-        known.push_back({place.actor.name, track_of_place(place.position), place.actor.size_m, place.actor.surfels});
+        known.push_back(
+            {place.actor.name, track_of_place(place.position), place.actor.size_m, place.actor.surfels});
     return known;
 }
 
 void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const {
     const std::vector<PlacedActor> known = known_actors(wanted.scene);
-    std::map<std::string_view, const PlacedActor*> by_name;   // there may be thousands
+    std::map<std::string_view, const PlacedActor*> by_name;  // there may be thousands
     for (const PlacedActor& actor : known) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
     for (const ActorWish& wish : wishes) {
@@ -178,7 +194,8 @@ void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedSca
     }
 }
 
-std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const {
+std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
+                                                  std::size_t scene) const {
     if (message.actors().empty()) refuse("actors", "none", "one actor at least");
     const std::vector<std::string> of_run = actor_names(outlines_[scene]);
     const std::vector<PlacedActor> known = known_actors(scene);
@@ -187,35 +204,42 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
         if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
-            refuse(field + ".name", quoted(spawn.name()), fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
+            refuse(field + ".name", quoted(spawn.name()),
+                   fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(of_run, spawn.name()) != of_run.end())
-            throw Refusal(grpc::StatusCode::ALREADY_EXISTS, fmt::format("reading {}.name: found {}, which is an actor of the run, expected "
-                                                                        "another name", field, quoted(spawn.name())));
+            throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
+                          fmt::format("reading {}.name: found {}, which is an actor of the run, expected "
+                                      "another name",
+                                      field, quoted(spawn.name())));
         if (spawn.has_asset()) {
             const AssetShelf::Entry* asset = assets_.find(spawn.asset());
             if (!asset) refuse_unknown(field + ".asset", spawn.asset(), asset_names(assets_));
-            wishes.push_back({spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
+            wishes.push_back(
+                {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
             continue;
         }
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(of_run, spawn.actor());
         if (actor == of_run.end()) refuse_unknown(field + ".actor", spawn.actor(), of_run);
-        const PlacedActor& model = known[std::size_t(actor - of_run.begin())];   // those of the run come first
+        // those of the run come first
+        const PlacedActor& model = known[std::size_t(actor - of_run.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
     return wishes;
 }
 
 WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
-                                   const std::optional<Pose>& path_from_sensor) {
+                                    const std::optional<Pose>& path_from_sensor) {
     WantedScan wanted;
     wanted.scene = find_scene(message.scene());
     wanted.sensor = find_sensor(wish, wanted.scene, find_lidar(wanted.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
     wanted.request.time_s = message.has_time_s() ? read_moment(message.time_s(), path, "time_s")
                                                  : path.time_s.front() - firing_span(*wanted.sensor).first_s;
-    wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s") : path.time_s.back();
-    wanted.request.dataset_from_sensor = path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
+    wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s")
+                                                   : path.time_s.back();
+    wanted.request.dataset_from_sensor =
+        path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
     if (message.has_actors()) place_actors(read_actors(message.actors(), wanted.request.time_s), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (!message.weather().empty()) wanted.weather = read_weather(message.weather());
@@ -233,16 +257,18 @@ WantedScan RequestReader::read(const v1::RenderLidarRequest& message) {
 
 std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
-        refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()), fmt::format("1 to {}", kMostSensors));
+        refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()),
+               fmt::format("1 to {}", kMostSensors));
     std::vector<WantedScan> scans;
-    std::set<std::string_view> names;   // sensors without a name are known by their order
+    std::set<std::string_view> names;  // sensors without a name are known by their order
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
         if (!sensor.name().empty() && !names.insert(sensor.name()).second)
             refuse(field + ".name", quoted(sensor.name()) + " again", "another name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
-        scans.push_back(read_scan(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()}, rig_from_sensor));
+        scans.push_back(read_scan(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()},
+                                  rig_from_sensor));
     }
     return scans;
 }

@@ -26,8 +26,8 @@ Run SceneSource::load() const {
     return run;
 }
 
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words, const std::optional<std::string>& channels,
-                                       const Weather& weather) {
+std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
+                                       const std::optional<std::string>& channels, const Weather& weather) {
     std::vector<SceneSource> sources;
     for (const std::string& word : words) {
         const std::size_t equals = word.find('=');
@@ -35,11 +35,15 @@ std::vector<SceneSource> scene_sources(const std::vector<std::string>& words, co
         const std::string folder = named ? word.substr(equals + 1) : word;
         sources.push_back({named ? word.substr(0, equals) : folder_name(folder), folder, channels, weather});
         const SceneSource& added = sources.back();
-        const auto same = std::find_if(sources.begin(), sources.end() - 1, [&](const SceneSource& s) { return s.name == added.name; });
-        if (added.name.empty()) throw UsageError(fmt::format("serving {}: found no name, expected NAME=RUN", word));
+        const auto same = std::find_if(sources.begin(), sources.end() - 1,
+                                       [&](const SceneSource& s) { return s.name == added.name; });
+        if (added.name.empty())
+            throw UsageError(fmt::format("serving {}: found no name, expected NAME=RUN", word));
         if (same != sources.end() - 1)
-            throw UsageError(fmt::format("serving {} and {}: found \"{}\" as the name of both, expected another one, given as NAME=RUN",
-                                         same->folder.string(), folder, added.name));
+            throw UsageError(
+                fmt::format("serving {} and {}: found \"{}\" as the name of both, expected another one, "
+                            "given as NAME=RUN",
+                            same->folder.string(), folder, added.name));
     }
     return sources;
 }

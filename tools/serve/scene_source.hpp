@@ -19,15 +19,17 @@ namespace relidar::serve {
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
-    std::optional<std::string> channels = {};   ///< of its scans; none: as the run is configured
-    Weather weather = {};                       ///< of its scans where a request does not say
+    std::optional<std::string> channels = {};  ///< of its scans; none: as the run is configured
+    Weather weather = {};                      ///< of its scans where a request does not say
 
     /// The run as it is served. @throws as load_run(); UsageError for unknown channels
     Run load() const;
 };
 
-/// From words "RUN" or "NAME=RUN"; the name is the folder's where none is given. @throws UsageError for a name that is used twice
-std::vector<SceneSource> scene_sources(const std::vector<std::string>& words, const std::optional<std::string>& channels = {},
+/// From words "RUN" or "NAME=RUN"; the name is the folder's where none is given. @throws
+/// UsageError for a name that is used twice
+std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
+                                       const std::optional<std::string>& channels = {},
                                        const Weather& weather = {});
 
 }  // namespace relidar::serve

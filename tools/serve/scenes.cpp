@@ -21,7 +21,8 @@ Run outline_of(Run run) {
     return run;
 }
 
-/// One ray ahead from where the log begins: whatever a scan needs beside its rays is on the device afterwards.
+/// One ray ahead from where the log begins: whatever a scan needs beside its rays is on
+/// the device afterwards.
 SensorChoice one_ray() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
@@ -35,7 +36,8 @@ ScanRequest first_pose(const Run& run) {
 
 }  // namespace
 
-SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes, const AssetShelf& assets)
+SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
+                   const AssetShelf& assets)
     : device_(device),
       sources_(std::move(sources)),
       memory_bytes_(memory_bytes),
@@ -47,13 +49,15 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
         load(i, run);
         outlines_.push_back(outline_of(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
-            throw DataError(fmt::format("serving {}: it holds {:.1f} MiB of device memory, expected at most {:.1f} (--memory-mib)",
-                                        sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
+            throw DataError(fmt::format(
+                "serving {}: it holds {:.1f} MiB of device memory, expected at most {:.1f} (--memory-mib)",
+                sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
         make_room(i, 0);
     }
 }
 
-SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work) {
+SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& weather,
+                             const std::function<void(ScanRenderer&)>& work) {
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
@@ -63,14 +67,15 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
         renderer.set_weather(weather.value_or(sources_[scene].weather));
         work(renderer);
     });
-    make_room(scene, 0);   // arrays grow with the rays of a sensor
+    make_room(scene, 0);  // arrays grow with the rays of a sensor
     return loaded_[scene].load;
 }
 
 void SceneSet::use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work) {
     if (!loaded_[scene].renderer || loaded_[scene].load != load)
-        throw DeviceError(fmt::format("rendering a scan of {}: found the scene lost by the request after it, expected it to stay",
-                                      sources_[scene].name));
+        throw DeviceError(fmt::format(
+            "rendering a scan of {}: found the scene lost by the request after it, expected it to stay",
+            sources_[scene].name));
     attempt(scene, work);
 }
 
@@ -78,7 +83,7 @@ void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&
     try {
         count_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
-        loaded_[scene].renderer.reset();   // what it holds is not known; the next request loads it again
+        loaded_[scene].renderer.reset();  // what it holds is not known; the next request loads it again
         throw;
     }
 }
@@ -93,7 +98,8 @@ void SceneSet::load(std::size_t scene, const Run& run) {
         loaded.renderer->render(one_ray(), first_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);   // none in the place of another scene
+    // none in the place of another scene
+    const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->side_by_side();
     loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
@@ -113,7 +119,7 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
     std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);
     if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
     const auto undo = [&] {
-        loaded.renderer.reset();   // the next request loads the scene as it was before
+        loaded.renderer.reset();  // the next request loads the scene as it was before
         spawned_.undo(scene, places, n_before);
     };
     try {
@@ -123,13 +129,15 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
         make_room(scene, 0);
     } catch (const DataError& error) {
         undo();
-        throw Refusal(grpc::StatusCode::FAILED_PRECONDITION, fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+        throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
+                      fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
     } catch (const DeviceLost&) {
         undo();
         throw;
     } catch (const DeviceError& error) {
         undo();
-        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED, fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                      fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
     } catch (...) {
         undo();
         throw;
@@ -138,17 +146,20 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
     const double needed_mib = double(loaded.bytes) / kMiB;
     undo();
     throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                  fmt::format("spawning {} actors: the scene would hold {:.1f} MiB of device memory with them, expected at most {:.1f} "
+                  fmt::format("spawning {} actors: the scene would hold {:.1f} MiB of device memory with "
+                              "them, expected at most {:.1f} "
                               "(--memory-mib of the server)",
                               wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Forgets the scenes used longest ago, but this one, until all fit with so many more bytes, or no other is left.
+/// Forgets the scenes used longest ago, but this one, until all fit with so many more
+/// bytes, or no other is left.
 void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     while (device_.allocated_bytes() + bytes > memory_bytes_) {
         Loaded* oldest = nullptr;
         for (std::size_t i = 0; i < loaded_.size(); ++i)
-            if (i != scene && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used)) oldest = &loaded_[i];
+            if (i != scene && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used))
+                oldest = &loaded_[i];
         if (!oldest) return;
         oldest->renderer.reset();
     }

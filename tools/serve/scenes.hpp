@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The runs that are served: what is known of each is kept, the surfels of those used last are on the device.
+// The runs that are served: what is known of each is kept, the surfels of those used last
+// are on the device.
 #pragma once
 
 #include <cstdint>
@@ -16,31 +17,41 @@
 
 namespace relidar::serve {
 
-/// Serves one thread at a time, that of its device; outlines(), assets() and spawned() are for all.
+/// Serves one thread at a time, that of its device; outlines(), assets() and spawned()
+/// are for all.
 class SceneSet {
 public:
     /// Loads each run, to see that it can be and how large it is.
-    /// @param memory_bytes  device memory that scenes may hold together; beyond it the one used longest ago goes
+    /// @param memory_bytes  device memory that scenes may hold together; beyond it the
+    /// one used longest ago goes
     /// @param assets  that may be spawned; it outlives this
     /// @throws DataError for a run that cannot be read, or is larger than that alone
-    SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes, const AssetShelf& assets);
+    SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
+             const AssetShelf& assets);
 
-    /// Runs without their surfels and ray-drop networks, in the order given. Never changes.
+    /// Runs without their surfels and ray-drop networks, in the order given. Never
+    /// changes.
     const std::vector<Run>& outlines() const { return outlines_; }
     const std::vector<SceneSource>& sources() const { return sources_; }
     const AssetShelf& assets() const { return assets_; }
     SpawnedActors& spawned() { return spawned_; }
 
-    /// Puts actors into a scene, which is loaded anew where there is no place for them. @return in the order of the wishes
-    /// @throws Refusal where a name is taken or an asset does not fit, and where the device's memory does not do: nothing has changed then
+    /// Puts actors into a scene, which is loaded anew where there is no place for them.
+    /// @return in the order of the wishes
+    /// @throws Refusal where a name is taken or an asset does not fit, and where the
+    /// device's memory does not do: nothing has changed then
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
 
-    /// Number of times that a scene had been loaded: later ones do not know what an earlier one was asked for.
+    /// Number of times that a scene had been loaded: later ones do not know what an
+    /// earlier one was asked for.
     enum class Load : std::uint64_t {};
-    /// Has a scene's renderer do something; loads the scene where it is not there. @param scene  index into outlines()
+    /// Has a scene's renderer do something; loads the scene where it is not there. @param
+    /// scene  index into outlines()
     /// @param weather  none: that of its source
-    Load use(std::size_t scene, const std::optional<Weather>& weather, const std::function<void(ScanRenderer&)>& work);
-    /// Has it do what is left of that, before another scene is used. @throws DeviceError where it was lost in between
+    Load use(std::size_t scene, const std::optional<Weather>& weather,
+             const std::function<void(ScanRenderer&)>& work);
+    /// Has it do what is left of that, before another scene is used. @throws DeviceError
+    /// where it was lost in between
     void use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
 
     /// Whether its surfels are on the device now.
@@ -48,11 +59,11 @@ public:
 
 private:
     struct Loaded {
-        std::unique_ptr<ScanRenderer> renderer;   ///< null where it is not loaded
-        std::uint64_t bytes = 0;                  ///< on the device, when it was there last
-        std::uint64_t used = 0;                   ///< by a clock that counts uses
-        Load load{};                              ///< the last one
-        std::size_t n_places = 0;                 ///< of spawned actors, that it was loaded with
+        std::unique_ptr<ScanRenderer> renderer;  ///< null where it is not loaded
+        std::uint64_t bytes = 0;                 ///< on the device, when it was there last
+        std::uint64_t used = 0;                  ///< by a clock that counts uses
+        Load load{};                             ///< the last one
+        std::size_t n_places = 0;                ///< of spawned actors, that it was loaded with
     };
 
     Device& device_;

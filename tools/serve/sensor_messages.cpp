@@ -19,8 +19,9 @@ namespace {
 
 constexpr std::uint64_t kMostRows = 65536;
 constexpr std::size_t kLongestName = 200;
-constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5, kDefaultRange_m = 80.0,
-                 kWidestBeam_rad = 1.0, kFarthestBeam_m = 10.0, kFastestMirror_hz = 1e6;
+constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRange_m = 1e5,
+                 kDefaultRange_m = 80.0, kWidestBeam_rad = 1.0, kFarthestBeam_m = 10.0,
+                 kFastestMirror_hz = 1e6;
 
 void check_count(const std::string& field, std::uint64_t rays) {
     if (rays < 1 || rays > kMostRaysOfScan)
@@ -28,11 +29,14 @@ void check_count(const std::string& field, std::uint64_t rays) {
 }
 
 void check_rows(const std::string& field, std::uint64_t rows) {
-    if (rows > kMostRows) refuse(field, fmt::format("{} rows of a scan", rows), fmt::format("at most {}: rings have 16 bits", kMostRows));
+    if (rows > kMostRows)
+        refuse(field, fmt::format("{} rows of a scan", rows),
+               fmt::format("at most {}: rings have 16 bits", kMostRows));
 }
 
 double read_between(const std::string& field, double value, double low, double high) {
-    if (!(value >= low && value <= high)) refuse(field, fmt::format("{}", value), fmt::format("a number from {} to {}", low, high));
+    if (!(value >= low && value <= high))
+        refuse(field, fmt::format("{}", value), fmt::format("a number from {} to {}", low, high));
     return value;
 }
 
@@ -40,7 +44,8 @@ double read_between(const std::string& field, double value, double low, double h
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
-        refuse(field, fmt::format("{} bytes", bytes.size()), fmt::format("{}: {} a ray of {}", n * sizeof(T), sizeof(T), n));
+        refuse(field, fmt::format("{} bytes", bytes.size()),
+               fmt::format("{}: {} a ray of {}", n * sizeof(T), sizeof(T), n));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
@@ -58,7 +63,8 @@ void check_values(const RayTable& rays, const std::string& field) {
                 fail("origin_m", x, fmt::format("metres within {}", kFarthestOrigin_m));
         if (const double angle = rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail("divergence_rad", float(angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
-        if (!(std::abs(double(time_s)) <= kLongestScan_s)) fail("time_s", time_s, fmt::format("seconds within {}", kLongestScan_s));
+        if (!(std::abs(double(time_s)) <= kLongestScan_s))
+            fail("time_s", time_s, fmt::format("seconds within {}", kLongestScan_s));
     }
 }
 
@@ -70,7 +76,8 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     check_count(field + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
-        refuse(field, fmt::format("{} rows of {} columns and {} directions", message.rows(), message.columns(), n),
+        refuse(field,
+               fmt::format("{} rows of {} columns and {} directions", message.rows(), message.columns(), n),
                "rows * columns directions");
     check_rows(field, message.rows());
     RayTable rays;
@@ -80,10 +87,12 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m"));
     rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field + ".time_s"));
     rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field + ".ring"));
-    rays.ray_divergence_rad = to_scan_array(read_array<float>(message.divergence_rad(), n, field + ".divergence_rad"));
+    rays.ray_divergence_rad =
+        to_scan_array(read_array<float>(message.divergence_rad(), n, field + ".divergence_rad"));
     rays.origin.resize(n, glm::vec3(0.0f));
     rays.time_offset_s.resize(n, 0.0f);
-    for (std::size_t i = rays.channel.size(); i < n; ++i) rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
+    for (std::size_t i = rays.channel.size(); i < n; ++i)
+        rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
     check_values(rays, field);
     for (glm::vec3& direction : rays.direction) direction = glm::normalize(direction);
     return rays;
@@ -93,7 +102,8 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
 void read_beam(const v1::Beam& message, const std::string& field, SpinningSensor& sensor) {
     const Beam beam{read_between(field + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
                     read_between(field + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
-                    read_between(field + ".origin_offset_m", message.origin_offset_m(), -kFarthestBeam_m, kFarthestBeam_m)};
+                    read_between(field + ".origin_offset_m", message.origin_offset_m(), -kFarthestBeam_m,
+                                 kFarthestBeam_m)};
     sensor.beams.push_back(beam);
 }
 
@@ -101,15 +111,19 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     check_count(field, std::uint64_t(message.beams_size()) * message.columns());
     check_rows(field, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
-    for (const v1::Beam& beam : message.beams()) read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
+    for (const v1::Beam& beam : message.beams())
+        read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
     // Neighbours may change places by a little, as those of a log's own sensor do.
-    if (const auto& beams = sensor.beams; !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
-        refuse(field + ".beams", fmt::format("{} rad first and {} rad last", beams.front().elevation_rad, beams.back().elevation_rad),
+    if (const auto& beams = sensor.beams;
+        !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
+        refuse(field + ".beams",
+               fmt::format("{} rad first and {} rad last", beams.front().elevation_rad,
+                           beams.back().elevation_rad),
                "beams from the highest down: row 0 of an image is the highest");
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;   // azimuth 0 is the middle of the turn
+    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;  // azimuth 0 is the middle of the turn
     return sensor;
 }
 
@@ -123,7 +137,8 @@ ScanningWindow read_window(const v1::ScanningWindow& message, const std::string&
             .left_rad = read_between(field + ".left_rad", message.left_rad(), -2 * kPi, 2 * kPi),
             .right_rad = read_between(field + ".right_rad", message.right_rad(), -2 * kPi, 2 * kPi),
             .top_rad = top_rad,
-            .bottom_rad = read_between(field + ".bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),   // row 0 is the highest
+            // row 0 is the highest
+            .bottom_rad = read_between(field + ".bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
@@ -131,22 +146,28 @@ Rosette read_rosette(const v1::Rosette& message, const std::string& field) {
     check_count(field, message.rays());
     return {.name = "",
             .deflection_rad = read_between(field + ".deflection_rad", message.deflection_rad(), 0.0, kPi / 2),
-            .first_hz = read_between(field + ".first_hz", message.first_hz(), -kFastestMirror_hz, kFastestMirror_hz),
-            .second_hz = read_between(field + ".second_hz", message.second_hz(), -kFastestMirror_hz, kFastestMirror_hz),
+            .first_hz =
+                read_between(field + ".first_hz", message.first_hz(), -kFastestMirror_hz, kFastestMirror_hz),
+            .second_hz = read_between(field + ".second_hz", message.second_hz(), -kFastestMirror_hz,
+                                      kFastestMirror_hz),
             .n_rays = int(message.rays()),
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
-/// "VLP-16:900x20" without what follows the colon; the whole where that is no number of columns and rate.
+/// "VLP-16:900x20" without what follows the colon; the whole where that is no number of
+/// columns and rate.
 std::string base_name(const std::string& name) {
     const std::size_t colon = name.rfind(':');
-    const bool sized = colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
+    const bool sized =
+        colon != std::string::npos && name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
     return sized ? name.substr(0, colon) : name;
 }
 
 std::uint64_t rays_of(const SensorModel& sensor) {
-    if (const auto* s = std::get_if<SpinningSensor>(&sensor.pattern)) return s->beams.size() * std::uint64_t(s->columns);
-    if (const auto* s = std::get_if<ScanningWindow>(&sensor.pattern)) return std::uint64_t(s->rows) * std::uint64_t(s->columns);
+    if (const auto* s = std::get_if<SpinningSensor>(&sensor.pattern))
+        return s->beams.size() * std::uint64_t(s->columns);
+    if (const auto* s = std::get_if<ScanningWindow>(&sensor.pattern))
+        return std::uint64_t(s->rows) * std::uint64_t(s->columns);
     if (const auto* s = std::get_if<Rosette>(&sensor.pattern)) return std::uint64_t(s->n_rays);
     return std::get<RayTable>(sensor.pattern).size();
 }
@@ -158,34 +179,49 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
     if (message.name().size() > kLongestName)
         refuse(field + ".name", quoted(message.name()), fmt::format("at most {} bytes", kLongestName));
     sensor.name = message.name().empty() ? "a client's sensor" : message.name();
-    sensor.limits.max_m =
-        read_between(field + ".max_range_m", message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m, 1e-3, kFarthestRange_m);
-    sensor.limits.min_m = read_between(field + ".min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
+    sensor.limits.max_m = read_between(field + ".max_range_m",
+                                       message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m,
+                                       1e-3, kFarthestRange_m);
+    sensor.limits.min_m =
+        read_between(field + ".min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
     switch (message.pattern_case()) {
-        case v1::SensorSpec::kRays: sensor.pattern = read_rays(message.rays(), field + ".rays"); break;
-        case v1::SensorSpec::kSpinning: sensor.pattern = read_spinning(message.spinning(), field + ".spinning"); break;
-        case v1::SensorSpec::kWindow: sensor.pattern = read_window(message.window(), field + ".window"); break;
-        case v1::SensorSpec::kRosette: sensor.pattern = read_rosette(message.rosette(), field + ".rosette"); break;
-        case v1::SensorSpec::PATTERN_NOT_SET: refuse(field, "no pattern", "rays, spinning, window or rosette");
+        case v1::SensorSpec::kRays:
+            sensor.pattern = read_rays(message.rays(), field + ".rays");
+            break;
+        case v1::SensorSpec::kSpinning:
+            sensor.pattern = read_spinning(message.spinning(), field + ".spinning");
+            break;
+        case v1::SensorSpec::kWindow:
+            sensor.pattern = read_window(message.window(), field + ".window");
+            break;
+        case v1::SensorSpec::kRosette:
+            sensor.pattern = read_rosette(message.rosette(), field + ".rosette");
+            break;
+        case v1::SensorSpec::PATTERN_NOT_SET:
+            refuse(field, "no pattern", "rays, spinning, window or rosette");
     }
-    const double divergence_rad = read_between(field + ".divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
+    const double divergence_rad =
+        read_between(field + ".divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
     std::visit(
         [&](auto& pattern) {
             if constexpr (requires { pattern.name; }) pattern.name = sensor.name;
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    if (std::holds_alternative<Rosette>(sensor.pattern)) make_rays(sensor);   // says now what is not finite: its rays are made scan by scan
+    // says now what is not finite: its rays are made scan by scan
+    if (std::holds_alternative<Rosette>(sensor.pattern)) make_rays(sensor);
     return sensor_choice(sensor);
 }
 
 SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
     if (name.empty()) return configured_sensor(run.config, run.sequence, lidar);
-    if (known_name(name, {"native", kitti360_grid().name})) return choose_sensor(name, run.config, run.sequence, lidar);
+    if (known_name(name, {"native", kitti360_grid().name}))
+        return choose_sensor(name, run.config, run.sequence, lidar);
     std::vector<std::string> known = sensor_names();
     if (!known_name(base_name(name), known)) {
         known.push_back("native");
-        refuse("sensor.name", quoted(name), fmt::format("a name that ListScenes gives, as {}", nearest_name(name.substr(0, 80), known)));
+        refuse("sensor.name", quoted(name),
+               fmt::format("a name that ListScenes gives, as {}", nearest_name(name.substr(0, 80), known)));
     }
     const SensorModel sensor = find_sensor(name);
     check_count("sensor.name " + quoted(name), rays_of(sensor));
@@ -194,7 +230,7 @@ SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
 
 FiringSpan firing_span(const SensorChoice& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    if (times.empty()) {   // a Rosette, or one that is known by its scans alone
+    if (times.empty()) {  // a Rosette, or one that is known by its scans alone
         const double period_s = sensor.pattern ? period_of(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};
     }

@@ -22,7 +22,9 @@ std::string SensorShelf::add(SensorChoice sensor) {
 std::shared_ptr<const SensorChoice> SensorShelf::put(const std::string& key, SensorChoice sensor) {
     const auto kept = std::make_shared<const SensorChoice>(std::move(sensor));
     const std::lock_guard lock(mutex_);
-    while (!entries_.empty() && (entries_.size() >= kMostSensors || count_rays() + kept->rays.size() > kMostRays)) forget_oldest();
+    while (!entries_.empty() &&
+           (entries_.size() >= kMostSensors || count_rays() + kept->rays.size() > kMostRays))
+        forget_oldest();
     entries_[key] = {kept, ++clock_};
     return kept;
 }
@@ -36,8 +38,9 @@ std::shared_ptr<const SensorChoice> SensorShelf::find(const std::string& key) {
 }
 
 void SensorShelf::forget_oldest() {
-    entries_.erase(
-        std::min_element(entries_.begin(), entries_.end(), [](const auto& a, const auto& b) { return a.second.used < b.second.used; }));
+    entries_.erase(std::min_element(entries_.begin(), entries_.end(), [](const auto& a, const auto& b) {
+        return a.second.used < b.second.used;
+    }));
 }
 
 std::size_t SensorShelf::count_rays() const {

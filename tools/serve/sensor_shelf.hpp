@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors whose rays are made already: uploaded ones by handle, and known ones by name. A shelf is bounded: what was used longest ago makes
-// room.
+// Sensors whose rays are made already: uploaded ones by handle, and known ones by name. A
+// shelf is bounded: what was used longest ago makes room.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +19,7 @@ namespace relidar::serve {
 class SensorShelf {
 public:
     static constexpr std::size_t kMostSensors = 64;
-    static constexpr std::size_t kMostRays = std::size_t(1) << 22;   ///< of all together: 120 MB
+    static constexpr std::size_t kMostRays = std::size_t(1) << 22;  ///< of all together: 120 MB
 
     /// @return a new key
     std::string add(SensorChoice sensor);

@@ -24,13 +24,14 @@ constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 struct WireLidar {
     sensorsim::LidarType type;
     const char* name;
-    double period_s;   ///< of its sweep, as find_sensor() has it
+    double period_s;  ///< of its sweep, as find_sensor() has it
 };
 constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
 
 const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
     const auto found = std::ranges::find(kLidars, type, &WireLidar::type);
-    if (found == std::end(kLidars)) refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128) or 1 (AT128)");
+    if (found == std::end(kLidars))
+        refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128) or 1 (AT128)");
     return *found;
 }
 
@@ -42,7 +43,8 @@ void add_floats(const std::string& bytes, google::protobuf::RepeatedField<float>
 }
 
 void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
-    const glm::dvec3 t = order == PoseOrder::rotation_first ? pose.translation : glm::inverse(pose.rotation) * pose.translation;
+    const glm::dvec3 t = order == PoseOrder::rotation_first ? pose.translation
+                                                            : glm::inverse(pose.rotation) * pose.translation;
     message.mutable_translation()->set_x(float(t.x));
     message.mutable_translation()->set_y(float(t.y));
     message.mutable_translation()->set_z(float(t.z));
@@ -56,7 +58,8 @@ void write_track(const PoseTrack& track, PoseOrder order, sensorsim::Trajectory&
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
             throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
-                          fmt::format("writing a trajectory: found a pose at {} s, expected times from 0: the wire has no others",
+                          fmt::format("writing a trajectory: found a pose at {} s, expected times from 0: "
+                                      "the wire has no others",
                                       track.time_s[i]));
         sensorsim::PoseAtTime& pose = *message.add_poses();
         write_pose(track.pose[i], order, *pose.mutable_pose());
@@ -93,14 +96,17 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
     return pose;
 }
 
-PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const Frame& frame, const std::string& field) const {
+PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const Frame& frame,
+                                      const std::string& field) const {
     if (!message.has_start() || !message.has_end())
         refuse(field, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
     Pose start = read_pose(message.start(), field + ".start"), end = read_pose(message.end(), field + ".end");
     start.translation += frame.world_offset_m;
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
-    if (!same(start, end)) refuse(field, "two poses in a frame that takes no time", "one pose, or a frame_end_us after frame_start_us");
+    if (!same(start, end))
+        refuse(field, "two poses in a frame that takes no time",
+               "one pose, or a frame_end_us after frame_start_us");
     return {{frame.start_s}, {start}};
 }
 
@@ -112,22 +118,26 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
     WantedScan wanted;
     wanted.scene = find_scene(message.scene_id());
     const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),
-                      read_time(double(end_us) * kMicrosecond, "frame_end_us"), outlines_[wanted.scene].sequence.world_offset_m};
+                      read_time(double(end_us) * kMicrosecond, "frame_end_us"),
+                      outlines_[wanted.scene].sequence.world_offset_m};
     wanted.sensor = sensor(message);
-    wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);   // the middle of the sweep is time 0 of the rays
+    // the middle of the sweep is time 0 of the rays
+    wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     wanted.points_at_s = frame.end_s;
     std::vector<ActorWish> actors;
     for (int i = 0; i < message.dynamic_objects_size(); ++i) {
         const sensorsim::DynamicObject& object = message.dynamic_objects(i);
         const std::string field = fmt::format("dynamic_objects[{}]", i);
-        actors.push_back({field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
+        actors.push_back(
+            {field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
     }
     reader_.place_actors(actors, wanted);
     return wanted;
 }
 
-void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config, sensorsim::LidarRenderReturn& message) {
+void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
+                sensorsim::LidarRenderReturn& message) {
     v1::LidarScan ours;
     write_scan(scan, wanted, config, ours);
     message.set_count(ours.points().count());
@@ -140,7 +150,8 @@ void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message) {
     write_track(run.sequence.world_from_vehicle, order, *message.add_trajectories()->mutable_trajectory());
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i)
-        write_track(run.sequence.world_from_sensor(int(i)), order, *message.add_trajectories()->mutable_trajectory());
+        write_track(run.sequence.world_from_sensor(int(i)), order,
+                    *message.add_trajectories()->mutable_trajectory());
 }
 
 }  // namespace relidar::serve

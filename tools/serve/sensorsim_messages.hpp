@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests and answers of sensorsim.proto. Its world is relidar's, near the log, because its numbers are single; the dataset's world may
-// lie thousands of kilometres away.
+// Requests and answers of sensorsim.proto. Its world is relidar's, near the log, because
+// its numbers are single; the dataset's world may lie thousands of kilometres away.
 #pragma once
 
 #include <memory>
@@ -21,13 +21,17 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 /// For any thread.
 class SensorsimReader {
 public:
-    /// @param outlines  of the scenes that `reader` knows; both outlive this @param order  of the parts of every pose
+    /// @param outlines  of the scenes that `reader` knows; both outlive this @param order
+    /// of the parts of every pose
     SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
     /// Index of a scene. @throws Refusal
-    std::size_t find_scene(const std::string& scene_id) const { return reader_.find_scene(scene_id, "scene_id"); }
-    /// The sensor's sweep fills the frame: its first ray is fired when that begins, its last one when it ends.
+    std::size_t find_scene(const std::string& scene_id) const {
+        return reader_.find_scene(scene_id, "scene_id");
+    }
+    /// The sensor's sweep fills the frame: its first ray is fired when that begins, its
+    /// last one when it ends.
     /// @throws Refusal naming the field that makes no sense
     WantedScan read(const sensorsim::LidarRenderRequest& message);
 
@@ -43,13 +47,16 @@ private:
     };
     std::shared_ptr<const SensorChoice> sensor(const sensorsim::LidarRenderRequest& message);
     Pose read_pose(const sensorsim::Pose& message, const std::string& field) const;
-    PoseTrack read_track(const sensorsim::PosePair& message, const Frame& frame, const std::string& field) const;
+    PoseTrack read_track(const sensorsim::PosePair& message, const Frame& frame,
+                         const std::string& field) const;
 };
 
 /// Points of a scan that has been rendered as read() says.
-void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config, sensorsim::LidarRenderReturn& message);
+void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
+                sensorsim::LidarRenderReturn& message);
 
-/// Of the log's vehicle, then of its LiDARs. @throws Refusal for a log that began before time 0, which the wire cannot say
+/// Of the log's vehicle, then of its LiDARs. @throws Refusal for a log that began before
+/// time 0, which the wire cannot say
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message);
 
 }  // namespace relidar::serve

@@ -11,12 +11,14 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostScans = 64;   // of one call, as of a rig
+constexpr int kMostScans = 64;  // of one call, as of a rig
 
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
     throw Refusal(
         grpc::StatusCode::UNIMPLEMENTED,
-        fmt::format("answering {}: found {}, expected LiDAR scans alone (render_lidar): relidar renders no cameras", call, found));
+        fmt::format(
+            "answering {}: found {}, expected LiDAR scans alone (render_lidar): relidar renders no cameras",
+            call, found));
 }
 
 }  // namespace
@@ -30,7 +32,8 @@ SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrd
 
 SensorsimService::~SensorsimService() = default;
 
-grpc::Status SensorsimService::get_version(grpc::ServerContext*, const sensorsim::Empty*, sensorsim::VersionId* answer) {
+grpc::Status SensorsimService::get_version(grpc::ServerContext*, const sensorsim::Empty*,
+                                           sensorsim::VersionId* answer) {
     answer->set_version("relidar " RELIDAR_VERSION);
     answer->mutable_numbers()->set_major(RELIDAR_VERSION_MAJOR);
     answer->mutable_numbers()->set_minor(RELIDAR_VERSION_MINOR);
@@ -38,32 +41,39 @@ grpc::Status SensorsimService::get_version(grpc::ServerContext*, const sensorsim
     return grpc::Status::OK;
 }
 
-grpc::Status SensorsimService::get_available_scenes(grpc::ServerContext*, const sensorsim::Empty*, sensorsim::AvailableScenes* answer) {
+grpc::Status SensorsimService::get_available_scenes(grpc::ServerContext*, const sensorsim::Empty*,
+                                                    sensorsim::AvailableScenes* answer) {
     for (const SceneSource& source : scenes_.sources()) answer->add_scene_ids(source.name);
     return grpc::Status::OK;
 }
 
-grpc::Status SensorsimService::get_available_trajectories(grpc::ServerContext*, const sensorsim::SceneRequest* request,
+grpc::Status SensorsimService::get_available_trajectories(grpc::ServerContext*,
+                                                          const sensorsim::SceneRequest* request,
                                                           sensorsim::AvailableTrajectories* answer) {
-    return answered([&] { write_trajectories(scenes_.outlines()[reader_->find_scene(request->scene_id())], order_, *answer); });
+    return answered([&] {
+        write_trajectories(scenes_.outlines()[reader_->find_scene(request->scene_id())], order_, *answer);
+    });
 }
 
-grpc::Status SensorsimService::get_available_cameras(grpc::ServerContext*, const sensorsim::SceneRequest* request,
+grpc::Status SensorsimService::get_available_cameras(grpc::ServerContext*,
+                                                     const sensorsim::SceneRequest* request,
                                                      sensorsim::AvailableCameras*) {
     return answered([&] { reader_->find_scene(request->scene_id()); });
 }
 
-grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, const sensorsim::Empty*, sensorsim::AvailableEgoMasks*) {
+grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, const sensorsim::Empty*,
+                                                       sensorsim::AvailableEgoMasks*) {
     return grpc::Status::OK;
 }
 
-void SensorsimService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
-                              sensorsim::LidarRenderReturn& answer) {
+void SensorsimService::render(RenderQueue::Place& place, const WantedScan& wanted,
+                              const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer) {
     const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
     write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
 }
 
-grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context, const sensorsim::LidarRenderRequest* request,
+grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context,
+                                            const sensorsim::LidarRenderRequest* request,
                                             sensorsim::LidarRenderReturn* answer) {
     return answered([&] {
         RenderQueue::Place place = enter(queue_);
@@ -71,19 +81,24 @@ grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context, const 
     });
 }
 
-grpc::Status SensorsimService::render_rgb(grpc::ServerContext*, const sensorsim::RgbRenderRequest*, sensorsim::RgbRenderReturn*) {
+grpc::Status SensorsimService::render_rgb(grpc::ServerContext*, const sensorsim::RgbRenderRequest*,
+                                          sensorsim::RgbRenderReturn*) {
     return answered([] { refuse_images("render_rgb", "an image wanted"); });
 }
 
-grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context, const sensorsim::AggregatedRenderRequest* request,
+grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
+                                                 const sensorsim::AggregatedRenderRequest* request,
                                                  sensorsim::AggregatedRenderReturn* answer) {
     return answered([&] {
-        if (request->rgb_size() > 0) refuse_images("render_aggregated", fmt::format("{} images wanted", request->rgb_size()));
+        if (request->rgb_size() > 0)
+            refuse_images("render_aggregated", fmt::format("{} images wanted", request->rgb_size()));
         if (request->lidar_size() > kMostScans)
-            refuse("lidar", fmt::format("{} scans", request->lidar_size()), fmt::format("at most {} in a call", kMostScans));
-        RenderQueue::Place place = enter(queue_);   // for all of them
+            refuse("lidar", fmt::format("{} scans", request->lidar_size()),
+                   fmt::format("at most {} in a call", kMostScans));
+        RenderQueue::Place place = enter(queue_);  // for all of them
         std::vector<WantedScan> wanted;
-        for (const sensorsim::LidarRenderRequest& lidar : request->lidar()) wanted.push_back(reader_->read(lidar));
+        for (const sensorsim::LidarRenderRequest& lidar : request->lidar())
+            wanted.push_back(reader_->read(lidar));
         for (const WantedScan& scan : wanted) render(place, scan, *context, *answer->add_lidar());
     });
 }

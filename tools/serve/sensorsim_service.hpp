@@ -22,10 +22,12 @@ public:
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
     ~SensorsimService() override;
 
-    grpc::Status get_version(grpc::ServerContext* context, const sensorsim::Empty* request, sensorsim::VersionId* answer) override;
+    grpc::Status get_version(grpc::ServerContext* context, const sensorsim::Empty* request,
+                             sensorsim::VersionId* answer) override;
     grpc::Status get_available_scenes(grpc::ServerContext* context, const sensorsim::Empty* request,
                                       sensorsim::AvailableScenes* answer) override;
-    grpc::Status get_available_trajectories(grpc::ServerContext* context, const sensorsim::SceneRequest* request,
+    grpc::Status get_available_trajectories(grpc::ServerContext* context,
+                                            const sensorsim::SceneRequest* request,
                                             sensorsim::AvailableTrajectories* answer) override;
     grpc::Status get_available_cameras(grpc::ServerContext* context, const sensorsim::SceneRequest* request,
                                        sensorsim::AvailableCameras* answer) override;
@@ -35,7 +37,8 @@ public:
                               sensorsim::LidarRenderReturn* answer) override;
     grpc::Status render_rgb(grpc::ServerContext* context, const sensorsim::RgbRenderRequest* request,
                             sensorsim::RgbRenderReturn* answer) override;
-    grpc::Status render_aggregated(grpc::ServerContext* context, const sensorsim::AggregatedRenderRequest* request,
+    grpc::Status render_aggregated(grpc::ServerContext* context,
+                                   const sensorsim::AggregatedRenderRequest* request,
                                    sensorsim::AggregatedRenderReturn* answer) override;
 
 private:

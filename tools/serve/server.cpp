@@ -25,11 +25,13 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kLargestRequest = 40 << 20;   // bytes: a table of the most rays, 30 bytes each, and room for what is around it
-constexpr std::size_t kOtherThreads = 32;   // beside those that wait in the queue: for calls that are answered at once
-constexpr int kKeepalive_ms = 20'000;       // a client that vanished without a word is noticed after that
-constexpr int kHandshake_ms = 10'000;       // a connection that does not speak gRPC by then is closed
-constexpr int kLongestIdle_ms = 600'000;    // of a connection; clients connect again when they need to
+// bytes: a table of the most rays, 30 bytes each, and room for what is around it
+constexpr int kLargestRequest = 40 << 20;
+// beside those that wait in the queue: for calls that are answered at once
+constexpr std::size_t kOtherThreads = 32;
+constexpr int kKeepalive_ms = 20'000;     // a client that vanished without a word is noticed after that
+constexpr int kHandshake_ms = 10'000;     // a connection that does not speak gRPC by then is closed
+constexpr int kLongestIdle_ms = 600'000;  // of a connection; clients connect again when they need to
 
 std::string read_pem(const std::string& file) {
     std::ifstream in(file, std::ios::binary);
@@ -46,12 +48,13 @@ std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& option
     return grpc::SslServerCredentials(tls);
 }
 
-/// gRPC's own log goes to stderr in a form of its own; what matters of it is said by exceptions and statuses. Protobuf has a line for each
-/// text of a client that is no UTF-8: whoever can connect could fill a disk.
+/// gRPC's own log goes to stderr in a form of its own; what matters of it is said by
+/// exceptions and statuses. Protobuf has a line for each text of a client that is no
+/// UTF-8: whoever can connect could fill a disk.
 void silence_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
-#if GOOGLE_PROTOBUF_VERSION < 4022000   // from then on by absl, which says nothing unless it is asked to
+#if GOOGLE_PROTOBUF_VERSION < 4022000  // from then on by absl, which says nothing unless it is asked to
     google::protobuf::SetLogHandler(nullptr);
 #endif
 }
@@ -65,12 +68,12 @@ std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
 struct ScanServer::Impl {
     RenderQueue queue;
     std::optional<AssetShelf> assets;
-    std::optional<Device> device;      ///< this and the scenes: made, used and destroyed on the queue's thread
+    std::optional<Device> device;  ///< this and the scenes: made, used and destroyed on the queue's thread
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
     std::optional<Acceptor> acceptor;
-    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;   ///< of the server
+    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;  ///< of the server
     std::unique_ptr<grpc::Server> server;
 
     explicit Impl(std::size_t waiting) : queue(waiting) {}
@@ -81,7 +84,9 @@ struct ScanServer::Impl {
         on_render_thread([&] { scenes.reset(), device.reset(); });
     }
 
-    void on_render_thread(const std::function<void()>& work) { queue.enter()->run(work, [] { return true; }); }
+    void on_render_thread(const std::function<void()>& work) {
+        queue.enter()->run(work, [] { return true; });
+    }
     void listen(const ServerOptions& options);
     void set_serving(bool serving);
 };
@@ -100,13 +105,15 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshake_ms);
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
     using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
-    connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials(options));
+    connections =
+        builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials(options));
     builder.RegisterService(&*service);
     if (sensorsim) builder.RegisterService(&*sensorsim);
     server = builder.BuildAndStart();
     if (!server)
-        throw UsageError(fmt::format("listening at {}: gRPC does not start{}", options.listen,
-                                     options.tls_cert.empty() ? "" : ", expected a certificate that fits its key"));
+        throw UsageError(
+            fmt::format("listening at {}: gRPC does not start{}", options.listen,
+                        options.tls_cert.empty() ? "" : ", expected a certificate that fits its key"));
     set_serving(true);
     acceptor->start([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;
@@ -120,7 +127,7 @@ void ScanServer::Impl::set_serving(bool serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), serving);
     if (sensorsim) health.SetServingStatus(sensorsim::SensorsimService::service_full_name(), serving);
-    if (!serving) health.SetServingStatus("", false);   // the server as a whole
+    if (!serving) health.SetServingStatus("", false);  // the server as a whole
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
@@ -128,7 +135,8 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
     impl_->assets.emplace(options.assets);
     impl_->on_render_thread([&] {
         impl_->device.emplace(options.device);
-        impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device), *impl_->assets);
+        impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device),
+                              *impl_->assets);
     });
     if (ScanRenderer::default_side_by_side(*impl_->device) > 1) impl_->queue.begin_together(kCallsTogether);
     impl_->service.emplace(impl_->queue, *impl_->scenes);

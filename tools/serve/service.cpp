@@ -26,46 +26,53 @@ void tell_times(const Timed<Scan>& timed, v1::LidarScan& answer) {
 
 }  // namespace
 
-/// Whether an answer is points and nothing that a PointScan lacks: images, channels, second returns.
+/// Whether an answer is points and nothing that a PointScan lacks: images, channels,
+/// second returns.
 bool RenderService::points_are_all(const WantedScan& wanted) const {
     const Config& config = scenes_.outlines()[wanted.scene].config;
     const SensorChoice& sensor = *wanted.sensor;
-    return wanted.points && !wanted.range_image && !wanted.drop_probability && config.render.channels.empty() &&
+    return wanted.points && !wanted.range_image && !wanted.drop_probability &&
+           config.render.channels.empty() &&
            wanted.weather.value_or(scenes_.sources()[wanted.scene].weather).clear() &&
            std::max(sensor.returns, config.sensor.returns) < 2 && sensor.rays.size() > 0;
 }
 
-void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
-                           v1::LidarScan& answer) {
+void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted,
+                           const grpc::ServerContext& context, v1::LidarScan& answer) {
     const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
     write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
     write_sparse_actors(wanted, {timed.scan.image.origin, timed.scan.image.direction}, answer);
     tell_times(timed, answer);
 }
 
-void RenderService::render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted, const grpc::ServerContext& context,
+void RenderService::render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted,
+                                  const grpc::ServerContext& context,
                                   std::span<v1::LidarScan* const> answers) {
     const Timed<std::vector<PointScan>> timed = serve::render_points(place, scenes_, wanted, context);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
         write_scan(timed.scan[i], wanted[i], *answers[i]);
-        write_sparse_actors(wanted[i], {wanted[i].sensor->rays.origin, wanted[i].sensor->rays.direction}, *answers[i]);
+        write_sparse_actors(wanted[i], {wanted[i].sensor->rays.origin, wanted[i].sensor->rays.direction},
+                            *answers[i]);
         tell_times(timed, *answers[i]);
     }
 }
 
-grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse* answer) {
+grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
+                                       v1::ListScenesResponse* answer) {
     return answered([&] {
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
             write_scene(scenes_.sources()[i].name, scenes_.outlines()[i], *answer->add_scenes());
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
             for (const SpawnedActors::Place& place : scenes_.spawned().taken(i))
                 write_spawned(place, scenes_.outlines()[i], *answer->mutable_scenes(int(i))->add_spawned());
-        for (const AssetShelf::Entry& entry : scenes_.assets().entries()) write_asset(entry.facts, *answer->add_assets());
+        for (const AssetShelf::Entry& entry : scenes_.assets().entries())
+            write_asset(entry.facts, *answer->add_assets());
         for (const std::string& name : sensor_names()) answer->add_sensors(name);
     });
 }
 
-grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request, v1::GetTracksResponse* answer) {
+grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request,
+                                      v1::GetTracksResponse* answer) {
     return answered([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
         const int lidar = reader_.find_lidar(scene, request->lidar());
@@ -80,13 +87,15 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
         const std::size_t scene = reader_.find_scene(request->scene());
         const std::vector<SpawnWish> wishes = reader_.read_spawns(*request, scene);
         std::vector<SpawnedActors::Place> places;
-        const WorkEnd end = in_line.run([&] { places = scenes_.spawn(scene, wishes); }, [&] { return is_wanted(*context); });
+        const WorkEnd end =
+            in_line.run([&] { places = scenes_.spawn(scene, wishes); }, [&] { return is_wanted(*context); });
         if (end == WorkEnd::unwanted) give_up(*context);
-        if (!is_wanted(*context)) {   // whoever is not told that they are there would never take them out
+        if (!is_wanted(*context)) {  // whoever is not told that they are there would never take them out
             scenes_.spawned().give_back(scene, names_of_spawned(places));
             give_up(*context);
         }
-        for (const SpawnedActors::Place& place : places) write_spawned(place, scenes_.outlines()[scene], *answer->add_actors());
+        for (const SpawnedActors::Place& place : places)
+            write_spawned(place, scenes_.outlines()[scene], *answer->add_actors());
     });
 }
 
@@ -99,7 +108,8 @@ grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::Despaw
     });
 }
 
-grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request, v1::UploadSensorResponse* answer) {
+grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request,
+                                         v1::UploadSensorResponse* answer) {
     return answered([&] {
         const auto [handle, sensor] = reader_.upload(request->sensor());
         const FiringSpan span = firing_span(*sensor);
@@ -111,7 +121,8 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
     });
 }
 
-grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) {
+grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
+                                        v1::LidarScan* answer) {
     return answered([&] {
         RenderQueue::Place place = enter(queue_);
         const WantedScan wanted = reader_.read(*request);
@@ -123,10 +134,12 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return answered([&] {
-        RenderQueue::Place place = enter(queue_);   // for all of them: a rig that has begun is not turned away in the middle
+        // for all of them: a rig that has begun is not turned away in the middle
+        RenderQueue::Place place = enter(queue_);
         const std::vector<WantedScan> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {
-            for (n = 0; n < kMostAtOnce && first + n < wanted.size() && points_are_all(wanted[first + n]);) ++n;
+            for (n = 0; n < kMostAtOnce && first + n < wanted.size() && points_are_all(wanted[first + n]);)
+                ++n;
             const bool of_points = n > 0;
             n = std::max<std::size_t>(n, 1);
             std::vector<v1::RigScan> scans(n);

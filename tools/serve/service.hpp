@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The calls of render.proto: each reads its request, has the render thread do what is wanted, and writes the answer, all on gRPC's own
-// threads but the rendering itself.
+// The calls of render.proto: each reads its request, has the render thread do what is
+// wanted, and writes the answer, all on gRPC's own threads but the rendering itself.
 #pragma once
 
 #include <functional>
@@ -19,14 +19,18 @@ public:
     /// Both outlive the service. @param scenes  renders on the queue's thread alone
     RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 
-    grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request, v1::ListScenesResponse* answer) override;
-    grpc::Status GetTracks(grpc::ServerContext* context, const v1::GetTracksRequest* request, v1::GetTracksResponse* answer) override;
-    grpc::Status SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request, v1::SpawnActorsResponse* answer) override;
+    grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request,
+                            v1::ListScenesResponse* answer) override;
+    grpc::Status GetTracks(grpc::ServerContext* context, const v1::GetTracksRequest* request,
+                           v1::GetTracksResponse* answer) override;
+    grpc::Status SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
+                             v1::SpawnActorsResponse* answer) override;
     grpc::Status DespawnActors(grpc::ServerContext* context, const v1::DespawnActorsRequest* request,
                                v1::DespawnActorsResponse* answer) override;
     grpc::Status UploadSensor(grpc::ServerContext* context, const v1::UploadSensorRequest* request,
                               v1::UploadSensorResponse* answer) override;
-    grpc::Status RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request, v1::LidarScan* answer) override;
+    grpc::Status RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
+                             v1::LidarScan* answer) override;
     grpc::Status RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                            grpc::ServerWriter<v1::RigScan>* writer) override;
 
@@ -36,9 +40,10 @@ private:
     RequestReader reader_;
 
     bool points_are_all(const WantedScan& wanted) const;
-    void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context, v1::LidarScan& answer);
-    void render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted, const grpc::ServerContext& context,
-                       std::span<v1::LidarScan* const> answers);
+    void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
+                v1::LidarScan& answer);
+    void render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted,
+                       const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };
 
 }  // namespace relidar::serve

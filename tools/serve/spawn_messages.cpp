@@ -41,7 +41,8 @@ void write_sparse_actors(const WantedScan& wanted, const RaysOfScan& rays, v1::L
     for (const PlacedActor& actor : wanted.placed) {
         const Pose dataset_from_actor = wanted.request.dataset_from_actor->at(actor.track).at(time_s);
         const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
-        const ActorDetail detail = actor_detail(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
+        const ActorDetail detail =
+            actor_detail(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
         if (!detail.is_sparse()) continue;
         v1::SparseActor& sparse = *message.add_sparse_actors();
         sparse.set_name(actor.name);

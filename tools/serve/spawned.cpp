@@ -14,11 +14,14 @@
 namespace relidar::serve {
 namespace {
 
-constexpr std::size_t kMostSpare = 8;   // places made at once: with image.sh_direction=surfel each has surfels of its own
+// places made at once: with image.sh_direction=surfel each has surfels of its own
+constexpr std::size_t kMostSpare = 8;
 
 using SpawnedPlaces = std::vector<SpawnWish>;
 
-auto find_spawned(SpawnedPlaces& places, const std::string& name) { return std::ranges::find(places, name, &SpawnWish::name); }
+auto find_spawned(SpawnedPlaces& places, const std::string& name) {
+    return std::ranges::find(places, name, &SpawnWish::name);
+}
 
 /// A free place of the same source; where there is none, the first of new ones.
 std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
@@ -27,19 +30,24 @@ std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
     if (free != places.end()) return std::size_t(free - places.begin());
     const auto of_source = std::size_t(std::ranges::count(places, wish.source, &SpawnWish::source));
     if (places.size() >= SpawnedActors::kMostPlaces)
-        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      fmt::format("spawning {}: found {} places of spawned actors in this scene, expected at most that many",
-                                  quoted(wish.name), places.size()));
+        throw Refusal(
+            grpc::StatusCode::RESOURCE_EXHAUSTED,
+            fmt::format(
+                "spawning {}: found {} places of spawned actors in this scene, expected at most that many",
+                quoted(wish.name), places.size()));
     const std::size_t first = places.size();
     SpawnWish empty = wish;
     empty.name.clear();
-    places.resize(std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces), empty);
+    places.resize(
+        std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces),
+        empty);
     return first;
 }
 
 std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
     const auto instance = std::ranges::find(scene.instances, track, &Instance::track);
-    if (instance == scene.instances.end()) throw DataError(fmt::format("spawning {}: the run has no such actor any more", track));
+    if (instance == scene.instances.end())
+        throw DataError(fmt::format("spawning {}: the run has no such actor any more", track));
     return instance->model;
 }
 
@@ -69,14 +77,16 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
     return scenes_[scene].size();
 }
 
-std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene, const std::vector<SpawnWish>& wishes) {
+std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
+                                                      const std::vector<SpawnWish>& wishes) {
     const std::lock_guard lock(mutex_);
-    SpawnedPlaces places = scenes_[scene];   // a copy: a refusal changes nothing
+    SpawnedPlaces places = scenes_[scene];  // a copy: a refusal changes nothing
     std::vector<Place> given;
     for (const SpawnWish& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
-                          fmt::format("spawning {}: found an actor of that name, expected one that is free", quoted(wish.name)));
+                          fmt::format("spawning {}: found an actor of that name, expected one that is free",
+                                      quoted(wish.name)));
         const std::size_t position = free_place(places, wish);
         places[position] = wish;
         given.push_back({position, wish});
@@ -91,8 +101,10 @@ void SpawnedActors::give_back(std::size_t scene, const std::vector<std::string>&
     for (const std::string& name : names) {
         const auto place = find_spawned(places, name);
         if (name.empty() || place == places.end())
-            throw Refusal(grpc::StatusCode::NOT_FOUND,
-                          fmt::format("despawning {}: found no spawned actor of that name, expected one, once", quoted(name)));
+            throw Refusal(
+                grpc::StatusCode::NOT_FOUND,
+                fmt::format("despawning {}: found no spawned actor of that name, expected one, once",
+                            quoted(name)));
         place->name.clear();
     }
     scenes_[scene] = std::move(places);
@@ -107,7 +119,7 @@ void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, st
 std::string track_of_place(std::size_t position) { return fmt::format("\x01spawned {}", position); }
 
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets) {
-    std::map<std::string, std::uint32_t> models;   // of assets
+    std::map<std::string, std::uint32_t> models;  // of assets
     for (const SpawnedActors::Place& place : places) {
         const SpawnSource& source = place.actor.source;
         std::uint32_t model = 0;

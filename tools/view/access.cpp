@@ -16,7 +16,8 @@ bool equal_in_any_case(std::string_view a, std::string_view b) {
 }
 
 bool is_port(std::string_view text) {
-    return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
+    return !text.empty() && text.size() <= 5 &&
+           std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
 }
 
 /// The host of "host", "host:port" or "[address]:port"; empty where it is none of them.
@@ -39,7 +40,8 @@ std::string_view without_port(std::string_view host) {
 bool is_own_host(std::string_view host, std::string_view own_name) {
     const std::string_view name = without_port(host);
     if (name.empty()) return false;
-    if (equal_in_any_case(name, "localhost") || (!own_name.empty() && equal_in_any_case(name, own_name))) return true;
+    if (equal_in_any_case(name, "localhost") || (!own_name.empty() && equal_in_any_case(name, own_name)))
+        return true;
     boost::system::error_code failed;
     boost::asio::ip::make_address(std::string(name), failed);
     return !failed;
@@ -47,12 +49,13 @@ bool is_own_host(std::string_view host, std::string_view own_name) {
 
 bool is_own_origin(std::string_view origin, std::string_view host) {
     constexpr std::string_view kScheme = "http://";
-    return origin.empty() || (origin.starts_with(kScheme) && equal_in_any_case(origin.substr(kScheme.size()), host));
+    return origin.empty() ||
+           (origin.starts_with(kScheme) && equal_in_any_case(origin.substr(kScheme.size()), host));
 }
 
 bool same_secret(std::string_view a, std::string_view b) {
     unsigned differs = a.size() == b.size() ? 0u : 1u;
-    for (std::size_t i = 0; i < b.size(); ++i) {   // over all of b, which is ours, whatever a is
+    for (std::size_t i = 0; i < b.size(); ++i) {  // over all of b, which is ours, whatever a is
         const char shown = i < a.size() ? a[i] : '\0';
         differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(b[i]);
     }
@@ -65,13 +68,15 @@ std::string_view value_of(std::string_view list, std::string_view name, char sep
         std::string_view entry = list.substr(0, end);
         list.remove_prefix(std::min(end + 1, list.size()));
         while (entry.starts_with(' ')) entry.remove_prefix(1);
-        if (entry.size() > name.size() && entry.starts_with(name) && entry[name.size()] == '=') return entry.substr(name.size() + 1);
+        if (entry.size() > name.size() && entry.starts_with(name) && entry[name.size()] == '=')
+            return entry.substr(name.size() + 1);
     }
     return {};
 }
 
 bool shows_token(const Credentials& request, std::string_view token, std::string_view cookie_name) {
-    return same_secret(value_of(request.query, "token", '&'), token) || same_secret(value_of(request.cookie, cookie_name, ';'), token);
+    return same_secret(value_of(request.query, "token", '&'), token) ||
+           same_secret(value_of(request.cookie, cookie_name, ';'), token);
 }
 
 }  // namespace relidar::view

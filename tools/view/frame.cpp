@@ -19,7 +19,9 @@ static_assert(std::endian::native == std::endian::little, "arrays are sent as th
 
 using Json = nlohmann::json;
 
-std::uint8_t as_byte(float share) { return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f))); }
+std::uint8_t as_byte(float share) {
+    return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f)));
+}
 
 /// Arrays one behind the other, and what the header says of them.
 class Arrays {
@@ -46,7 +48,8 @@ public:
         for (const auto& [info, values, second] : scan.channels) {
             const auto add_one = [&, &name = info.name]<class T>(const std::vector<T>& of_rays) {
                 constexpr bool is_vector = std::is_same_v<T, glm::vec3>;
-                add(prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32", is_vector ? 3 : 1, of_rays);
+                add(prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32",
+                    is_vector ? 3 : 1, of_rays);
             };
             std::visit(add_one, values);
         }
@@ -61,13 +64,16 @@ private:
 
 }  // namespace
 
-ScanColumns simulated_columns(const RenderedScan& scan, const Config& config, const glm::dvec3& world_offset_m) {
+ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
+                              const glm::dvec3& world_offset_m) {
     const RangeImage& image = scan.image;
-    ScanColumns result{image.rows, image.columns, {}, point_ranges(scan, config), {}, {}, {}, scan.ring, scan.channels};
+    ScanColumns result{image.rows, image.columns, {},           point_ranges(scan, config), {}, {},
+                       {},         scan.ring,     scan.channels};
     const std::size_t n = result.range_m.size();
     FiringPoses world_from_firing(scan);
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec3 in_sensor = glm::dvec3(image.origin[i]) + double(result.range_m[i]) * glm::dvec3(image.direction[i]);
+        const glm::dvec3 in_sensor =
+            glm::dvec3(image.origin[i]) + double(result.range_m[i]) * glm::dvec3(image.direction[i]);
         result.position_m.push_back(glm::vec3(world_from_firing.at(i) * in_sensor - world_offset_m));
         result.intensity.push_back(as_byte(image.intensity[i]));
         result.drop.push_back(as_byte(image.drop_prob[i]));
@@ -80,9 +86,17 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config, co
 ScanColumns measured_columns(const Sequence& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.world_from_sensor(frame.lidar);
-    ScanColumns result{scan.rays.rows, scan.rays.columns, {}, to_vector(scan.range_m), {}, {}, {}, to_vector(scan.rays.channel)};
+    ScanColumns result{scan.rays.rows,
+                       scan.rays.columns,
+                       {},
+                       to_vector(scan.range_m),
+                       {},
+                       {},
+                       {},
+                       to_vector(scan.rays.channel)};
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const WorldRay ray = world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
+        const WorldRay ray =
+            world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
         result.intensity.push_back(as_byte(scan.intensity[i]));
         result.drop.push_back(scan.range_m[i] > 0.0f ? 0 : 255);

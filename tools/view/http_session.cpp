@@ -18,7 +18,7 @@ namespace http = boost::beast::http;
 namespace {
 
 constexpr std::size_t kDrainedAtOnce = 65536;
-constexpr int kMaxDrains = 16;   // reads of a refused request, whose bytes are forgotten
+constexpr int kMaxDrains = 16;  // reads of a refused request, whose bytes are forgotten
 constexpr std::chrono::milliseconds kDrainTime{500};
 
 std::string_view view(boost::beast::string_view text) { return {text.data(), text.size()}; }
@@ -31,10 +31,13 @@ std::string_view query_of(std::string_view target) {
 
 /// What a request that could not be read is told; nothing where nobody is left to tell.
 std::optional<http::status> status_of(const boost::system::error_code& failed) {
-    if (failed == http::error::body_limit || failed == http::error::unexpected_body) return http::status::payload_too_large;
-    if (failed == http::error::header_limit || failed == http::error::buffer_overflow) return http::status::request_header_fields_too_large;
+    if (failed == http::error::body_limit || failed == http::error::unexpected_body)
+        return http::status::payload_too_large;
+    if (failed == http::error::header_limit || failed == http::error::buffer_overflow)
+        return http::status::request_header_fields_too_large;
     if (failed == http::error::end_of_stream) return {};
-    if (failed.category() == make_error_code(http::error::bad_method).category()) return http::status::bad_request;
+    if (failed.category() == make_error_code(http::error::bad_method).category())
+        return http::status::bad_request;
     return {};
 }
 
@@ -58,9 +61,10 @@ void HttpSession::limit(std::chrono::milliseconds time) {
 void HttpSession::read() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
-    parser_->body_limit(0);   // nothing here takes one
+    parser_->body_limit(0);  // nothing here takes one
     limit(hub_.options.request_time);
-    http::async_read(stream_, buffer_, *parser_, [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
+    http::async_read(stream_, buffer_, *parser_,
+                     [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
 void HttpSession::on_read(Error failed) {
@@ -73,12 +77,15 @@ void HttpSession::on_read(Error failed) {
 /// Why a request is not answered, in the order in which it must not learn more.
 std::optional<HttpSession::Status> HttpSession::objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const Credentials shown{view(request[http::field::host]), view(request[http::field::origin]), view(request[http::field::cookie]),
-                            query_of(view(request.target()))};
+    const Credentials shown{view(request[http::field::host]), view(request[http::field::origin]),
+                            view(request[http::field::cookie]), query_of(view(request.target()))};
     if (!is_own_host(shown.host, hub_.own_name)) return Status::forbidden;
-    if (request.count(http::field::origin) > 1 || !is_own_origin(shown.origin, shown.host)) return Status::forbidden;
-    if (!hub_.options.token.empty() && !shows_token(shown, hub_.options.token, hub_.cookie_name)) return Status::unauthorized;
-    if (request.method() != http::verb::get && request.method() != http::verb::head) return Status::method_not_allowed;
+    if (request.count(http::field::origin) > 1 || !is_own_origin(shown.origin, shown.host))
+        return Status::forbidden;
+    if (!hub_.options.token.empty() && !shows_token(shown, hub_.options.token, hub_.cookie_name))
+        return Status::unauthorized;
+    if (request.method() != http::verb::get && request.method() != http::verb::head)
+        return Status::method_not_allowed;
     return {};
 }
 
@@ -87,32 +94,39 @@ void HttpSession::answer(const Request& request) {
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
-        if (buffer_.size() > 0) return refuse(Status::bad_request);   // frames before the handshake is answered
+        // frames before the handshake is answered
+        if (buffer_.size() > 0) return refuse(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)->start(request);
         return;
     }
-    const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(), [&](const Asset& a) { return a.path == path; });
+    const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),
+                                    [&](const Asset& a) { return a.path == path; });
     if (asset == hub_.options.assets.end()) return refuse(Status::not_found);
     response_ = response(Status::ok, std::string(view(request[http::field::host])));
-    response_->set(http::field::content_type, boost::beast::string_view(asset->type.data(), asset->type.size()));
+    response_->set(http::field::content_type,
+                   boost::beast::string_view(asset->type.data(), asset->type.size()));
     if (!value_of(query_of(target), "token", '&').empty() && !hub_.options.token.empty())
-        response_->set(http::field::set_cookie, hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
+        response_->set(http::field::set_cookie,
+                       hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
     response_->prepare_payload();
-    if (request.method() == http::verb::head) response_->body().clear();   // its length is told all the same
+    if (request.method() == http::verb::head) response_->body().clear();  // its length is told all the same
     response_->keep_alive(request.keep_alive());
     write();
 }
 
-/// @param host  as it was checked, for browsers that do not count ws: among 'self'; empty: unknown
+/// @param host  as it was checked, for browsers that do not count ws: among 'self';
+/// empty: unknown
 HttpSession::Response HttpSession::response(Status status, const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
     response.set(http::field::content_type, "text/plain; charset=utf-8");
     response.set(http::field::cache_control, "no-cache");
-    response.set("Content-Security-Policy",
-                 "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'" +
-                     (host.empty() ? "" : " ws://" + host) + "; base-uri 'none'; form-action 'none'; frame-ancestors 'none'");
+    response.set(
+        "Content-Security-Policy",
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'" +
+            (host.empty() ? "" : " ws://" + host) +
+            "; base-uri 'none'; form-action 'none'; frame-ancestors 'none'");
     response.set("X-Content-Type-Options", "nosniff");
     response.set("X-Frame-Options", "DENY");
     response.set("Referrer-Policy", "no-referrer");
@@ -125,7 +139,8 @@ void HttpSession::refuse(Status status) {
     response_ = response(status, "");
     response_->body() = std::string(view(http::obsolete_reason(status))) + "\n";
     if (status == Status::unauthorized)
-        response_->body() = "The token is wrong or missing: open the address that `relidar view` has printed.\n";
+        response_->body() =
+            "The token is wrong or missing: open the address that `relidar view` has printed.\n";
     if (status == Status::method_not_allowed) response_->set(http::field::allow, "GET, HEAD");
     if (status == Status::upgrade_required) response_->set(http::field::upgrade, "websocket");
     response_->prepare_payload();
@@ -148,12 +163,14 @@ void HttpSession::write() {
     });
 }
 
-/// Reads what a refused client goes on sending, for a while: a connection that is closed on unread bytes takes the answer with it.
+/// Reads what a refused client goes on sending, for a while: a connection that is closed
+/// on unread bytes takes the answer with it.
 void HttpSession::drain() {
     buffer_.consume(buffer_.size());
-    stream_.async_read_some(buffer_.prepare(kDrainedAtOnce), [self = shared_from_this()](Error failed, std::size_t) {
-        if (!failed && ++self->n_drains_ < kMaxDrains) self->drain();
-    });
+    stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),
+                            [self = shared_from_this()](Error failed, std::size_t) {
+                                if (!failed && ++self->n_drains_ < kMaxDrains) self->drain();
+                            });
 }
 
 }  // namespace relidar::view

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One connection that speaks HTTP: reads a request, checks who asks, answers with an asset or a refusal, or hands the connection to a
-// SocketSession. Private to the server.
+// One connection that speaks HTTP: reads a request, checks who asks, answers with an
+// asset or a refusal, or hands the connection to a SocketSession. Private to the server.
 #pragma once
 
 #include <memory>
@@ -46,7 +46,7 @@ private:
     Counted counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    bool late_ = false;   ///< the timer has ended what went on
+    bool late_ = false;  ///< the timer has ended what went on
     int n_drains_ = 0;
     boost::beast::flat_buffer buffer_;
     std::optional<boost::beast::http::request_parser<boost::beast::http::empty_body>> parser_;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the sessions of a server share: its options, its clients, and the one thread's io_context. Private to the server.
+// What the sessions of a server share: its options, its clients, and the one thread's
+// io_context. Private to the server.
 #pragma once
 
 #include <map>
@@ -19,8 +20,8 @@ class SocketSession;
 struct Hub {
     ServerOptions options;
     Events events;
-    std::string cookie_name;      ///< of the token; browsers send cookies of one host to all its ports
-    std::string own_name;         ///< of this machine
+    std::string cookie_name;  ///< of the token; browsers send cookies of one host to all its ports
+    std::string own_name;     ///< of this machine
     std::size_t n_connections = 0;
     boost::asio::io_context io{1};
     std::map<ClientId, std::weak_ptr<SocketSession>> clients = {};

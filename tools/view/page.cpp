@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();   // of cmake/Assets.cmake
+std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();  // of cmake/Assets.cmake
 
 namespace view {
 namespace {

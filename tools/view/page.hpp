@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page of `relidar view`, compiled into the program: tools/view/page and the modules of src/score/report/points.
+// The page of `relidar view`, compiled into the program: tools/view/page and the modules
+// of src/score/report/points.
 #pragma once
 
 #include <vector>

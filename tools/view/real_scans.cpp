@@ -43,7 +43,8 @@ void RealScans::load() {
         std::iota(all.begin(), all.end(), 0);
         attach_scans(*frames_, all, log);
         state_ = State::ready;
-    } catch (const std::exception& error) {   // a log that is gone, whatever the reason, is no failure of the viewer
+        // a log that is gone, whatever the reason, is no failure of the viewer
+    } catch (const std::exception& error) {
         why_ = error.what();
         state_ = State::missing;
     }

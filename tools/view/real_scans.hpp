@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The log's own scans, read in the background: the page is there at once, and a run whose log is gone can be viewed all the same.
+// The log's own scans, read in the background: the page is there at once, and a run whose
+// log is gone can be viewed all the same.
 #pragma once
 
 #include <atomic>
@@ -10,7 +11,7 @@
 namespace relidar {
 struct Run;
 struct Sequence;
-}
+}  // namespace relidar
 
 namespace relidar::view {
 
@@ -34,7 +35,7 @@ public:
 private:
     void load();
 
-    const std::unique_ptr<Run> frames_;   ///< settings and sequence, no scene
+    const std::unique_ptr<Run> frames_;  ///< settings and sequence, no scene
     std::string why_;
     std::atomic<State> state_ = State::loading;
     std::atomic<bool> stop_ = false;

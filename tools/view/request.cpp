@@ -14,13 +14,13 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr double kFar_m = 10'000.0;         // of places and moves: beyond it a number is a slip
-constexpr double kFarAway_m = 1e6;          // of places in relidar's world
+constexpr double kFar_m = 10'000.0;  // of places and moves: beyond it a number is a slip
+constexpr double kFarAway_m = 1e6;   // of places in relidar's world
 constexpr double kFast_mps = 200.0;
 constexpr double kLate_s = 1e10;
-constexpr std::size_t kMaxActors = 256;     // that are copied, moved, removed or hidden
+constexpr std::size_t kMaxActors = 256;  // that are copied, moved, removed or hidden
 constexpr std::size_t kMaxName = 64;
-constexpr std::size_t kMaxRunName = 1024;   // as it was typed to `relidar view`, a path
+constexpr std::size_t kMaxRunName = 1024;  // as it was typed to `relidar view`, a path
 
 [[noreturn]] void refuse(const std::string& what, const std::string& expected) {
     throw UsageError(fmt::format("{}: expected {}", what, expected));
@@ -59,12 +59,14 @@ template <std::size_t N>
 std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
     if (!value.is_array() || value.size() != N) refuse(what, fmt::format("{} numbers", N));
     std::array<double, N> result;
-    for (std::size_t i = 0; i < N; ++i) result[i] = number(value[i], fmt::format("{} {}", what, i + 1), limits[i]);
+    for (std::size_t i = 0; i < N; ++i)
+        result[i] = number(value[i], fmt::format("{} {}", what, i + 1), limits[i]);
     return result;
 }
 
 std::set<std::string> tracks(const Json& value, const char* what) {
-    if (!value.is_array() || value.size() > kMaxActors) refuse(what, fmt::format("a list of at most {} tracks", kMaxActors));
+    if (!value.is_array() || value.size() > kMaxActors)
+        refuse(what, fmt::format("a list of at most {} tracks", kMaxActors));
     std::set<std::string> result;
     for (const Json& track : value) result.insert(text(track, what));
     return result;
@@ -74,28 +76,34 @@ ActorEdits parse_edits(const Json& json) {
     if (!json.is_object()) refuse("edits", "an object");
     ActorEdits edits;
     const Json& copies = field(json, "copies");
-    if (!copies.is_array() || copies.size() > kMaxActors) refuse("copies", fmt::format("a list of at most {}", kMaxActors));
+    if (!copies.is_array() || copies.size() > kMaxActors)
+        refuse("copies", fmt::format("a list of at most {}", kMaxActors));
     for (const Json& copy : copies) {
         if (!copy.is_object()) refuse("copies", "objects");
         edits.copies.push_back(
             {text(field(copy, "of"), "of"), run_name(field(copy, "from")),
-             numbers<7>(field(copy, "at"), "at", {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kFast_mps})});
+             numbers<7>(field(copy, "at"), "at",
+                        {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kFast_mps})});
     }
     const Json& moves = field(json, "moves");
-    if (!moves.is_object() || moves.size() > kMaxActors) refuse("moves", fmt::format("an object of at most {} tracks", kMaxActors));
-    for (const auto& [track, by] : moves.items()) edits.moves[track] = numbers<4>(by, "moves", {kFar_m, kFar_m, kFar_m, 360.0});
+    if (!moves.is_object() || moves.size() > kMaxActors)
+        refuse("moves", fmt::format("an object of at most {} tracks", kMaxActors));
+    for (const auto& [track, by] : moves.items())
+        edits.moves[track] = numbers<4>(by, "moves", {kFar_m, kFar_m, kFar_m, 360.0});
     edits.removed = tracks(field(json, "removed"), "removed");
     edits.hidden = tracks(field(json, "hidden"), "hidden");
     return edits;
 }
 
 ScanWish parse_scan(const Json& json) {
-    const auto place = numbers<6>(field(json, "place"), "place", {kFar_m, kFar_m, kFar_m, 360.0, 360.0, 360.0});
+    const auto place =
+        numbers<6>(field(json, "place"), "place", {kFar_m, kFar_m, kFar_m, 360.0, 360.0, 360.0});
     const double radians = kPi / 180.0;
     ScanWish wish;
     wish.id = static_cast<std::int64_t>(number(field(json, "id"), "id", 1e15));
     wish.time_s = number(field(json, "time_s"), "time_s", kLate_s);
-    wish.sensor_offset = {rotation_of(place[3] * radians, place[4] * radians, place[5] * radians), {place[0], place[1], place[2]}};
+    wish.sensor_offset = {rotation_of(place[3] * radians, place[4] * radians, place[5] * radians),
+                          {place[0], place[1], place[2]}};
     wish.sensor = text(field(json, "sensor"), "sensor");
     wish.lidar = static_cast<int>(number(field(json, "lidar"), "lidar", 1000.0));
     wish.weather = parse_weather(text(field(json, "weather"), "weather"));
@@ -109,7 +117,8 @@ ScanWish parse_scan(const Json& json) {
 std::string folder_name(const Json& value) {
     std::string name = text(value, "name");
     const auto plain = [](char c) {
-        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_' || c == '.';
+        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' ||
+               c == '_' || c == '.';
     };
     if (!std::all_of(name.begin(), name.end(), plain) || name.front() == '.' || name.front() == '-')
         refuse("name", "letters, digits, -, _ and ., a letter or digit first");
@@ -123,8 +132,11 @@ Request parse_request(const std::string& message) {
     if (!json.is_object()) throw UsageError("a message of the page: expected a JSON object");
     const std::string wanted = text(field(json, "do"), "do");
     if (wanted == "scan") return parse_scan(json);
-    if (wanted == "sensor") return SensorFile{text(field(json, "file"), "file", 200), text(field(json, "text"), "text", message.size())};
-    if (wanted == "save") return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
+    if (wanted == "sensor")
+        return SensorFile{text(field(json, "file"), "file", 200),
+                          text(field(json, "text"), "text", message.size())};
+    if (wanted == "save")
+        return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
     if (wanted == "ground")
         return GroundWish{text(field(json, "of"), "of"), run_name(field(json, "from")),
                           numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};

@@ -7,8 +7,8 @@
 #include <fstream>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 #include <unistd.h>
+#include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
@@ -21,7 +21,7 @@ namespace {
 using Json = nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kMaxRays = std::size_t(1) << 20;   // of a live scan: 28 MB as a message
+constexpr std::size_t kMaxRays = std::size_t(1) << 20;  // of a live scan: 28 MB as a message
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
@@ -39,7 +39,8 @@ std::vector<std::pair<std::string, std::string>> models_of(const std::vector<Act
     return models;
 }
 
-/// Tells runs apart, for a page that outlives the program: the folder, as a hash since it is nobody's business (FNV-1a).
+/// Tells runs apart, for a page that outlives the program: the folder, as a hash since it
+/// is nobody's business (FNV-1a).
 std::string identity_of(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -63,7 +64,9 @@ Json others_json(const OtherRuns& others) {
     return result;
 }
 
-bool is_identity(const Pose& pose) { return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0; }
+bool is_identity(const Pose& pose) {
+    return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0;
+}
 
 /// A private folder that goes with its file.
 class UploadedFile {
@@ -71,7 +74,8 @@ public:
     /// @param ending  ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
-        if (mkdtemp(pattern.data()) == nullptr) throw DataError("reading the sensor file: no temporary folder could be made");
+        if (mkdtemp(pattern.data()) == nullptr)
+            throw DataError("reading the sensor file: no temporary folder could be made");
         folder_ = pattern;
         std::ofstream(path(ending), std::ios::binary) << text;
     }
@@ -89,19 +93,22 @@ private:
 };
 
 Json sensor_json(const SensorChoice& sensor, double time_s) {
-    const RayTable rays = sensor.rays.size() == 0 && sensor.pattern ? make_rays(*sensor.pattern, time_s) : sensor.rays;
+    const RayTable rays =
+        sensor.rays.size() == 0 && sensor.pattern ? make_rays(*sensor.pattern, time_s) : sensor.rays;
     return {{"name", sensor.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
 }
 
 void check_size(const SensorChoice& sensor) {
     if (sensor.rays.size() > kMaxRays)
-        throw UsageError(fmt::format("{}: {} rays a scan, expected at most {} in the viewer; `relidar render` takes more", sensor.name,
-                                     sensor.rays.size(), kMaxRays));
+        throw UsageError(
+            fmt::format("{}: {} rays a scan, expected at most {} in the viewer; `relidar render` takes more",
+                        sensor.name, sensor.rays.size(), kMaxRays));
 }
 
 Json channels_json(const Config& config) {
     Json channels = Json::array();
-    for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))   // that one in weather
+    // that one in weather
+    for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
 }
@@ -117,16 +124,19 @@ Json Scanner::describe() const {
     for (std::size_t i = 0; i < log.frames.size(); ++i) {
         const Frame& frame = log.frames[i];
         const glm::dvec3 p = log.world_from_sensor(frame.lidar).at(frame.time_s).translation;
-        const bool held_out = std::find(run_.split.test.begin(), run_.split.test.end(), int(i)) != run_.split.test.end();
+        const bool held_out =
+            std::find(run_.split.test.begin(), run_.split.test.end(), int(i)) != run_.split.test.end();
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},
                           {"held_out", held_out},
                           {"position", {p.x, p.y, p.z}}});
     }
-    for (const Lidar& lidar : log.lidars) lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
+    for (const Lidar& lidar : log.lidars)
+        lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
     return {{"kind", "hello"},
-            {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string() : run_.folder.filename().string()},
+            {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string()
+                                                   : run_.folder.filename().string()},
             {"identity", identity_of(run_)},
             {"log", log.name},
             {"actors", actors_json(run_)},
@@ -142,7 +152,8 @@ Json Scanner::describe() const {
 
 SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     if (wish.lidar < 0 || std::size_t(wish.lidar) >= run_.sequence.lidars.size())
-        throw UsageError(fmt::format("lidar: found {}, expected one of {}", wish.lidar, run_.sequence.lidars.size()));
+        throw UsageError(
+            fmt::format("lidar: found {}, expected one of {}", wish.lidar, run_.sequence.lidars.size()));
     if (wish.sensor == kFileSensor) {
         if (!tab.file_sensor) throw UsageError("sensor: found no file yet, expected one");
         SensorChoice sensor = *tab.file_sensor;
@@ -151,7 +162,8 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     }
     const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
-        const std::vector<std::string> known = known_sensors();   // names alone: never a path of the server's
+        // names alone: never a path of the server's
+        const std::vector<std::string> known = known_sensors();
         if (std::find(known.begin(), known.end(), wish.sensor) == known.end())
             throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
         tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
@@ -162,15 +174,17 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
 
 Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     const std::string ending = std::filesystem::path(file.name).extension().string();
-    if (ending != ".csv" && ending != ".json") throw UsageError(fmt::format("{}: expected a name that ends in .csv or .json", file.name));
+    if (ending != ".csv" && ending != ".json")
+        throw UsageError(fmt::format("{}: expected a name that ends in .csv or .json", file.name));
     const UploadedFile upload(file.text, ending);
     SensorChoice sensor;
     try {
         sensor = sensor_choice(find_sensor(upload.path(ending).string()));
-    } catch (const Error& error) {   // the user knows the file by another name
+    } catch (const Error& error) {  // the user knows the file by another name
         std::string message = error.what();
         const std::string path = upload.path(ending).string();
-        if (const std::size_t at = message.find(path); at != std::string::npos) message.replace(at, path.size(), file.name);
+        if (const std::size_t at = message.find(path); at != std::string::npos)
+            message.replace(at, path.size(), file.name);
         throw DataError(message);
     }
     check_size(sensor);
@@ -179,16 +193,18 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// The renderer of a scene with these copies. Only copies need another one: what moves or goes is placed otherwise.
+/// The renderer of a scene with these copies. Only copies need another one: what moves or
+/// goes is placed otherwise.
 ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
     const auto wanted = models_of(traffic.edits().copies);
     if (!renderer_ || rendered_ != wanted) {
-        renderer_.reset();   // gives its memory back first
+        renderer_.reset();  // gives its memory back first
         if (traffic.edits().copies.empty()) {
             renderer_.emplace(device_, run_);
         } else {
             Run run = run_;
-            run.replace(with_copies({std::move(run.scene), std::move(run.sequence)}, others_, traffic.edits().copies));
+            run.replace(with_copies({std::move(run.scene), std::move(run.sequence)}, others_,
+                                    traffic.edits().copies));
             renderer_.emplace(device_, run);
         }
         rendered_ = wanted;
@@ -213,14 +229,16 @@ RenderedScan Scanner::render(const Traffic& traffic, const ScanWish& wish, const
     const Sequence& log = run_.sequence;
     ScanRequest request;
     request.time_s = wish.time_s;
-    request.dataset_from_sensor = shifted_track(moved_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
+    request.dataset_from_sensor =
+        shifted_track(moved_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
     request.dataset_from_actor = traffic.placed(wish.time_s);
     ScanRenderer& renderer = renderer_for(traffic);
     renderer.set_weather(wish.weather);
     return renderer.render(sensor, request);
 }
 
-/// Milliseconds of the last launch of each kernel that has run since they were asked for last. A list that is full no longer grows.
+/// Milliseconds of the last launch of each kernel that has run since they were asked for
+/// last. A list that is full no longer grows.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();
@@ -235,15 +253,17 @@ Json Scanner::kernel_times() {
 
 std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
     const auto start = Clock::now();
-    SensorChoice sensor = sensor_for(tab, wish);   // throws before anything is rendered
+    SensorChoice sensor = sensor_for(tab, wish);  // throws before anything is rendered
     if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, others_, wish.edits);
     const Sequence& log = run_.sequence;
     const Frame* real = nearest_real(wish);
     const bool on_frame = real && std::abs(real->time_s - wish.time_s) < kSameTime_s;
-    const bool is_matched = on_frame && sensor.is_own && !sensor.grid && is_identity(wish.sensor_offset) && wish.simulate;
+    const bool is_matched =
+        on_frame && sensor.is_own && !sensor.grid && is_identity(wish.sensor_offset) && wish.simulate;
     const Pose log_pose = log.world_from_sensor(wish.lidar).at(wish.time_s);
     Json names = Json::array();
-    for (const Instance& instance : tab.traffic->instances()) names.push_back(instance.track.empty() ? "background" : instance.track);
+    for (const Instance& instance : tab.traffic->instances())
+        names.push_back(instance.track.empty() ? "background" : instance.track);
     Json header{{"id", wish.id},
                 {"time_s", wish.time_s},
                 {"sensor", sensor.name},
@@ -261,12 +281,14 @@ std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
         if (is_matched) sensor.rays = real->scan.rays, sensor.follows_sweeps = false;
         const RenderedScan scan = render(*tab.traffic, wish, sensor);
         header["trace_ms"] = scan.trace_ms;
-        if (scan.unseen_share) header["unseen"] = *scan.unseen_share, header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
+        if (scan.unseen_share)
+            header["unseen"] = *scan.unseen_share, header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
         header["kernels"] = kernel_times();
         simulated = simulated_columns(scan, run_.config, log.world_offset_m);
     }
     header["total_ms"] = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-    return encode_frame(std::move(header), simulated ? &*simulated : nullptr, measured ? &*measured : nullptr);
+    return encode_frame(std::move(header), simulated ? &*simulated : nullptr,
+                        measured ? &*measured : nullptr);
 }
 
 }  // namespace relidar::view

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a run as the page wants them: simulated, measured, or both, with what the page draws around them.
+// Scans of a run as the page wants them: simulated, measured, or both, with what the page
+// draws around them.
 #pragma once
 
 #include <cstddef>
@@ -23,9 +24,9 @@ namespace relidar::view {
 
 /// What is kept for one tab from one scan to the next.
 struct TabCache {
-    std::optional<SensorChoice> file_sensor = {};                      ///< of its sensor file
+    std::optional<SensorChoice> file_sensor = {};  ///< of its sensor file
     std::optional<Traffic> traffic = {};
-    std::optional<std::pair<std::string, SensorChoice>> sensor = {};   ///< the last one, by "lidar/name"
+    std::optional<std::pair<std::string, SensorChoice>> sensor = {};  ///< the last one, by "lidar/name"
 };
 
 /// Serves one thread.
@@ -37,11 +38,14 @@ public:
     const Run& run() const { return run_; }
     const OtherRuns& others() const { return others_; }
     const RealScans& real() const { return real_; }
-    /// What the page has to know once: run, frames, path, sensors, actors of other runs, device.
+    /// What the page has to know once: run, frames, path, sensors, actors of other runs,
+    /// device.
     nlohmann::json describe() const;
-    /// A scan as frame.hpp has it. @throws UsageError, DataError for what cannot be rendered
+    /// A scan as frame.hpp has it. @throws UsageError, DataError for what cannot be
+    /// rendered
     std::string scan(TabCache& tab, const ScanWish& wish);
-    /// Reads a tab's sensor file. @return what it is @throws UsageError, DataError naming what is wrong with it
+    /// Reads a tab's sensor file. @return what it is @throws UsageError, DataError naming
+    /// what is wrong with it
     nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
 
 private:
@@ -56,8 +60,9 @@ private:
     Device& device_;
     RealScans real_;
     std::optional<ScanRenderer> renderer_;
-    std::vector<std::pair<std::string, std::string>> rendered_;     ///< run and track of the copies that the renderer has
-    std::map<std::string, std::size_t> launches_;                   ///< of kernels, as they were counted last
+    /// run and track of the copies that the renderer has
+    std::vector<std::pair<std::string, std::string>> rendered_;
+    std::map<std::string, std::size_t> launches_;  ///< of kernels, as they were counted last
 };
 
 }  // namespace relidar::view

@@ -5,11 +5,11 @@
 #include <random>
 #include <thread>
 
+#include <fmt/format.h>
 #include <boost/asio/executor_work_guard.hpp>
 #include <boost/asio/ip/host_name.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
-#include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 
@@ -23,13 +23,15 @@ namespace {
 using boost::asio::ip::tcp;
 using ErrorCode = boost::system::error_code;
 
-constexpr std::chrono::milliseconds kAcceptPause{50};   // where the system has no descriptor left
-constexpr std::chrono::milliseconds kCloseLook{5};      // between looks at who is still there
+constexpr std::chrono::milliseconds kAcceptPause{50};  // where the system has no descriptor left
+constexpr std::chrono::milliseconds kCloseLook{5};     // between looks at who is still there
 
 boost::asio::ip::address parse_address(const std::string& text) {
     ErrorCode failed;
     const auto address = boost::asio::ip::make_address(text, failed);
-    if (failed) throw UsageError(fmt::format("listening: found the address \"{}\", expected one like 127.0.0.1, 0.0.0.0 or ::1", text));
+    if (failed)
+        throw UsageError(fmt::format(
+            "listening: found the address \"{}\", expected one like 127.0.0.1, 0.0.0.0 or ::1", text));
     return address;
 }
 
@@ -42,8 +44,9 @@ tcp::acceptor listen(boost::asio::io_context& io, const ServerOptions& options) 
     if (!failed) acceptor.bind(endpoint, failed);
     if (!failed) acceptor.listen(tcp::acceptor::max_listen_connections, failed);
     if (failed)
-        throw UsageError(fmt::format("listening on port {} of {}: {}, expected one that is free; port 0 takes any", options.port,
-                                     options.address, failed.message()));
+        throw UsageError(
+            fmt::format("listening on port {} of {}: {}, expected one that is free; port 0 takes any",
+                        options.port, options.address, failed.message()));
     return acceptor;
 }
 
@@ -57,19 +60,22 @@ std::string machine_name() {
 struct Server::Impl {
     Hub hub;
     /// The thread goes on where close() has left nothing to do.
-    boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy = boost::asio::make_work_guard(hub.io);
+    boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy =
+        boost::asio::make_work_guard(hub.io);
     tcp::acceptor acceptor;
     boost::asio::steady_timer pause;
     std::thread thread = {};
 
     Impl(const ServerOptions& options, Events events)
-        : hub{options, std::move(events), "", machine_name()}, acceptor(listen(hub.io, options)), pause(hub.io) {
+        : hub{options, std::move(events), "", machine_name()},
+          acceptor(listen(hub.io, options)),
+          pause(hub.io) {
         hub.cookie_name = fmt::format("relidar_{}", acceptor.local_endpoint().port());
     }
 
     void accept() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
-            if (!acceptor.is_open()) return;   // close() was called
+            if (!acceptor.is_open()) return;  // close() was called
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {
@@ -104,11 +110,12 @@ void Server::close(std::chrono::milliseconds patience) {
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
-        const auto clients = impl.hub.clients;   // one that leaves at once changes the hub's
+        const auto clients = impl.hub.clients;  // one that leaves at once changes the hub's
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->leave();
     });
-    for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end; std::this_thread::sleep_for(kCloseLook)) {
+    for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end;
+         std::this_thread::sleep_for(kCloseLook)) {
         std::promise<bool> none;
         boost::asio::post(impl_->hub.io, [&] { none.set_value(impl_->hub.clients.empty()); });
         all_gone = none.get_future().get();
@@ -136,7 +143,7 @@ void Server::send_newest(ClientId client, std::string bytes) { impl_->send(clien
 void check_address(const std::string& address) { (void)parse_address(address); }
 
 std::string random_token() {
-    std::random_device source;   // the system's own
+    std::random_device source;  // the system's own
     std::string token;
     for (int i = 0; i < 4; ++i) token += fmt::format("{:08x}", static_cast<std::uint32_t>(source()));
     return token;

@@ -11,7 +11,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr std::size_t kMaxWaiting = 4;   // sensor files, places and saves of one tab; more is nobody's hand
+constexpr std::size_t kMaxWaiting = 4;  // sensor files, places and saves of one tab; more is nobody's hand
 
 const char* about(const Request& request) {
     static constexpr const char* kNames[] = {"scan", "sensor", "save", "ground"};
@@ -21,13 +21,18 @@ const char* about(const Request& request) {
 std::string dump(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
 const char* name_of(RealScans::State state) {
-    return state == RealScans::State::ready ? "ready" : state == RealScans::State::missing ? "missing" : "loading";
+    return state == RealScans::State::ready     ? "ready"
+           : state == RealScans::State::missing ? "missing"
+                                                : "loading";
 }
 
 }  // namespace
 
-Session::Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers)
-    : scanner_(std::move(run), std::move(others), device), save_folder_(std::move(save_folder)), answers_(std::move(answers)) {}
+Session::Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder,
+                 Answers answers)
+    : scanner_(std::move(run), std::move(others), device),
+      save_folder_(std::move(save_folder)),
+      answers_(std::move(answers)) {}
 
 void Session::open(TabId tab) {
     const std::lock_guard lock(mutex_);
@@ -57,13 +62,15 @@ void Session::receive(TabId id, const std::string& message) {
     const auto found = tabs_.find(id);
     if (found == tabs_.end() || deaf_) return;
     Tab& tab = *found->second;
-    if (request && std::holds_alternative<ScanWish>(*request)) tab.scan = std::get<ScanWish>(std::move(*request));
+    if (request && std::holds_alternative<ScanWish>(*request))
+        tab.scan = std::get<ScanWish>(std::move(*request));
     else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
     else tab.refused = why;
     arrived_.notify_one();
 }
 
-/// What a tab waits for, first things first; nothing where it waits for nothing. The lock is held.
+/// What a tab waits for, first things first; nothing where it waits for nothing. The lock
+/// is held.
 std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
@@ -75,9 +82,11 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
     }
     if (const RealScans::State state = scanner_.real().state(); state != tab->told) {
         tab->told = state;
-        return Job{id, "log", [this, id, state] {
-                       answers_.text(id, dump({{"kind", "log"}, {"state", name_of(state)}, {"why", scanner_.real().why()}}));
-                   }};
+        return Job{
+            id, "log", [this, id, state] {
+                answers_.text(
+                    id, dump({{"kind", "log"}, {"state", name_of(state)}, {"why", scanner_.real().why()}}));
+            }};
     }
     if (tab->refused) {
         const std::string why = *std::exchange(tab->refused, std::nullopt);
@@ -94,7 +103,8 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
     }
     if (tab->scan) {
         const ScanWish wish = *std::exchange(tab->scan, std::nullopt);
-        return Job{id, about(wish), [this, id, tab, wish] { answers_.frame(id, scanner_.scan(tab->cache, wish)); }};
+        return Job{id, about(wish),
+                   [this, id, tab, wish] { answers_.frame(id, scanner_.scan(tab->cache, wish)); }};
     }
     return {};
 }
@@ -122,8 +132,7 @@ void Session::finish() {
         const std::lock_guard lock(mutex_);
         deaf_ = true;
     }
-    while (work(std::chrono::milliseconds(0))) {
-    }
+    while (work(std::chrono::milliseconds(0))) {}
 }
 
 bool Session::work(std::chrono::milliseconds patience) {
@@ -132,7 +141,7 @@ bool Session::work(std::chrono::milliseconds patience) {
     try {
         job->run();
     } catch (const DeviceError&) {
-        throw;   // nobody gets a scan any more
+        throw;  // nobody gets a scan any more
     } catch (const Error& error) {
         refuse(job->id, job->about, error.what());
     }
@@ -142,17 +151,18 @@ bool Session::work(std::chrono::milliseconds patience) {
 Json Session::answer(TabCache& cache, const Request& request) const {
     if (const auto* wish = std::get_if<SaveWish>(&request)) return save(*wish);
     if (const auto* file = std::get_if<SensorFile>(&request)) return scanner_.read_sensor(cache, *file);
-    const ActorEdits::Copy copy = copy_on_ground(scanner_.run(), scanner_.others(), std::get<GroundWish>(request));
+    const ActorEdits::Copy copy =
+        copy_on_ground(scanner_.run(), scanner_.others(), std::get<GroundWish>(request));
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
 Json Session::save(const SaveWish& wish) const {
-    Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);   // throws before there is a folder
+    Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);  // throws before there is a folder
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))
-        throw UsageError(
-            fmt::format("saving {}: it is there already, expected a name that is free in {}", wish.name, save_folder_.string()));
+        throw UsageError(fmt::format("saving {}: it is there already, expected a name that is free in {}",
+                                     wish.name, save_folder_.string()));
     run.folder = folder;
     save_run(run);
     return {{"folder", folder.string()}};

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run that is looked at: one renderer, many tabs. Messages arrive on the server's thread; whoever calls work() renders, and is the only
-// one that touches the device. Of the scans a tab asks for only the newest is rendered, and tabs take turns.
+// A run that is looked at: one renderer, many tabs. Messages arrive on the server's
+// thread; whoever calls work() renders, and is the only one that touches the device. Of
+// the scans a tab asks for only the newest is rendered, and tabs take turns.
 #pragma once
 
 #include <chrono>
@@ -27,19 +28,21 @@ using TabId = std::uint64_t;
 ///   error {about, text}
 struct Answers {
     std::function<void(TabId, std::string)> text;
-    std::function<void(TabId, std::string)> frame;   ///< see frame.hpp
+    std::function<void(TabId, std::string)> frame;  ///< see frame.hpp
 };
 
 class Session {
 public:
-    /// @param others  runs whose actors can be inserted @param save_folder  in which edited runs are made
+    /// @param others  runs whose actors can be inserted @param save_folder  in which
+    /// edited runs are made
     Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
 
     void open(TabId tab);
     void close(TabId tab);
     void receive(TabId tab, const std::string& message);
 
-    /// Does one thing that a tab waits for, if one comes within `patience`. @return whether one came
+    /// Does one thing that a tab waits for, if one comes within `patience`. @return
+    /// whether one came
     /// @throws DeviceError where the device has failed
     bool work(std::chrono::milliseconds patience);
     /// Hears nobody any more, and does all that tabs wait for now. @throws DeviceError
@@ -48,15 +51,15 @@ public:
 private:
     struct Tab {
         bool greeted = false;
-        RealScans::State told = RealScans::State::loading;   ///< of the log
-        std::optional<ScanWish> scan = {};                   ///< the newest that is not rendered
-        std::deque<Request> others = {};                     ///< sensor files, places on the ground and runs to save
-        std::optional<std::string> refused = {};             ///< why the last message was none
-        TabCache cache = {};                                 ///< of the rendering thread alone
+        RealScans::State told = RealScans::State::loading;  ///< of the log
+        std::optional<ScanWish> scan = {};                  ///< the newest that is not rendered
+        std::deque<Request> others = {};          ///< sensor files, places on the ground and runs to save
+        std::optional<std::string> refused = {};  ///< why the last message was none
+        TabCache cache = {};                      ///< of the rendering thread alone
     };
     struct Job {
         TabId id;
-        const char* about;   ///< what errors call it
+        const char* about;  ///< what errors call it
         std::function<void()> run;
     };
 
@@ -69,11 +72,11 @@ private:
     Scanner scanner_;
     const std::filesystem::path save_folder_;
     const Answers answers_;
-    std::mutex mutex_;   ///< of what follows, but for caches
+    std::mutex mutex_;  ///< of what follows, but for caches
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<Tab>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;   ///< finish() was called
+    bool deaf_ = false;  ///< finish() was called
 };
 
 }  // namespace relidar::view

@@ -11,15 +11,15 @@ namespace relidar::view {
 
 namespace websocket = boost::beast::websocket;
 
-constexpr std::size_t kMaxWaiting = 64;   // messages to a client that does not read; beyond it, it is gone
+constexpr std::size_t kMaxWaiting = 64;  // messages to a client that does not read; beyond it, it is gone
 
 SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub)
     : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
-    stream_.next_layer().expires_never();   // from now on the stream's own timer counts
+    stream_.next_layer().expires_never();  // from now on the stream's own timer counts
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
-    stream_.auto_fragment(false);   // into pieces of 4 kB: nothing else waits to be sent between them
+    stream_.auto_fragment(false);  // into pieces of 4 kB: nothing else waits to be sent between them
 }
 
 void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade) {
@@ -33,11 +33,14 @@ void SocketSession::start(const boost::beast::http::request<boost::beast::http::
 }
 
 void SocketSession::read() {
-    stream_.async_read(incoming_, [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
+    stream_.async_read(incoming_,
+                       [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
 void SocketSession::on_read(Error failed) {
-    if (failed) return finish();   // gone, or a frame that is none or too large: the stream has answered with the protocol's own code
+    // gone, or a frame that is none or too large: the stream has answered with the
+    // protocol's own code
+    if (failed) return finish();
     if (!stream_.got_text()) return refuse();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
     incoming_.consume(incoming_.size());
@@ -47,9 +50,10 @@ void SocketSession::on_read(Error failed) {
 
 void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
     if (id_ == 0 || refused_) return;
-    if (newest_only) {   // the first is on its way already
+    if (newest_only) {  // the first is on its way already
         const auto stale = [](const Message& m) { return m.newest_only; };
-        if (outgoing_.size() > 1) outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
+        if (outgoing_.size() > 1)
+            outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
     }
     if (outgoing_.size() >= kMaxWaiting) {
         finish();
@@ -81,10 +85,12 @@ void SocketSession::leave() {
 
 void SocketSession::say_goodbye(std::uint16_t code, const char* why) {
     if (std::exchange(said_goodbye_, true)) return;
-    stream_.async_close({websocket::close_code(code), why}, [self = shared_from_this()](Error) { self->finish(); });
+    stream_.async_close({websocket::close_code(code), why},
+                        [self = shared_from_this()](Error) { self->finish(); });
 }
 
-/// Ends the conversation with one who sends what is not understood, once nothing is being written.
+/// Ends the conversation with one who sends what is not understood, once nothing is being
+/// written.
 void SocketSession::refuse() {
     refused_ = true;
     if (!outgoing_.empty()) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One WebSocket: texts come in, texts and binary messages go out, one write at a time. Private to the server.
+// One WebSocket: texts come in, texts and binary messages go out, one write at a time.
+// Private to the server.
 #pragma once
 
 #include <cstdint>
@@ -46,8 +47,8 @@ private:
     Counted counted_;
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
-    std::deque<Message> outgoing_;   ///< the first is being written
-    ClientId id_ = 0;                ///< 0 before the handshake and after the end
+    std::deque<Message> outgoing_;  ///< the first is being written
+    ClientId id_ = 0;               ///< 0 before the handshake and after the end
     bool refused_ = false;
     bool leaving_ = false;
     bool said_goodbye_ = false;

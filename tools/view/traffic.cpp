@@ -22,20 +22,25 @@ constexpr double kRadians = kPi / 180.0;
 /// [3] radians of rotation_of().
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
-    return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)), std::atan2(m[1][2], m[2][2])};
+    return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
+            std::atan2(m[1][2], m[2][2])};
 }
 
-Pose upright(const double* xyz, double yaw_deg) { return {rotation_of(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}}; }
+Pose upright(const double* xyz, double yaw_deg) {
+    return {rotation_of(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}};
+}
 
 Start start_of(const ActorEdits::Copy& copy, const glm::dvec3& world_offset_m) {
     const auto& at = copy.at;
-    Start start{{rotation_of(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}}, at[6]};
+    Start start{{rotation_of(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}},
+                at[6]};
     start.dataset_from_box.translation += world_offset_m;
     return start;
 }
 
 DrivingScene with_moves(DrivingScene driving, const ActorEdits& edits) {
-    for (const auto& [track, by] : edits.moves) driving = move_track(std::move(driving), track, upright(by.data(), by[3]));
+    for (const auto& [track, by] : edits.moves)
+        driving = move_track(std::move(driving), track, upright(by.data(), by[3]));
     return driving;
 }
 
@@ -49,37 +54,44 @@ DrivingScene layout(const Run& run) {
 const Run& run_called(const std::string& name, const OtherRuns& others) {
     const auto found = others.find(name);
     if (found == others.end())
-        throw UsageError(fmt::format("inserting an actor: found the run \"{}\", expected one of `relidar view --insert`", name));
+        throw UsageError(fmt::format(
+            "inserting an actor: found the run \"{}\", expected one of `relidar view --insert`", name));
     return found->second;
 }
 
 /// @param scene_of  what is wanted of another run: its layout, or all of it
-DrivingScene copied(DrivingScene driving, const OtherRuns& others, const std::vector<ActorEdits::Copy>& copies,
-                    DrivingScene (*scene_of)(const Run&)) {
+DrivingScene copied(DrivingScene driving, const OtherRuns& others,
+                    const std::vector<ActorEdits::Copy>& copies, DrivingScene (*scene_of)(const Run&)) {
     for (const ActorEdits::Copy& copy : copies) {
         const Start start = start_of(copy, driving.sequence.world_offset_m);
         if (copy.from.empty()) driving = copy_track(std::move(driving), copy.of, start);
-        else driving = insert_track(std::move(driving), scene_of(run_called(copy.from, others)), copy.of, start);
+        else
+            driving =
+                insert_track(std::move(driving), scene_of(run_called(copy.from, others)), copy.of, start);
     }
     return driving;
 }
 
 void check_known(const DrivingScene& driving, const std::set<std::string>& tracks) {
     const std::vector<std::string> names(tracks.begin(), tracks.end());
-    (void)select_instances(driving.scene, names);   // throws with the nearest name
+    (void)select_instances(driving.scene, names);  // throws with the nearest name
 }
 
 /// Edits as `relidar edit` takes them, for the history of the run.
 std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
-    const auto folder_of = [](const Run& r) { return std::filesystem::absolute(r.folder).lexically_normal().string(); };
+    const auto folder_of = [](const Run& r) {
+        return std::filesystem::absolute(r.folder).lexically_normal().string();
+    };
     const std::string origin = folder_of(run);
     std::vector<RunEdit> result;
     for (const ActorEdits::Copy& copy : edits.copies) {
         const Start start = start_of(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
-        const std::string what = copy.from.empty() ? "--copy " : fmt::format("--insert {}#", folder_of(run_called(copy.from, others)));
-        result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z, copy.at[3], copy.at[4],
-                                              copy.at[5], copy.at[6])});
+        const std::string what = copy.from.empty()
+                                     ? "--copy "
+                                     : fmt::format("--insert {}#", folder_of(run_called(copy.from, others)));
+        result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z,
+                                              copy.at[3], copy.at[4], copy.at[5], copy.at[6])});
     }
     for (const auto& [track, by] : edits.moves)
         result.push_back({origin, fmt::format("--move {}:{},{},{},{}", track, by[0], by[1], by[2], by[3])});
@@ -89,7 +101,8 @@ std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const Acto
 
 }  // namespace
 
-DrivingScene with_copies(DrivingScene driving, const OtherRuns& others, const std::vector<ActorEdits::Copy>& copies) {
+DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
+                         const std::vector<ActorEdits::Copy>& copies) {
     return copied(std::move(driving), others, copies, [](const Run& run) { return run.driving(); });
 }
 
@@ -98,7 +111,9 @@ ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const G
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
     GroundPlace place{{wish.at[0] + offset_m.x, wish.at[1] + offset_m.y}};
     place.clearance_m = asset_clearance(owner);
-    const Pose pose = start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, wish.of).dataset_from_box;
+    const Pose pose =
+        start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, wish.of)
+            .dataset_from_box;
     const glm::dvec3 p = pose.translation - offset_m, angles_deg = yaw_pitch_roll(pose.rotation) / kRadians;
     return {wish.of, wish.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
 }
@@ -113,7 +128,9 @@ ActorPoses Traffic::placed(double time_s) const {
     ActorPoses poses;
     for (const BoxTrack& box : driving_.sequence.boxes) {
         const auto has_surfels = [&](const Instance& i) { return !i.track.empty() && i.track == box.id; };
-        if (!is_shown(box) || !box.present(time_s) || std::none_of(instances().begin(), instances().end(), has_surfels)) continue;
+        if (!is_shown(box) || !box.present(time_s) ||
+            std::none_of(instances().begin(), instances().end(), has_surfels))
+            continue;
         poses[box.id] = shifted_track(box.world_from_box, driving_.sequence.world_offset_m);
     }
     return poses;
@@ -135,7 +152,8 @@ nlohmann::json Traffic::describe(double time_s) const {
 
 Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
     Run result = run;
-    DrivingScene driving = with_moves(with_copies({result.scene, result.sequence}, others, edits.copies), edits);
+    DrivingScene driving =
+        with_moves(with_copies({result.scene, result.sequence}, others, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.replace(std::move(driving));
     const std::vector<RunEdit> done = history(run, others, edits);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The only file that knows both languages. The other shared headers are plain struct definitions, read unchanged by C++ and
-// GLSL: scalar block layout, vectors by GLSL name, pointers as buffer references here and 8-byte addresses there.
+// The only file that knows both languages. The other shared headers are plain struct
+// definitions, read unchanged by C++ and GLSL: scalar block layout, vectors by GLSL name,
+// pointers as buffer references here and 8-byte addresses there.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
 #define RELIDAR_INCLUDED_BASE_LANG_H
 #ifdef __cplusplus
@@ -9,16 +10,21 @@
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
 #define RELIDAR_POINTER(name, type) using name = Address<type>
-#define RELIDAR_HANDLE(name) struct name { std::uint64_t value = 0; }
-// Where a struct has two pointers of one kind, each says what it holds: RELIDAR_OF(Floats, LossTerms) terms. In GLSL that is Floats.
+#define RELIDAR_HANDLE(name)     \
+    struct name {                \
+        std::uint64_t value = 0; \
+    }
+// Where a struct has two pointers of one kind, each says what it holds:
+// RELIDAR_OF(Floats, LossTerms) terms. In GLSL that is Floats.
 #define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
 namespace relidar {
 template <class T, class Meaning = void>
 class Array;
 class Stream;
 
-/// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere unless an Array<T, Meaning> has made it. Addresses
-/// of different types, or of different meanings, are not each other, so that a kernel never gets one array for another.
+/// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere
+/// unless an Array<T, Meaning> has made it. Addresses of different types, or of different
+/// meanings, are not each other, so that a kernel never gets one array for another.
 template <class T, class Meaning = void>
 class Address {
 public:
@@ -29,14 +35,16 @@ public:
     friend bool operator==(const Address&, const Address&) = default;
     /// The same place under another meaning: the only way from one to the other.
     template <class Other>
-    Of<Other> as() const { return Of<Other>(value_); }
+    Of<Other> as() const {
+        return Of<Other>(value_);
+    }
 
 private:
     template <class, class>
     friend class Address;
     template <class, class>
     friend class Array;
-    friend class Stream;   // parameters of its own, for one submission
+    friend class Stream;  // parameters of its own, for one submission
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
 };
@@ -60,8 +68,9 @@ using uint = std::uint32_t;
 // What the driver alone reads through.
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 #define RELIDAR_OF(pointer, meaning) pointer
-// Addresses are never numbers here: not every device has 64-bit integers. A pointer becomes one of another type through uvec2, as not
-// every compiler (SwiftShader's) casts pointers.
+// Addresses are never numbers here: not every device has 64-bit integers. A pointer
+// becomes one of another type through uvec2, as not every compiler (SwiftShader's) casts
+// pointers.
 #endif
 
 RELIDAR_SHARED_BEGIN

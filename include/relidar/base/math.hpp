@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rigid poses and the few host-side vector types every stage shares. Double precision: a log may lie kilometres from its
-// origin. Transforms read right to left: `world_from_sensor * point_sensor`.
+// Rigid poses and the few host-side vector types every stage shares. Double precision: a
+// log may lie kilometres from its origin. Transforms read right to left:
+// `world_from_sensor * point_sensor`.
 #pragma once
 
 #include <array>
@@ -15,7 +16,8 @@ struct Pose {
     glm::dquat rotation{1.0, 0.0, 0.0, 0.0};  ///< unit quaternion (w, x, y, z)
     glm::dvec3 translation{0.0};              ///< metres
 
-    /// Applies the transform to a point. @param point [3] metres, frame b @return [3] metres, frame a
+    /// Applies the transform to a point. @param point [3] metres, frame b @return [3]
+    /// metres, frame a
     glm::dvec3 operator*(const glm::dvec3& point) const { return rotation * point + translation; }
 
     /// Composition: (a_from_b * b_from_c) = a_from_c.
@@ -33,17 +35,19 @@ inline Pose inverse(const Pose& pose) {
 /// Pose between two poses: slerp of the rotation, lerp of the translation.
 /// @param s  [0, 1] gives a..b; values outside extrapolate at constant velocity.
 inline Pose interpolate(const Pose& a, const Pose& b, double s) {
-    return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)), a.translation + s * (b.translation - a.translation)};
+    return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)),
+            a.translation + s * (b.translation - a.translation)};
 }
 
-/// R_z(yaw) R_y(pitch) R_x(roll): rolled first, turned last; x forward, y left, z up, radians.
+/// R_z(yaw) R_y(pitch) R_x(roll): rolled first, turned last; x forward, y left, z up,
+/// radians.
 inline glm::dquat rotation_of(double yaw_rad, double pitch_rad, double roll_rad) {
     return glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)) * glm::angleAxis(pitch_rad, glm::dvec3(0, 1, 0)) *
            glm::angleAxis(roll_rad, glm::dvec3(1, 0, 0));
 }
 
-/// Small motion of a pose: translation v in metres of the world, rotation vector w in radians, in the world's axes about the pose's own
-/// origin; or the derivative by them.
+/// Small motion of a pose: translation v in metres of the world, rotation vector w in
+/// radians, in the world's axes about the pose's own origin; or the derivative by them.
 using Twist = std::array<double, 6>;
 
 /// (exp([w]x) R, T + v)
@@ -64,16 +68,19 @@ inline Twist twist_between(const Pose& from, const Pose& to) {
     return {v.x, v.y, v.z, w.x, w.y, w.z};
 }
 
-/// How something moves during a sweep: at constant velocity and turn rate, within a span of time. Before and after the span it stands.
-/// All zero: it does not move.
+/// How something moves during a sweep: at constant velocity and turn rate, within a span
+/// of time. Before and after the span it stands. All zero: it does not move.
 struct PoseMotion {
-    glm::dvec3 velocity_mps{0.0};   ///< world
-    glm::dvec3 turn_radps{0.0};     ///< rotation vector per second in the world's axes, about its own origin
-    double middle_s = 0.0;          ///< middle of the span, from the reference time of the sweep
+    glm::dvec3 velocity_mps{0.0};  ///< world
+    glm::dvec3 turn_radps{0.0};    ///< rotation vector per second in the world's axes, about its own origin
+    double middle_s = 0.0;         ///< middle of the span, from the reference time of the sweep
     double half_span_s = 0.0;
 
-    bool is_none() const { return !(half_span_s > 0.0) || (velocity_mps == glm::dvec3(0.0) && turn_radps == glm::dvec3(0.0)); }
-    /// Pose that a ray meets which is fired `after_s` seconds after the reference time. @param pose  in the middle of the span
+    bool is_none() const {
+        return !(half_span_s > 0.0) || (velocity_mps == glm::dvec3(0.0) && turn_radps == glm::dvec3(0.0));
+    }
+    /// Pose that a ray meets which is fired `after_s` seconds after the reference time.
+    /// @param pose  in the middle of the span
     Pose at(const Pose& pose, double after_s) const {
         const double since_s = glm::clamp(after_s - middle_s, -half_span_s, half_span_s);
         const glm::dvec3 v = since_s * velocity_mps, w = since_s * turn_radps;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How what takes longer than a moment says how far it is, and what it has spent its time on.
+// How what takes longer than a moment says how far it is, and what it has spent its time
+// on.
 #pragma once
 
 #include <algorithm>
@@ -11,18 +12,21 @@
 
 namespace relidar {
 
-/// Called now and then by work that may take seconds, from the thread that started it. May be empty: nothing is told.
+/// Called now and then by work that may take seconds, from the thread that started it.
+/// May be empty: nothing is told.
 /// @param what  is being done, in a few words @param done  share of it, 0..1
 using Progress = std::function<void(std::string_view what, double done)>;
 
-/// What long work spends its time on: stages, one after the other, in the order in which they first began.
+/// What long work spends its time on: stages, one after the other, in the order in which
+/// they first began.
 class StageTimes {
 public:
     struct Stage {
         std::string name;
         double seconds = 0.0;
     };
-    /// Ends the stage before and begins this one. One that was there before goes on counting.
+    /// Ends the stage before and begins this one. One that was there before goes on
+    /// counting.
     void begin(std::string_view name) {
         end();
         const auto known = std::ranges::find(stages_, name, &Stage::name);
@@ -32,7 +36,8 @@ public:
     }
     void end() {
         if (running_ < stages_.size())
-            stages_[running_].seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - since_).count();
+            stages_[running_].seconds +=
+                std::chrono::duration<double>(std::chrono::steady_clock::now() - since_).count();
         running_ = kNone;
     }
     /// The one that runs has the seconds of its earlier turns alone.

@@ -15,7 +15,8 @@ struct DropSamples;
 struct DropProbabilities;
 }  // namespace shared
 
-/// Compiles every pipeline that training and evaluating the options' network use. Runs none of them.
+/// Compiles every pipeline that training and evaluating the options' network use. Runs
+/// none of them.
 void compile_drop_network(Device& device, const RefineOptions& options);
 
 /// A network in evaluation mode, as DropRefiner, in a stream of the caller's.
@@ -26,7 +27,8 @@ public:
     ~DropPass();
 
     const DropNetwork& network() const;
-    /// Records a pass over one image. @param channels [network().inputs, rows, columns] as DropImage::channels
+    /// Records a pass over one image. @param channels [network().inputs, rows, columns]
+    /// as DropImage::channels
     /// @return [rows, columns] drop probabilities, there until an image of a third shape
     /// @throws DataError for an image smaller than network().smallest_side()
     const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,

@@ -15,9 +15,11 @@ namespace relidar {
 
 /// Rays in world coordinates.
 struct WorldRays {
-    std::vector<glm::vec3> origin;      ///< [n] metres
-    std::vector<glm::vec3> direction;   ///< [n] unit
-    std::vector<float> time_s = {};     ///< [n] when each is fired, from the sweep's reference time; empty: instances stand at their poses
+    std::vector<glm::vec3> origin;     ///< [n] metres
+    std::vector<glm::vec3> direction;  ///< [n] unit
+    /// [n] when each is fired, from the sweep's reference time; empty: instances stand at
+    /// their poses
+    std::vector<float> time_s = {};
     std::size_t size() const { return direction.size(); }
 };
 
@@ -29,50 +31,61 @@ struct RayBatch {
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// Where the batch is an image, row by row: its columns, of which n_rays is a multiple. Threads that run together then trace tiles of
-    /// 16 x 2 neighbours, which open the same nodes. 0 = rays as they come.
+    /// Where the batch is an image, row by row: its columns, of which n_rays is a
+    /// multiple. Threads that run together then trace tiles of 16 x 2 neighbours, which
+    /// open the same nodes. 0 = rays as they come.
     std::uint32_t columns = 0;
-    /// What the rays measured, entry by entry as `rays`; looked at with TraceOptions::likelihood alone. Null = nothing.
+    /// What the rays measured, entry by entry as `rays`; looked at with
+    /// TraceOptions::likelihood alone. Null = nothing.
     const Array<shared::DeviceTarget>* targets = nullptr;
 };
 
-/// Whether each ray walks the software tree on its own or the rays of a subgroup walk it together.
+/// Whether each ray walks the software tree on its own or the rays of a subgroup walk it
+/// together.
 enum class Walk { automatic, lane, subgroup };
 
-/// How a ray puts its hits in order: those of a chunk as they are found, in a buffer of its own, or all of them afterwards, appended to a
-/// list in memory.
+/// How a ray puts its hits in order: those of a chunk as they are found, in a buffer of
+/// its own, or all of them afterwards, appended to a list in memory.
 enum class HitOrder { automatic, chunks, lists };
 
-/// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 + ((t - z) / scale_m)^2).
+/// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 +
+/// ((t - z) / scale_m)^2).
 struct RangeKernel {
     float scale_m = 0.05f;
 };
 
 /// How rays are traced; none of it changes the image.
 struct TraceOptions {
-    int chunk = 16;               ///< hits sorted at a time, 1..64
-    Walk walk = Walk::automatic;  ///< software traversal alone; automatic = what measures faster on the kind of device
-    HitOrder order = HitOrder::automatic;   ///< of the forward pass; automatic = lists on a GPU, chunks on a CPU
-    /// Hits that a list has room for at first, 1..512; twice as many while any ray has more. Rays that have more are traced in chunks.
+    int chunk = 16;  ///< hits sorted at a time, 1..64
+    /// software traversal alone; automatic = what measures faster on the kind of device
+    Walk walk = Walk::automatic;
+    /// of the forward pass; automatic = lists on a GPU, chunks on a CPU
+    HitOrder order = HitOrder::automatic;
+    /// Hits that a list has room for at first, 1..512; twice as many while any ray has
+    /// more. Rays that have more are traced in chunks.
     int list_room = 64;
-    /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and BackwardPass::run, which must then be given one,
-    /// what the geometric losses want.
+    /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and
+    /// BackwardPass::run, which must then be given one, what the geometric losses want.
     bool geometry = false;
     /// Its likelihood is rendered, of the rays that have a measured range.
     std::optional<RangeKernel> likelihood{};
-    /// The heaviest surface of each ray is rendered (docs/method.md M13): hits no farther than this behind the one before are one, metres.
+    /// The heaviest surface of each ray is rendered (docs/method.md M13): hits no farther
+    /// than this behind the one before are one, metres.
     std::optional<float> mode_gap_m{};
 
-    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }   ///< a RayGeometry, for one of them
+    /// a RayGeometry, for one of them
+    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }
 };
 
-/// Threads that trace a batch: whole tiles of 16 x 2 rays over an image, some of them beside it; else one a ray.
+/// Threads that trace a batch: whole tiles of 16 x 2 rays over an image, some of them
+/// beside it; else one a ray.
 std::size_t trace_threads(const RayBatch& batch);
 
-/// The first hits of each ray of a batch, as the forward pass blended them, so that the backward pass need not search them again.
+/// The first hits of each ray of a batch, as the forward pass blended them, so that the
+/// backward pass need not search them again.
 struct KeptHits {
-    Array<shared::Hit> hits;     ///< [ceil(n_threads / 4), per_ray, 4]
-    std::uint32_t per_ray = 0;   ///< what a ray has behind them is searched again
+    Array<shared::Hit> hits;    ///< [ceil(n_threads / 4), per_ray, 4]
+    std::uint32_t per_ray = 0;  ///< what a ray has behind them is searched again
 
     /// @param n_threads  that trace the largest batch
     KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
@@ -82,30 +95,39 @@ struct KeptHits {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
     /// Whether there is room for those of a batch.
-    bool hold(const RayBatch& batch) const { return side_by_side(trace_threads(batch)) * per_ray <= hits.size(); }
+    bool hold(const RayBatch& batch) const {
+        return side_by_side(trace_threads(batch)) * per_ray <= hits.size();
+    }
 };
 
-/// How many hits of a ray should be kept where `n_overfull` rays had more than the `per_ray` that are: twice as many while there are such
-/// rays, for a GPU waits for the few that it searches again as long as for all others; but at most 256 (4 kB a ray), or as many as now.
+/// How many hits of a ray should be kept where `n_overfull` rays had more than the
+/// `per_ray` that are: twice as many while there are such rays, for a GPU waits for the
+/// few that it searches again as long as for all others; but at most 256 (4 kB a ray), or
+/// as many as now.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
-/// What the geometric losses want of each ray of a batch beside its image, and what they give back.
+/// What the geometric losses want of each ray of a batch beside its image, and what they
+/// give back.
 struct RayGeometry {
-    Array<shared::RenderedGeometry> rendered;   ///< [n_rays] of the forward pass
-    Array<shared::GeometryGradient> gradient;   ///< [n_rays] of GeometryLoss
+    Array<shared::RenderedGeometry> rendered;  ///< [n_rays] of the forward pass
+    Array<shared::GeometryGradient> gradient;  ///< [n_rays] of GeometryLoss
 
     /// @param n_rays  of the largest batch
     RayGeometry(Device& device, std::size_t n_rays)
         : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
 };
 
-/// A batch that has been rendered, as losses compare it and the backward pass differentiates it.
+/// A batch that has been rendered, as losses compare it and the backward pass
+/// differentiates it.
 struct RenderedBatch {
     RayBatch rays;
-    const Array<shared::RenderedRay>* rendered = nullptr;   ///< [n_rays] of ForwardPass::run
-    Array<shared::RayGradient>* upstream = nullptr;         ///< [n_rays] dL/d(rendered): losses write it, the backward pass reads it
-    const KeptHits* kept = nullptr;                         ///< of the same ForwardPass::run, or null
-    RayGeometry* geometry = nullptr;  ///< of the same ForwardPass::run, where TraceOptions wants geometry; its gradient is as upstream
+    const Array<shared::RenderedRay>* rendered = nullptr;  ///< [n_rays] of ForwardPass::run
+    /// [n_rays] dL/d(rendered): losses write it, the backward pass reads it
+    Array<shared::RayGradient>* upstream = nullptr;
+    const KeptHits* kept = nullptr;  ///< of the same ForwardPass::run, or null
+    /// of the same ForwardPass::run, where TraceOptions wants geometry; its gradient is
+    /// as upstream
+    RayGeometry* geometry = nullptr;
 };
 
 /// Rays as kernels read them.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Device memory and submission, without a Vulkan type: what a stage needs to own arrays and run kernels on them.
+// Device memory and submission, without a Vulkan type: what a stage needs to own arrays
+// and run kernels on them.
 #pragma once
 
 #include <cstddef>
@@ -18,7 +19,8 @@ namespace relidar {
 class Buffer {
 public:
     Buffer();
-    /// @param what  name used in messages @throws DeviceError where memory is exhausted, with size and what was asked for
+    /// @param what  name used in messages @throws DeviceError where memory is exhausted,
+    /// with size and what was asked for
     Buffer(Device& device, std::size_t n_bytes, const std::string& what);
     ~Buffer();
     Buffer(Buffer&&) noexcept;
@@ -35,7 +37,7 @@ public:
     struct Impl;
 
 private:
-    friend Impl& impl_of(const Buffer& buffer);   ///< what the library itself works with
+    friend Impl& impl_of(const Buffer& buffer);  ///< what the library itself works with
     template <class, class>
     friend class Array;
     std::unique_ptr<Impl> impl_;
@@ -48,15 +50,21 @@ template <class T>
 class Array<T, void> {
 public:
     Array() = default;
-    Array(Device& device, std::size_t n, const std::string& what) : buffer_(device, (n ? n : 1) * sizeof(T), what), n_(n) {}
-    Array(Device& device, std::span<const T> values, const std::string& what) : Array(device, values.size(), what) { upload(values); }
+    Array(Device& device, std::size_t n, const std::string& what)
+        : buffer_(device, (n ? n : 1) * sizeof(T), what), n_(n) {}
+    Array(Device& device, std::span<const T> values, const std::string& what)
+        : Array(device, values.size(), what) {
+        upload(values);
+    }
 
     std::size_t size() const { return n_; }
-    /// What kernels are given: the whole array, or the part of it that begins at an entry. Arrays begin at multiples of 16 bytes, so
-    /// that kernels load a record in pieces of 16 bytes; a part that begins elsewhere is indexed at run time, or by atomics, and
-    /// nothing else.
+    /// What kernels are given: the whole array, or the part of it that begins at an
+    /// entry. Arrays begin at multiples of 16 bytes, so that kernels load a record in
+    /// pieces of 16 bytes; a part that begins elsewhere is indexed at run time, or by
+    /// atomics, and nothing else.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
-    /// The same memory for a kernel that takes it for entries of another type or meaning. `first` counts entries of T.
+    /// The same memory for a kernel that takes it for entries of another type or meaning.
+    /// `first` counts entries of T.
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
@@ -73,8 +81,9 @@ public:
         if (n) buffer_.download(values.data(), n * sizeof(T));
         return values;
     }
-    /// Makes room for n values and keeps those there are; the rest is undefined. Never shrinks. Nothing may be in flight that uses the
-    /// array: it moves. @throws DeviceError where memory is exhausted; the array is then as before
+    /// Makes room for n values and keeps those there are; the rest is undefined. Never
+    /// shrinks. Nothing may be in flight that uses the array: it moves. @throws
+    /// DeviceError where memory is exhausted; the array is then as before
     void reserve(Device& device, std::size_t n, const std::string& what) {
         if (n <= n_) return;
         Array larger(device, n, what);
@@ -87,21 +96,26 @@ private:
     std::size_t n_ = 0;
 };
 
-/// Device array of which kernels that take several of its type know what it holds: the Meaning is the name that their parameters give by
-/// RELIDAR_OF, as in Array<float, shared::LossTerms>. For all others, and on the host, it is an Array<T>.
+/// Device array of which kernels that take several of its type know what it holds: the
+/// Meaning is the name that their parameters give by RELIDAR_OF, as in Array<float,
+/// shared::LossTerms>. For all others, and on the host, it is an Array<T>.
 template <class T, class Meaning>
 class Array : public Array<T> {
 public:
     using Array<T>::Array;
-    Address<T, Meaning> address(std::size_t first = 0) const { return this->template address_as<T, Meaning>(first); }
+    Address<T, Meaning> address(std::size_t first = 0) const {
+        return this->template address_as<T, Meaning>(first);
+    }
 };
 
 /// Of an array that need not be there: null is nowhere.
 template <class T, class Meaning>
-Address<T, Meaning> address_of(const Array<T, Meaning>* array) { return array ? array->address() : Address<T, Meaning>(); }
+Address<T, Meaning> address_of(const Array<T, Meaning>* array) {
+    return array ? array->address() : Address<T, Meaning>();
+}
 
-/// Records kernels and submits them. Each launch sees the results of all earlier ones, but of those in its Concurrent scope or in other
-/// Strands.
+/// Records kernels and submits them. Each launch sees the results of all earlier ones,
+/// but of those in its Concurrent scope or in other Strands.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -112,12 +126,15 @@ public:
     /// Sets an array to a 32-bit pattern.
     void fill(const Buffer& buffer, std::uint32_t pattern = 0);
     template <class T>
-    void fill(const Array<T>& array, std::uint32_t pattern = 0) { fill(array.buffer(), pattern); }
+    void fill(const Array<T>& array, std::uint32_t pattern = 0) {
+        fill(array.buffer(), pattern);
+    }
     /// Copies the first n_bytes of one buffer to another of the same device.
     void copy(const Buffer& from, const Buffer& to, std::size_t n_bytes);
     /// Submits what was recorded. @return a ticket for wait()
     std::uint64_t submit();
-    /// Blocks until a ticket is done. @throws DeviceError on a lost device or a device-side check, with the kernel's name
+    /// Blocks until a ticket is done. @throws DeviceError on a lost device or a
+    /// device-side check, with the kernel's name
     void wait(std::uint64_t ticket);
     /// submit and wait.
     void finish() { wait(submit()); }
@@ -129,12 +146,13 @@ public:
     struct Impl;
 
 private:
-    friend Impl& impl_of(const Stream& stream);   ///< what the library itself works with
+    friend Impl& impl_of(const Stream& stream);  ///< what the library itself works with
     std::unique_ptr<Impl> impl_;
 };
 
-/// While it lives, what a stream records may run at the same time: no launch may read or write what another one of the scope writes.
-/// What is recorded afterwards sees the results of all of them.
+/// While it lives, what a stream records may run at the same time: no launch may read or
+/// write what another one of the scope writes. What is recorded afterwards sees the
+/// results of all of them.
 class Concurrent {
 public:
     explicit Concurrent(Stream& stream);
@@ -146,9 +164,11 @@ private:
     Stream& stream_;
 };
 
-/// While it lives, a stream records into strands. A launch sees the results of the earlier ones of its own strand; the n-th launches of
-/// all strands may run at the same time, so that small ones fill a device together. No launch may read or write what another strand writes.
-/// What is recorded or submitted afterwards sees the results of all of them.
+/// While it lives, a stream records into strands. A launch sees the results of the
+/// earlier ones of its own strand; the n-th launches of all strands may run at the same
+/// time, so that small ones fill a device together. No launch may read or write what
+/// another strand writes. What is recorded or submitted afterwards sees the results of
+/// all of them.
 class Strands {
 public:
     Strands(Stream& stream, std::size_t n);
@@ -165,17 +185,20 @@ private:
 /// A copy of device values that arrives with a later submission.
 class Readback {
 public:
-    /// @param n_bytes at most in one copy @param what name used in messages @throws DeviceError where memory is exhausted
+    /// @param n_bytes at most in one copy @param what name used in messages @throws
+    /// DeviceError where memory is exhausted
     Readback(Device& device, std::size_t n_bytes, const std::string& what);
     ~Readback();
     Readback(Readback&&) noexcept;
     Readback& operator=(Readback&&) noexcept;
 
-    /// Records a copy of n_bytes into cached host memory. The next submit() of the stream sends it.
+    /// Records a copy of n_bytes into cached host memory. The next submit() of the stream
+    /// sends it.
     void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
     /// A copy was recorded that wait() has not been called for.
     bool pending() const;
-    /// Blocks until the recorded copy is done. @return the bytes, valid until the next record()
+    /// Blocks until the recorded copy is done. @return the bytes, valid until the next
+    /// record()
     const void* wait(Stream& stream);
 
 private:

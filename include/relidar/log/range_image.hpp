@@ -13,14 +13,16 @@ namespace relidar {
 struct RangeImage {
     int rows = 0;
     int columns = 0;
-    std::vector<float> range_m;        ///< [rows*columns] along the ray; 0 where dropped (real) or wherever nothing was met
+    /// [rows*columns] along the ray; 0 where dropped (real) or wherever nothing was met
+    std::vector<float> range_m;
     std::vector<float> intensity;      ///< [rows*columns]
     std::vector<float> drop_prob;      ///< [rows*columns] 0/1 for a real image
     std::vector<glm::vec3> origin;     ///< [rows*columns] metres, sensor frame
     std::vector<glm::vec3> direction;  ///< [rows*columns] unit, sensor frame
 };
 
-/// Drop probability from which a ray counts as dropped, in what is written and by default in what is scored strictly.
+/// Drop probability from which a ray counts as dropped, in what is written and by default
+/// in what is scored strictly.
 inline constexpr float kDropThreshold = 0.5f;
 /// Whether a ray counts as returned: it met something, and returns more likely than not.
 inline bool returned(float drop_prob, float range_m) { return drop_prob < kDropThreshold && range_m > 0.0f; }

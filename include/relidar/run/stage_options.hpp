@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-/// Settings whose dataset.max_range_m is a length: 0 becomes the farthest limit of the log's LiDARs.
+/// Settings whose dataset.max_range_m is a length: 0 becomes the farthest limit of the
+/// log's LiDARs.
 Config with_farthest(Config config, const Sequence& sequence);
 /// How rays are traced. The device decides the rest.
 TraceOptions trace_options(const Config& config);

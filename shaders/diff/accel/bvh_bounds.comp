@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bounds of the box centres of each model, over the surfels that can be hit: where Morton codes are counted from. Workgroups of 256
-// threads, 16 surfels a thread. Input: boxes, models. Accumulated: bounds. Floor: 24 B a surfel read.
+// Bounds of the box centres of each model, over the surfels that can be hit: where Morton
+// codes are counted from. Workgroups of 256 threads, 16 surfels a thread. Input: boxes,
+// models. Accumulated: bounds. Floor: 24 B a surfel read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -22,11 +23,12 @@ void main() {
     uint base = workgroup_index() * RELIDAR_BVH_TILE + scan_thread();
     uint model = 0u;
     Box bounds = empty_box();
-    for (uint i = base; i < min(base - scan_thread() + RELIDAR_BVH_TILE, params.n_surfels); i += RELIDAR_BVH_WORKGROUP) {
+    for (uint i = base; i < min(base - scan_thread() + RELIDAR_BVH_TILE, params.n_surfels);
+         i += RELIDAR_BVH_WORKGROUP) {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
         uint first_surfel = params.models.at[model].first_surfel;
-        if (i - first_surfel >= params.models.at[model].n_surfels) {   // wraps where the surfel lies before
+        if (i - first_surfel >= params.models.at[model].n_surfels) {  // wraps where the surfel lies before
             if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
             bounds = empty_box();
             model = find_model(params.models, params.n_models, i);

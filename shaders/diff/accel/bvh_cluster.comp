@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binary trees by agglomeration (Benthin et al., "H-PLOC: Hierarchical Parallel Locally-Ordered Clustering", 2024): the radix tree over
-// the sorted keys (after Apetrei 2014, ends of ranges exchanged at splits) says which ranges come together; where two do, their at
-// most 32 clusters are merged to at most 16, each with its nearest of the 8 on either side where that is mutual. Costs of wide nodes are
-// found with each merge. One thread a sorted position; the second to reach a split goes on, and its subgroup works on one range together,
-// as hardly any two of its threads get so far. A workgroup is one subgroup: on lavapipe a subgroup's barrier holds up all of them. Input:
-// boxes, keys, surfels, models. Output: tree, roots. Nodes take the numbers of positions, not of a counter, so that a build is repeatable.
-// Floor: 36 B a surfel read, 68 B written and read again a node; 500 box
-// unions a surfel.
+// Binary trees by agglomeration (Benthin et al., "H-PLOC: Hierarchical Parallel
+// Locally-Ordered Clustering", 2024): the radix tree over the sorted keys (after Apetrei
+// 2014, ends of ranges exchanged at splits) says which ranges come together; where two
+// do, their at most 32 clusters are merged to at most 16, each with its nearest of the 8
+// on either side where that is mutual. Costs of wide nodes are found with each merge. One
+// thread a sorted position; the second to reach a split goes on, and its subgroup works
+// on one range together, as hardly any two of its threads get so far. A workgroup is one
+// subgroup: on lavapipe a subgroup's barrier holds up all of them. Input: boxes, keys,
+// surfels, models. Output: tree, roots. Nodes take the numbers of positions, not of a
+// counter, so that a build is repeatable. Floor: 36 B a surfel read, 68 B written and
+// read again a node; 500 box unions a surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -24,14 +27,16 @@ RELIDAR_PARAMS(BvhClusterParams);
 const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
 struct Cluster {
     Box box;
-    uint root;    // node or leaf
-    uint spare;   // position of its subtree that numbers no node yet
+    uint root;   // node or leaf
+    uint spare;  // position of its subtree that numbers no node yet
 };
 // Clusters by fields: lanes that read the same field of neighbours then read other banks.
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-shared ivec4 task;   // first position, last of the left range, last position; model that is whole with it, or -1
+// first position, last of the left range, last position; model that is whole with it, or
+// -1
+shared ivec4 task;
 
 /// All that the subgroup has written to shared memory becomes visible to it.
 void synchronise() {
@@ -39,7 +44,8 @@ void synchronise() {
     subgroupBarrier();
 }
 
-/// Length of the common prefix of the keys at a position and the next; -1 at the ends of the model.
+/// Length of the common prefix of the keys at a position and the next; -1 at the ends of
+/// the model.
 int common_prefix(int i, int first, int last) {
     if (i < first || i >= last) return -1;
     uvec2 a = params.keys.at[i], b = params.keys.at[i + 1];
@@ -64,7 +70,8 @@ Cluster load_cluster(uint root) {
         uint position = root & ~RELIDAR_BVH_LEAF;
         return Cluster(load_box(params.boxes, params.surfels.at[position]), root, position);
     }
-    return Cluster(load_shared_box(params.tree.boxes, root), root, SharedUints(uvec2(params.tree.spares)).at[root]);
+    return Cluster(load_shared_box(params.tree.boxes, root), root,
+                   SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
 /// Appends the clusters of a range to `n`. @return how many there are then
@@ -81,7 +88,8 @@ uint load_clusters(int from, int to, uint n) {
     return n + n_range;
 }
 
-/// The one of a cluster's neighbours with which it has the smallest box; of equal pairs the first, so that one pair is mutual.
+/// The one of a cluster's neighbours with which it has the smallest box; of equal pairs
+/// the first, so that one pair is mutual.
 uint nearest_to(uint i, uint n) {
     Box own = box_of(i);
     float least = BOX_HUGE;
@@ -102,7 +110,8 @@ Cluster merged(Cluster a, Cluster b) {
     store_shared_box(params.tree.boxes, node, box);
     SharedUints(uvec2(params.tree.spares)).at[node] = a.spare;
     params.tree.children.at[node] = uvec2(a.root, b.root);
-    write_costs(params.tree, node, Subtree(a.root, half_area(a.box)), Subtree(b.root, half_area(b.box)), half_area(box));
+    write_costs(params.tree, node, Subtree(a.root, half_area(a.box)), Subtree(b.root, half_area(b.box)),
+                half_area(box));
     return Cluster(box, node, a.spare);
 }
 
@@ -120,10 +129,11 @@ uint merge_mutual(uint n) {
         if (kept && mutual) c = merged(c, cluster_of(j));
         synchronise();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);   // at or before i: read already
+        // at or before i: read already
+        if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
-    memoryBarrierBuffer();   // nodes are read by merges above
+    memoryBarrierBuffer();  // nodes are read by merges above
     synchronise();
     return n_kept;
 }
@@ -144,7 +154,8 @@ void join_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Brings a range to the split it shares with its neighbour. @return whether the neighbour was there: then the range is grown by it
+/// Brings a range to the split it shares with its neighbour. @return whether the
+/// neighbour was there: then the range is grown by it
 bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
     split = leftward ? from - 1 : to;
@@ -159,7 +170,8 @@ void main() {
     uint position = thread_index();
     bool climbing = position < params.n_surfels;
     int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
-    int first = int(params.models.at[model].first_surfel), last = first + int(params.models.at[model].n_surfels) - 1;
+    int first = int(params.models.at[model].first_surfel),
+        last = first + int(params.models.at[model].n_surfels) - 1;
     int from = int(position), to = from, split = from;
     if (climbing) SharedUints(uvec2(params.clusters)).at[position] = position | RELIDAR_BVH_LEAF;
     if (climbing && first == last) {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surface-area cost of the trees of all models, the number a rebuild is decided by: half areas of all nodes, and of all leaf slots times
-// the tests of their surfels, since a ray that meets a box pays for what is in it. One thread a wide node, one sum a workgroup of 256.
-// Input: wide. Output: partial sums. Floor: 104 B a wide node read.
+// Surface-area cost of the trees of all models, the number a rebuild is decided by: half
+// areas of all nodes, and of all leaf slots times the tests of their surfels, since a ray
+// that meets a box pays for what is in it. One thread a wide node, one sum a workgroup of
+// 256. Input: wide. Output: partial sums. Floor: 104 B a wide node read.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -9,7 +10,7 @@
 #include "../../base/workgroup_scan.glsl"
 #include "bvh_forest.glsl"
 RELIDAR_PARAMS(BvhCostParams);
-shared float sums[64];   // of subgroups
+shared float sums[64];  // of subgroups
 
 float leaf_cost(uint node, uint first_surfel) {
     uint first_leaf = params.wide.nodes.at[node].first_leaf;
@@ -19,7 +20,8 @@ float leaf_cost(uint node, uint first_surfel) {
         uint leaf = (leaves[s / 4u] >> (8u * (s % 4u))) & 255u, count = leaf >> 5;
         Box b = empty_box();
         for (uint k = 0u; k < count; ++k)
-            b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
+            b = joined(b, load_box(params.boxes,
+                                   first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
         cost += half_area(b) * SURFEL_COST * float(count);
     }
     return cost;

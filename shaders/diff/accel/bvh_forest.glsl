@@ -18,15 +18,17 @@ Box load_box(Floats boxes, uint i) {
                vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
 }
 
-// Values that one subgroup writes and another of the same launch reads, behind a barrier or an atomic counter. On cards whose subgroups
-// have caches of their own only a coherent access sees them; the plain pointers of shared/ are not.
+// Values that one subgroup writes and another of the same launch reads, behind a barrier
+// or an atomic counter. On cards whose subgroups have caches of their own only a coherent
+// access sees them; the plain pointers of shared/ are not.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
 
 Box load_shared_box(Floats boxes, uint i) {
     SharedFloats b = SharedFloats(uvec2(boxes));
-    return Box(vec3(b.at[6 * i], b.at[6 * i + 1], b.at[6 * i + 2]), vec3(b.at[6 * i + 3], b.at[6 * i + 4], b.at[6 * i + 5]));
+    return Box(vec3(b.at[6 * i], b.at[6 * i + 1], b.at[6 * i + 2]),
+               vec3(b.at[6 * i + 3], b.at[6 * i + 4], b.at[6 * i + 5]));
 }
 void store_shared_box(Floats boxes, uint i, Box value) {
     SharedFloats b = SharedFloats(uvec2(boxes));
@@ -36,7 +38,8 @@ void store_shared_box(Floats boxes, uint i, Box value) {
     }
 }
 
-const float SURFEL_COST = 0.3;   // of a surfel test, in visits of a node: 64 B and a plane against 80 B and eight boxes
+// of a surfel test, in visits of a node: 64 B and a plane against 80 B and eight boxes
+const float SURFEL_COST = 0.3;
 
 /// Half the surface; edges are cut at 1e18 m, so that it is always a number.
 float half_area(Box b) {
@@ -49,5 +52,7 @@ uint ordered_bits(float x) {
     uint bits = floatBitsToUint(x);
     return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
 }
-float from_ordered_bits(uint bits) { return uintBitsToFloat((bits & 0x80000000u) != 0u ? bits & 0x7fffffffu : ~bits); }
+float from_ordered_bits(uint bits) {
+    return uintBitsToFloat((bits & 0x80000000u) != 0u ? bits & 0x7fffffffu : ~bits);
+}
 #endif

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sort key of every surfel: its model above the Morton code of its mean, 13 bits an axis. All axes are counted in the same unit, so
-// that the first splits cut the longest edge of the model. One thread a surfel. Input: records, models, bounds. Output: keys, and
-// what later kernels count in. Floor: 16 B read (of a 64 B line), 16 B written a surfel.
+// Sort key of every surfel: its model above the Morton code of its mean, 13 bits an axis.
+// All axes are counted in the same unit, so that the first splits cut the longest edge of
+// the model. One thread a surfel. Input: records, models, bounds. Output: keys, and what
+// later kernels count in. Floor: 16 B read (of a 64 B line), 16 B written a surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -21,7 +22,7 @@ void main() {
         high[c] = -from_ordered_bits(params.bounds.at[6 * model + 3 + c]);
     }
     uvec3 cell = morton_cell(params.records.at[i].mean, low, high, RELIDAR_BVH_MORTON_BITS);
-    uint coarse = interleave(cell >> 5), fine = interleave(cell & 31u);   // 24 bits above 15 bits
+    uint coarse = interleave(cell >> 5), fine = interleave(cell & 31u);  // 24 bits above 15 bits
     params.keys.at[i] = uvec2(coarse << 15 | fine, coarse >> 17 | model << 7);
     params.other_ends.at[i] = RELIDAR_BVH_NO_NODE;
     params.demands.at[i] = 0u;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Costs of a binary subtree as part of a wide node (Ylitie et al. 2017, Eq. 2-5): by the area of what is entered and tested.
+// Costs of a binary subtree as part of a wide node (Ylitie et al. 2017, Eq. 2-5): by the
+// area of what is entered and tested.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 
@@ -11,7 +12,8 @@ struct Subtree {
 /// Costs in at most 1 ... 7 slots; a leaf costs the same in any number.
 void load_costs(BvhBinary tree, Subtree s, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
-        costs[k] = is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
+        costs[k] =
+            is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
 }
 
 /// Costs and decisions of a node from those of its children.

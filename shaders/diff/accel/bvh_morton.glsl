@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Morton codes: cells along a space-filling curve. All axes are counted in the same unit, so that the first splits cut the longest edge.
+// Morton codes: cells along a space-filling curve. All axes are counted in the same unit,
+// so that the first splits cut the longest edge.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
@@ -12,7 +13,8 @@ uint spread(uint x) {
 }
 uint interleave(uvec3 cell) { return spread(cell.x) << 2 | spread(cell.y) << 1 | spread(cell.z); }
 
-/// Cell of a point within bounds, `bits` an axis; whatever is no number falls into cell 0.
+/// Cell of a point within bounds, `bits` an axis; whatever is no number falls into cell
+/// 0.
 uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
     vec3 edges = high - low;
     float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);

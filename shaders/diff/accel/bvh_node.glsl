@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of a wide node, rounded outward: what a traversal decodes, origin + q 2^(e - 127) in float arithmetic, holds the real box.
+// Boxes of a wide node, rounded outward: what a traversal decodes, origin + q 2^(e - 127)
+// in float arithmetic, holds the real box.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
 float decoded(float origin, uint q, float scale) {
-    precise float offset = float(q) * scale;   // exact: 8 bits times a power of two
+    precise float offset = float(q) * scale;  // exact: 8 bits times a power of two
     precise float x = origin + offset;
     return x;
 }
 
-/// Least exponent with which 255 steps reach from low to high. Scales are normal floats: 2^-126 ... 2^126.
+/// Least exponent with which 255 steps reach from low to high. Scales are normal floats:
+/// 2^-126 ... 2^126.
 uint exponent_for(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
@@ -36,8 +38,9 @@ struct NodeGrid {
 /// @param whole  box of the node
 NodeGrid grid_of(Box whole) {
     Box frame = is_empty(whole) ? Box(vec3(0.0), vec3(0.0)) : whole;
-    return NodeGrid(frame.low, uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y),
-                                     exponent_for(frame.low.z, frame.high.z)));
+    return NodeGrid(frame.low,
+                    uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y),
+                          exponent_for(frame.low.z, frame.high.z)));
 }
 
 /// A child's steps along each axis as quantised() gives them; inverted where it is empty.
@@ -50,7 +53,8 @@ uvec3 steps_of(NodeGrid grid, Box child) {
 
 void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
     nodes.at[node].origin = grid.origin;
-    nodes.at[node].exponents = grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
+    nodes.at[node].exponents =
+        grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
 }
 
 /// Stores the low and the high sides of four children, a byte each.

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and whenever surfels have moved; on demand those of some
-// models alone. The lanes of a subgroup take a node by eights, a lane a child (by fours, two children a lane, where subgroups have no
-// more), for nodes differ in what they hold, and those that wait for their children in how far they get. Each eight looks at every n-th
-// wide node. Those without inner children start, and the last child to reach a node goes on. Input: boxes, topology of wide. Output:
-// origin, exponents and child boxes of the nodes, wide.boxes. Floor: 28 B a surfel read, 28 B read and 104 B written a wide node.
+// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and
+// whenever surfels have moved; on demand those of some models alone. The lanes of a
+// subgroup take a node by eights, a lane a child (by fours, two children a lane, where
+// subgroups have no more), for nodes differ in what they hold, and those that wait for
+// their children in how far they get. Each eight looks at every n-th wide node. Those
+// without inner children start, and the last child to reach a node goes on. Input: boxes,
+// topology of wide. Output: origin, exponents and child boxes of the nodes, wide.boxes.
+// Floor: 28 B a surfel read, 28 B read and 104 B written a wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -16,8 +19,8 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(BvhRefitParams);
 
-const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;   // lanes
-const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                             // children: 1 or 2
+const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;  // lanes
+const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // children: 1 or 2
 uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
 uint slot_of(uint k) { return k * OF_NODE + lane(); }
 
@@ -35,11 +38,13 @@ bool from_first_lane(bool value) { return subgroupShuffle(value, gl_SubgroupInvo
 
 Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     if ((inner_mask >> slot & 1u) != 0u)
-        return load_shared_box(params.wide.boxes, params.wide.nodes.at[node].first_child + bitCount(inner_mask & ((1u << slot) - 1u)));
+        return load_shared_box(params.wide.boxes, params.wide.nodes.at[node].first_child +
+                                                      bitCount(inner_mask & ((1u << slot) - 1u)));
     uint leaf = params.wide.nodes.at[node].leaves[slot / 4u] >> (8u * (slot % 4u)) & 255u;
     Box b = empty_box();
     uint first = params.wide.nodes.at[node].first_leaf + (leaf & 31u);
-    for (uint k = 0u; k < leaf >> 5; ++k) b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first + k]));
+    for (uint k = 0u; k < leaf >> 5; ++k)
+        b = joined(b, load_box(params.boxes, first_surfel + params.wide.order.at[first + k]));
     return b;
 }
 
@@ -56,7 +61,8 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     for (uint k = 0u; k < OF_LANE; ++k) {
         uint slot = slot_of(k);
         uvec3 steps = steps_of(grid, children[k]);
-        uvec3 low = joined_over_word((steps & 255u) << (8u * (slot % 4u))), high = joined_over_word((steps >> 8) << (8u * (slot % 4u)));
+        uvec3 low = joined_over_word((steps & 255u) << (8u * (slot % 4u))),
+              high = joined_over_word((steps >> 8) << (8u * (slot % 4u)));
         if (has_node && slot % 4u == 0u) store_word(params.wide.nodes, node, slot / 4u, low, high);
     }
     if (!has_node || lane() != 0u) return;
@@ -64,21 +70,25 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     store_shared_box(params.wide.boxes, node, whole);
 }
 
-/// Counts the arrival of a child at each node that is expected by one, after everything written before has become visible.
+/// Counts the arrival of a child at each node that is expected by one, after everything
+/// written before has become visible.
 /// @return whether it is the last: then everything that the others wrote is visible
 bool arrives_last(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
-    if (arrives && lane() == 0u) last = atomicAdd(SharedUints(uvec2(params.wide.arrivals)).at[node], 1u) + 1u == expected;
+    if (arrives && lane() == 0u)
+        last = atomicAdd(SharedUints(uvec2(params.wide.arrivals)).at[node], 1u) + 1u == expected;
     memoryBarrierBuffer();
     return from_first_lane(last);
 }
 
-/// Refits a node without inner children, and every node above whose children are then all refitted.
+/// Refits a node without inner children, and every node above whose children are then all
+/// refitted.
 void refit_upwards(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;   // other models stay as they are
+    // other models stay as they are
+    has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);
         has_node = has_node && link.x != RELIDAR_BVH_NO_NODE;
@@ -88,7 +98,7 @@ void refit_upwards(bool has_node, uint node) {
         }
         has_node = arrives_last(has_node, node, bitCount(inner_mask));
         if (has_node) {
-            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;   // for the next launch
+            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;  // for the next launch
             link = params.wide.links.at[node];
         }
     }

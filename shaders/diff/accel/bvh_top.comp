@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree over the instances: world boxes, sorted along a space-filling curve, eight at a time into a node, level by level. One workgroup
-// of 256 threads, for instances by the tens or hundreds. Input: instances, model_of, models, model_boxes. Output: roots, top_nodes,
-// top_order. Instances that are absent, or have nothing that can be hit, are left out; a tree of none is one empty node.
-// Floor: 112 B an instance read; n log^2 n steps of the sort.
+// The tree over the instances: world boxes, sorted along a space-filling curve, eight at
+// a time into a node, level by level. One workgroup of 256 threads, for instances by the
+// tens or hundreds. Input: instances, model_of, models, model_boxes. Output: roots,
+// top_nodes, top_order. Instances that are absent, or have nothing that can be hit, are
+// left out; a tree of none is one empty node. Floor: 112 B an instance read; n log^2 n
+// steps of the sort.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -23,10 +25,12 @@ void synchronise() {
     barrier();
 }
 
-/// Box around a model's box wherever the instance is during its span; grown by what rounding of the transform can move a point. A turn by
-/// an angle moves a point by less than the angle times its distance from the model's origin.
+/// Box around a model's box wherever the instance is during its span; grown by what
+/// rounding of the transform can move a point. A turn by an angle moves a point by less
+/// than the angle times its distance from the model's origin.
 Box world_box(InstanceEntry m, Box model) {
-    vec3 x = cross(m.row1.xyz, m.row2.xyz), y = cross(m.row2.xyz, m.row0.xyz), z = cross(m.row0.xyz, m.row1.xyz);
+    vec3 x = cross(m.row1.xyz, m.row2.xyz), y = cross(m.row2.xyz, m.row0.xyz),
+         z = cross(m.row0.xyz, m.row1.xyz);
     float determinant = dot(m.row0.xyz, x);
     mat3 world_from_model = mat3(x, y, z) * (1.0 / determinant);
     mat3 size = mat3(abs(world_from_model[0]), abs(world_from_model[1]), abs(world_from_model[2]));
@@ -35,11 +39,13 @@ Box world_box(InstanceEntry m, Box model) {
     vec3 centre = world_from_model * (middle - shift);
     vec3 grown = size * half_size + 2e-6 * (size * (abs(middle) + half_size + abs(shift)));
     if (m.moves != 0u)
-        grown += 1.00001 * m.half_span_s * (abs(world_from_model * m.velocity) + length(m.turn_rate) * length(abs(middle) + half_size));
+        grown += 1.00001 * m.half_span_s *
+                 (abs(world_from_model * m.velocity) + length(m.turn_rate) * length(abs(middle) + half_size));
     return Box(centre - grown, centre + grown);
 }
 
-/// World boxes, roots, and keys without a code yet: whether an instance is there. @return bounds of this thread's centres
+/// World boxes, roots, and keys without a code yet: whether an instance is there. @return
+/// bounds of this thread's centres
 Box place_instances() {
     Box centres = empty_box();
     for (uint i = scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
@@ -53,7 +59,8 @@ Box place_instances() {
             if (!is_empty(b)) b = world_box(m, b);
             present = !is_empty(b);
             store_shared_box(params.boxes, i, b);
-            if (present) centres = joined(centres, Box(0.5 * b.low + 0.5 * b.high, 0.5 * b.low + 0.5 * b.high));
+            if (present)
+                centres = joined(centres, Box(0.5 * b.low + 0.5 * b.high, 0.5 * b.low + 0.5 * b.high));
         }
         SharedUvec2s(uvec2(params.keys)).at[i] = uvec2(present ? 0u : ABSENT, i);
         if (present) atomicAdd(group_present, 1u);
@@ -122,7 +129,8 @@ void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
     params.bvh.top_nodes.at[node].first_child = first_below + first;
     params.bvh.top_nodes.at[node].first_leaf = first;
     params.bvh.top_nodes.at[node].leaves = leaves;
-    store_shared_box(params.boxes, params.n_instances + node, write_boxes(params.bvh.top_nodes, node, inner_mask, children));
+    store_shared_box(params.boxes, params.n_instances + node,
+                     write_boxes(params.bvh.top_nodes, node, inner_mask, children));
 }
 
 void main() {
@@ -134,7 +142,7 @@ void main() {
     write_codes(bounds);
     synchronise();
     sort_keys();
-    uint n_nodes = 0u;   // the root comes first, the lowest level last
+    uint n_nodes = 0u;  // the root comes first, the lowest level last
     for (uint n = group_present;; n = (n + 7u) / 8u) {
         n_nodes += max((n + 7u) / 8u, 1u);
         if (n <= 8u) break;
@@ -144,7 +152,8 @@ void main() {
     for (uint n = group_present;;) {
         uint n_level = max((n + 7u) / 8u, 1u);
         n_nodes -= n_level;
-        for (uint k = scan_thread(); k < n_level; k += RELIDAR_BVH_WORKGROUP) write_node(n_nodes + k, 8u * k, n, first_below, lowest);
+        for (uint k = scan_thread(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
+            write_node(n_nodes + k, 8u * k, n, first_below, lowest);
         synchronise();
         if (n_level == 1u) return;
         first_below = n_nodes;

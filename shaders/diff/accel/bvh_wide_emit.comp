@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, last of five kernels: the topology of each wide node, and its leaf entries. Boxes follow with accel/bvh_refit. One thread
-// a queue entry. Input: tree, queue, slots, offsets, tiles, places, surfels, models. Output: wide.nodes, wide.order, wide.links.
+// Collapse, last of five kernels: the topology of each wide node, and its leaf entries.
+// Boxes follow with accel/bvh_refit. One thread a queue entry. Input: tree, queue, slots,
+// offsets, tiles, places, surfels, models. Output: wide.nodes, wide.order, wide.links.
 // Floor: 8 B a surfel read, 4 B written; 48 B a wide node read, 28 B written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -19,7 +20,8 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    uint model = find_model(params.models, params.n_models, node);   // a node's number is a position of its model
+    // a node's number is a position of its model
+    uint model = find_model(params.models, params.n_models, node);
     uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;
     uint inner_mask = 0u, n_inner = 0u, n_entries = 0u;
@@ -35,7 +37,8 @@ void main() {
         uint positions[RELIDAR_BVH_LEAF_SIZE];
         uint count = collect_surfels(params.tree, slot, positions);
         leaves[s / 4u] |= (n_entries | count << 5) << (8u * (s % 4u));
-        for (uint k = 0u; k < count; ++k) params.wide.order.at[start.y + n_entries++] = params.surfels.at[positions[k]] - first_surfel;
+        for (uint k = 0u; k < count; ++k)
+            params.wide.order.at[start.y + n_entries++] = params.surfels.at[positions[k]] - first_surfel;
     }
     if (entry < params.n_models) params.wide.links.at[place] = uvec2(RELIDAR_BVH_NO_NODE, first_surfel);
     params.wide.nodes.at[place].exponents = inner_mask << 24;

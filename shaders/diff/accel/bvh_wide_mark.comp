@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, first of five kernels: from the roots down, the slots of each wide node to be, and its wide children into a queue. A launch
-// a level; the last launch is a single workgroup that goes on until nothing is left. The order of the queue is any; what is found
-// in it is not. One thread a queue entry. Input: tree. Output: queue, slots, level_sizes, demands.
-// A wide child that fits is opened into its parent even where rounding made that look no cheaper: so a child and its parent have at least
-// 10 slots together, a wide node without wide children at least 5 surfels, and n surfels make at most n / 4 wide nodes besides the root.
-// Floor: 12 B a binary node read, 40 B a wide node written.
+// Collapse, first of five kernels: from the roots down, the slots of each wide node to
+// be, and its wide children into a queue. A launch a level; the last launch is a single
+// workgroup that goes on until nothing is left. The order of the queue is any; what is
+// found in it is not. One thread a queue entry. Input: tree. Output: queue, slots,
+// level_sizes, demands. A wide child that fits is opened into its parent even where
+// rounding made that look no cheaper: so a child and its parent have at least 10 slots
+// together, a wide node without wide children at least 5 surfels, and n surfels make at
+// most n / 4 wide nodes besides the root. Floor: 12 B a binary node read, 40 B a wide
+// node written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -28,11 +31,11 @@ bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     return false;
 }
 
-uint level_end;   // in the queue: the next level starts there
+uint level_end;  // in the queue: the next level starts there
 
 void mark(uint entry) {
     uint node = SharedUints(uvec2(params.queue)).at[entry];
-    if (node == RELIDAR_BVH_NO_NODE) return;   // a model without surfels
+    if (node == RELIDAR_BVH_NO_NODE) return;  // a model without surfels
     uint slots[RELIDAR_BVH_WIDTH];
     uint n_slots = collect_slots(params.tree, node, slots);
     while (n_slots < RELIDAR_BVH_WIDTH && open_child(slots, n_slots)) {}
@@ -48,13 +51,15 @@ void mark(uint entry) {
     if (n_inner == 0u) return;
     uint at = level_end + atomicAdd(SharedUints(uvec2(params.level_sizes)).at[params.level + 1u], n_inner);
     for (uint s = 0u; s < n_slots; ++s)
-        if (is_inner_slot(params.tree, slots[s]) && at < params.bound) SharedUints(uvec2(params.queue)).at[at++] = slots[s];
+        if (is_inner_slot(params.tree, slots[s]) && at < params.bound)
+            SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
 /// This workgroup works through the level and all below it.
 void mark_rest(uint begin) {
     for (uint end = level_end; begin < end;) {
-        for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x) mark(entry);
+        for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)
+            mark(entry);
         memoryBarrierBuffer();
         barrier();
         begin = end;

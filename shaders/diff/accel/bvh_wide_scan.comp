@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, third of five kernels: sums of the tiles before each tile, and how many wide nodes there are. One workgroup of 256 threads.
-// Tiles: in place; wide.count: output. Floor: nothing that counts.
+// Collapse, third of five kernels: sums of the tiles before each tile, and how many wide
+// nodes there are. One workgroup of 256 threads. Tiles: in place; wide.count: output.
+// Floor: nothing that counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -12,7 +13,8 @@ void main() {
     uvec2 before = uvec2(0u);
     for (uint first = 0u; first < params.n_tiles; first += RELIDAR_BVH_WORKGROUP) {
         uint tile = first + scan_thread();
-        uvec2 total, sum = workgroup_exclusive_add(tile < params.n_tiles ? params.tiles.at[tile] : uvec2(0u), total);
+        uvec2 total,
+            sum = workgroup_exclusive_add(tile < params.n_tiles ? params.tiles.at[tile] : uvec2(0u), total);
         if (tile < params.n_tiles) params.tiles.at[tile] = before + sum;
         before += total;
     }

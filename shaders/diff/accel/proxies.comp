@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Proxy geometry of every surfel (M3, Fig. 3): corners of the rectangle, or of the icosahedron for 3D Gaussians, that holds
-// sigma G >= alpha_min, or its box. One thread a surfel of a range. Input: records. Maximum: reach.
-// Output: vertices (two co-planar triangles share four corners; twenty share twelve) or boxes, model frame.
-// Surfels that cannot be hit get a proxy of no area at their mean; never a NaN, which would poison its neighbours in the tree. The boxes
-// of the software structure are empty there (low above high), and grow by the last digits of a mean far from the origin.
+// Proxy geometry of every surfel (M3, Fig. 3): corners of the rectangle, or of the
+// icosahedron for 3D Gaussians, that holds sigma G >= alpha_min, or its box. One thread a
+// surfel of a range. Input: records. Maximum: reach. Output: vertices (two co-planar
+// triangles share four corners; twenty share twelve) or boxes, model frame. Surfels that
+// cannot be hit get a proxy of no area at their mean; never a NaN, which would poison its
+// neighbours in the tree. The boxes of the software structure are empty there (low above
+// high), and grow by the last digits of a mean far from the origin.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -12,11 +14,12 @@
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
-const float kPhi = 1.618033988749895;               // corners of an icosahedron: even permutations of (0, +-1, +-phi)
-const float kCircumscribed = 0.66158453824961;          // makes the radius of its inner sphere 1: sqrt(3) / phi^2
-const float kOuterRadius = 1.25840857236482;        // of the outer one then: sqrt(1 + phi^2) times that
+const float kPhi = 1.618033988749895;  // corners of an icosahedron: even permutations of (0, +-1, +-phi)
+const float kCircumscribed = 0.66158453824961;  // makes the radius of its inner sphere 1: sqrt(3) / phi^2
+const float kOuterRadius = 1.25840857236482;    // of the outer one then: sqrt(1 + phi^2) times that
 
-/// Half axis of the proxy along a record axis a / s: direction a, length k s grown by the margin.
+/// Half axis of the proxy along a record axis a / s: direction a, length k s grown by the
+/// margin.
 vec3 half_axis(vec3 axis, float k) {
     float inverse_scale = length(axis);
     float half_size = k / inverse_scale * params.margin_scale + params.margin_m;
@@ -49,7 +52,8 @@ void main() {
         if (has_third_scale()) w = half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
-        // The box of the ellipse or ellipsoid, not of the rectangle: half size along x is |(u.x, v.x, w.x)|, the tightest there is.
+        // The box of the ellipse or ellipsoid, not of the rectangle: half size along x is
+        // |(u.x, v.x, w.x)|, the tightest there is.
         vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
         if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);
         bool empty = BOXES == 2u && !visible;

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the same in every run. Hits come sorted by row; a
-// thread takes a block of 32 and adds the sum of each row that lies in it. What it has of a row that began earlier or goes on is left in
-// `parts`, for backward/gather_heads.
-// Input: scene, upstream, rendered, d_geometry, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
+// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the
+// same in every run. Hits come sorted by row; a thread takes a block of 32 and adds the
+// sum of each row that lies in it. What it has of a row that began earlier or goes on is
+// left in `parts`, for backward/gather_heads. Input: scene, upstream, rendered,
+// d_geometry, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts.
+// Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -18,9 +20,10 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    entered_instance = kNoInstance;   // another ray
+    entered_instance = kNoInstance;  // another ray
     ray_basis_instance = kNoInstance;
-    if (WITH_GEOMETRY) take_ray(scene, h.ray, params.d_geometry.at[h.ray], params.rendered.at[h.ray].transmittance);
+    if (WITH_GEOMETRY)
+        take_ray(scene, h.ray, params.d_geometry.at[h.ray], params.rendered.at[h.ray].transmittance);
     HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
                                  row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
@@ -30,8 +33,9 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds what a block has of a row, or leaves it to backward/gather_heads, which adds the whole row at once: rows of two placements of a
-/// model add to the same coefficients, and two sums added to 0 are the same bits in either order, four are not.
+/// Adds what a block has of a row, or leaves it to backward/gather_heads, which adds the
+/// whole row at once: rows of two placements of a model add to the same coefficients, and
+/// two sums added to 0 are the same bits in either order, four are not.
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);
@@ -52,7 +56,7 @@ void main() {
     clear_sums();
     for (uint i = first; i < end; ++i) {
         uint next = params.rows.at[i];
-        if (next >= params.n_rows) break;   // empty slots, behind all others
+        if (next >= params.n_rows) break;  // empty slots, behind all others
         if (next != row) {
             finish_row(block, row, instance, begins_here, false);
             clear_sums();
@@ -61,5 +65,6 @@ void main() {
         }
         instance = sum_hit(params.scene, i, row);
     }
-    if (row < params.n_rows) finish_row(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
+    if (row < params.n_rows)
+        finish_row(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
 }

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradient of one blended hit (M8): of its record, its channels and the ray in the model's frame. Shared by the kernels that add it with
-// atomics and in order.
+// Gradient of one blended hit (M8): of its record, its channels and the ray in the
+// model's frame. Shared by the kernels that add it with atomics and in order.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 
 #include "geometry.glsl"
 
-/// What a hit adds to the record gradient of its placed surfel, lane by lane, and to its ray in the model's frame.
+/// What a hit adds to the record gradient of its placed surfel, lane by lane, and to its
+/// ray in the model's frame.
 struct HitGradient {
     float lanes[16];
-    vec3 d_channel;     // where SH are evaluated a hit: a coefficient gets d_channel times ray_basis
+    vec3 d_channel;  // where SH are evaluated a hit: a coefficient gets d_channel times ray_basis
     vec3 d_origin;
     vec3 d_direction;
 };
@@ -27,7 +28,8 @@ vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d
 
 /// @param w        blending weight
 /// @param d_alpha  dL/d(sigma G), 0 where clamped
-HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w, float d_alpha) {
+HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w,
+                         float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
     enter_instance(scene, ray, instance);
     vec3 origin = entered_origin, direction = entered_direction;
@@ -40,16 +42,19 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     if (GEOMETRY != 0u)
         d.d_normal += w * facing_side(record.normal, direction) * entered_vector(scene, ray_geometry.normal);
     vec3 d_channel = w * vec3(g.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : g.hit_logit, g.drop_logit);
-    vec3 others = d_channel;   // of the channels, or how the SH direction turns (scene/activate_vjp, backward/pose_blocks)
+    // of the channels, or how the SH direction turns (scene/activate_vjp,
+    // backward/pose_blocks)
+    vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         use_basis(scene, ray, instance);
-        if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;   // clamped
+        if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;  // clamped
         vec3 d_sh_direction = sh_direction_gradient(scene, direction, surfel, d_channel);
         d.d_direction += d_sh_direction;
         others = cross(direction, d_sh_direction);
     }
-    float lanes[16] = float[](d.d_mean.x, d.d_mean.y, d.d_mean.z, d.d_opacity, d.d_axis_u.x, d.d_axis_u.y, d.d_axis_u.z, others.x,
-                              d.d_axis_v.x, d.d_axis_v.y, d.d_axis_v.z, others.y, d.d_normal.x, d.d_normal.y, d.d_normal.z, others.z);
+    float lanes[16] = float[](d.d_mean.x, d.d_mean.y, d.d_mean.z, d.d_opacity, d.d_axis_u.x, d.d_axis_u.y,
+                              d.d_axis_u.z, others.x, d.d_axis_v.x, d.d_axis_v.y, d.d_axis_v.z, others.y,
+                              d.d_normal.x, d.d_normal.y, d.d_normal.z, others.z);
     return HitGradient(lanes, d_channel, d.d_origin, d.d_direction);
 }
 #endif

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses, first half: moving a model moves its surfels, so the gradient of its pose is the sum of its record
-// gradients as forces and torques (the chain rule of mean' = R mean + T, axis' = R axis). One workgroup a block of surfels; who adds
-// what to what is fixed, so the result is the same in every run.
-// Input: records, d_records, d_view, blocks. Output: sums.
+// Gradients of instance poses, first half: moving a model moves its surfels, so the
+// gradient of its pose is the sum of its record gradients as forces and torques (the
+// chain rule of mean' = R mean + T, axis' = R axis). One workgroup a block of surfels;
+// who adds what to what is fixed, so the result is the same in every run. Input: records,
+// d_records, d_view, blocks. Output: sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -12,12 +13,16 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
-/// SH directions turn against the model (their gradient is in lanes 7, 11, 15 where SH are evaluated a hit).
-vec3 turn(uint row) { return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]); }
+/// SH directions turn against the model (their gradient is in lanes 7, 11, 15 where SH
+/// are evaluated a hit).
+vec3 turn(uint row) {
+    return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
+}
 
 bool is_zero(vec3 v) { return v == vec3(0.0); }
 
-/// Adds what one surfel says. Most have no gradient, and their records need not be loaded.
+/// Adds what one surfel says. Most have no gradient, and their records need not be
+/// loaded.
 void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
     uint surfel = block.first_surfel + k, row = 16u * (block.first_row + k);
     vec3 d_mean = load3(params.d_records, row), d_axis_u = load3(params.d_records, row + 4u);
@@ -27,15 +32,17 @@ void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
     if (is_zero(d_mean) && is_zero(d_axis_u) && is_zero(d_axis_v) && is_zero(d_normal)) return;
     SurfelRecord s = params.records.at[surfel];
     sum.force += d_mean;
-    sum.torque += cross(s.mean, d_mean) + cross(s.axis_u, d_axis_u) + cross(s.axis_v, d_axis_v) + cross(s.normal, d_normal);
+    sum.torque += cross(s.mean, d_mean) + cross(s.axis_u, d_axis_u) + cross(s.axis_v, d_axis_v) +
+                  cross(s.normal, d_normal);
 }
 
 void main() {
     uint i = workgroup_index();
-    if (i >= params.n_blocks) return;   // the whole workgroup
+    if (i >= params.n_blocks) return;  // the whole workgroup
     PoseBlock block = params.blocks.at[i];
     PoseSum sum = PoseSum(vec3(0.0), vec3(0.0), vec3(0.0));
-    for (uint k = gl_LocalInvocationIndex; k < block.n_surfels; k += gl_WorkGroupSize.x) add_surfel(block, k, sum);
+    for (uint k = gl_LocalInvocationIndex; k < block.n_surfels; k += gl_WorkGroupSize.x)
+        add_surfel(block, k, sum);
     sum = add_over_workgroup(sum);
     if (gl_LocalInvocationIndex > 0u) return;
     for (uint k = 0u; k < 3u; ++k) {

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward pass kept, front to back, and adds the
-// gradient of every hit to its surfel's record gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, kept, geometry, d_geometry, first_hit. Accumulated: d_records, d_sh (where SH are evaluated a hit).
-// Output: touched, d_rays, hits, rows.
-// @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and is right. The background needs no term
-// of its own: it is in the final value that Eq. 9 subtracts from.
+// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward
+// pass kept, front to back, and adds the gradient of every hit to its surfel's record
+// gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
+// Input: scene, rendered, upstream, kept, geometry, d_geometry, first_hit. Accumulated:
+// d_records, d_sh (where SH are evaluated a hit). Output: touched, d_rays, hits, rows.
+// @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and
+// is right. The background needs no term of its own: it is in the final value that Eq. 9
+// subtracts from.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -21,12 +23,13 @@ RELIDAR_PARAMS(BackwardParams);
 
 RELIDAR_CONSTANT(uint, GATHER, 0u);
 
-vec3 d_ray_origin;      // world
+vec3 d_ray_origin;  // world
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to that of its surfel. @param row  kNoRow, where rows are exchanged: of no surfel
+/// Adds the gradient of a hit to that of its surfel. @param row  kNoRow, where rows are
+/// exchanged: of no surfel
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
-    bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;   // lanes 7, 11, 15
+    bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
         if (others || k % 4u != 3u || k == 3u) add_float(params.d_records, row, k, d.lanes[k]);
     add_row(params.d_records, row, others ? 0xffffu : 0x777fu);
@@ -41,23 +44,25 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
 
 /// A hit as it was blended.
 struct BlendedHit {
-    uint slot;             // of its record
+    uint slot;  // of its record
     uint instance;
     uint surfel;
-    float alpha;           // sigma G
-    float transmittance;   // before it
-    float w;               // alpha times that
-    float shade;           // g . c less the shift
-    float behind;          // sum of w shade over the hits behind it, background included
+    float alpha;          // sigma G
+    float transmittance;  // before it
+    float w;              // alpha times that
+    float shade;          // g . c less the shift
+    float behind;         // sum of w shade over the hits behind it, background included
 };
 
-/// Gradient of one hit: a record of it, or atomics, which wait for add_gradient() where rows are exchanged; and the ray's own.
+/// Gradient of one hit: a record of it, or atomics, which wait for add_gradient() where
+/// rows are exchanged; and the ray's own.
 /// @param d  output, for add_gradient() @return its row, kNoRow for none
 uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
     uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[b.surfel] = 1u;
-    float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);   // Eq. 9
+    // Eq. 9
+    float d_alpha = b.alpha > scene.alpha_max ? 0.0 : b.transmittance * b.shade - b.behind / (1.0 - b.alpha);
     bool recorded = GATHER != 0u && b.slot < params.capacity;
     if (recorded) {
         params.hits.at[b.slot] = HitRecord(ray_index, b.instance, b.w, d_alpha);
@@ -76,10 +81,12 @@ void load_kept_hits(uint first, uint n) {
     uint list = thread_index();
     reset_hits(0.0);
     hits_closed = true;
-    for (uint i = 0u; i < min(n, CHUNK); ++i) append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
+    for (uint i = 0u; i < min(n, CHUNK); ++i)
+        append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
 }
 
-/// What the geometry of a ray adds: distortion is of second degree in the weights, so the shares of all hits are twice its value.
+/// What the geometry of a ray adds: distortion is of second degree in the weights, so the
+/// shares of all hits are twice its value.
 void start_geometry(uint ray_index, inout BlendState state) {
     RenderedGeometry q = params.geometry.at[ray_index];
     if (LIKELIHOOD != 0u) state.remaining += ray_geometry.likelihood * q.likelihood;
@@ -88,7 +95,8 @@ void start_geometry(uint ray_index, inout BlendState state) {
     state.remaining += 2.0 * ray_geometry.distortion * q.distortion + dot(ray_geometry.normal, q.normal);
 }
 
-/// Adds the gradients of the first n hits of the buffer, last first. Where rows are exchanged all lanes of a subgroup come here.
+/// Adds the gradients of the first n hits of the buffer, last first. Where rows are
+/// exchanged all lanes of a subgroup come here.
 /// @param slot    of the first one's record
 /// @param behind  sum of w shade over the hits behind them, background included
 void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
@@ -99,8 +107,9 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
             Hit hit = hit_at(i);
             surfel = hit.surfel;
             row = take_hit(scene, ray, ray_index, g,
-                           BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i], chunk_w[i], chunk_shade[i],
-                                      behind), d);
+                           BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
+                                      chunk_w[i], chunk_shade[i], behind),
+                           d);
             behind += chunk_w[i] * chunk_shade[i];
         }
         if (rows_are_exchanged()) add_gradient(scene, row, surfel, d);
@@ -110,14 +119,17 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
 /// What a ray starts with.
 BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
     precise float remaining = g.depth * final.depth;
-    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit + g.drop_logit * final.drop_logit;
+    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit +
+                 g.drop_logit * final.drop_logit;
     BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
     if (WITH_GEOMETRY) start_geometry(ray_index, state);
     return state;
 }
 
-/// Eq. 9 does not change when the same number is taken from every value and from the background's, for all weights sum to 1. With the
-/// worth of the nearest surface, the first hit in the buffer, as that number, small differences are no longer differences of large numbers.
+/// Eq. 9 does not change when the same number is taken from every value and from the
+/// background's, for all weights sum to 1. With the worth of the nearest surface, the
+/// first hit in the buffer, as that number, small differences are no longer differences
+/// of large numbers.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
     Hit nearest = hit_at(0u);
     state.first_t = nearest.t;
@@ -126,14 +138,16 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
     add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
 }
 
-/// @param going  whether this lane has a ray with a gradient; where rows are exchanged the others of its subgroup come along
+/// @param going  whether this lane has a ray with a gradient; where rows are exchanged
+/// the others of its subgroup come along
 /// @return hits blended: final.n_hits, or fewer where the search does not find them again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
     BlendState state = start_blending(ray_index, final, g);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
     Key after = first_key(scene);
     going = going && final.n_hits > 0u;
-    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (rows_are_exchanged() ? subgroupAny(going) : going); ++pass) {
+    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (rows_are_exchanged() ? subgroupAny(going) : going);
+         ++pass) {
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
@@ -146,7 +160,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
             blended += n;
             blend_chunk(scene, ray, g, n, state);
             going = blended < final.n_hits && hits_closed;
-            behind = going ? state.remaining : state.transmittance * (g.drop_logit - state.shift);   // background: drop logit 1
+            // background: drop logit 1
+            behind = going ? state.remaining : state.transmittance * (g.drop_logit - state.shift);
             if (going) after = hit_key(n_hits - 1u);
         }
         add_chunk(scene, ray, ray_index, g, slot, n, behind);
@@ -157,10 +172,12 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
 /// Marks the slots of a ray from `first` on as empty.
 void empty_slots(uint ray_index, uint first, uint n) {
     uint start = params.first_hit.at[ray_index];
-    for (uint k = start + first; k < min(start + n, params.capacity); ++k) params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
+    for (uint k = start + first; k < min(start + n, params.capacity); ++k)
+        params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
-/// Makes ray_geometry that of this ray, whose own gradient starts with what its point has. @return whether a hit can have a gradient
+/// Makes ray_geometry that of this ray, whose own gradient starts with what its point
+/// has. @return whether a hit can have a gradient
 bool take_geometry(uint ray_index, RenderedRay final) {
     take_ray(params.scene, ray_index, params.d_geometry.at[ray_index], final.transmittance);
     bool explains = LIKELIHOOD != 0u && ray_geometry.likelihood != 0.0;
@@ -175,14 +192,15 @@ void main() {
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
-        i = 0u;   // some ray: this lane has none, and stays for the rows of others
+        i = 0u;  // some ray: this lane has none, and stays for the rows of others
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);
     d_ray_direction = vec3(0.0);
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
-    bool any_gradient = g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
+    bool any_gradient =
+        g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
     if (WITH_GEOMETRY) any_gradient = take_geometry(i, final) || any_gradient;
     uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && any_gradient);

@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Hands n_new copies out to growing surfels in proportion to their weights, by systematic sampling: copy j belongs to the surfel
-// whose interval of the cumulative weights holds (j + 1 - phase / W) W / n_new. Exactly n_new are handed out, a surfel gets its expected
-// number rounded up or down, and the host knows the sum over any range without asking. One thread a surfel.
-// Input: weight, cumulative. In place: action. Output: n_rows.
+// Hands n_new copies out to growing surfels in proportion to their weights, by systematic
+// sampling: copy j belongs to the surfel whose interval of the cumulative weights holds
+// (j + 1 - phase / W) W / n_new. Exactly n_new are handed out, a surfel gets its expected
+// number rounded up or down, and the host knows the sum over any range without asking.
+// One thread a surfel. Input: weight, cumulative. In place: action. Output: n_rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
-/// high * 2^32 + low over d, rounded down, digit by digit; high is below d, so that it fits.
+/// high * 2^32 + low over d, rounded down, digit by digit; high is below d, so that it
+/// fits.
 uint divided(uint high, uint low, uint d) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel, faint, too large or outside
-// its actor's box; else it grows by its gradient (clone or split) or by its opacity (share), or stays.
-// One thread a surfel of any model. Input: surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
+// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel,
+// faint, too large or outside its actor's box; else it grows by its gradient (clone or
+// split) or by its opacity (share), or stays. One thread a surfel of any model. Input:
+// surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -11,7 +12,9 @@
 #include "../../scene/gaussian/quaternion.glsl"
 RELIDAR_PARAMS(ClassifyParams);
 
-void count(uint model, uint counter, uint amount) { atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount); }
+void count(uint model, uint counter, uint amount) {
+    atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
+}
 
 /// Sum of magnitudes of n floats: not finite where any of them is not.
 float magnitude(Floats array, uint first, uint n) {
@@ -27,19 +30,21 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
     float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
     sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
     float q_length2 = dot(q, q);
-    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(scale, vec3(1e-6))) &&
-           all(lessThan(scale, vec3(1e6)));
+    return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 &&
+           all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
 /// Whether two random points of the surfel both lie outside the model's box.
 bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     if (params.bounded == 0u || !(half_size.x > 0.0)) return false;
-    vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1], params.surfels.mean.at[3 * i + 2]);
+    vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
+                     params.surfels.mean.at[3 * i + 2]);
     mat3 r = rotation_matrix(q);
     for (uint draw = 0u; draw < 2u; ++draw) {
         vec2 z = scale.xy * random_normal2(params.key, i, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
-        if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];   // 2 and 3 are spawn's
+        // 2 and 3 are spawn's
+        if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), half_size))) return false;
     }
     return true;
@@ -48,7 +53,8 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
 /// Clone, split or keep, by the mean norm of the gradient.
 uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[i];
-    if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen))) return RELIDAR_DENSIFY_KEEP;
+    if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen)))
+        return RELIDAR_DENSIFY_KEEP;
     return max_scale < params.clone_extent_share * extent_m ? RELIDAR_DENSIFY_CLONE : RELIDAR_DENSIFY_SPLIT;
 }
 
@@ -65,16 +71,18 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, i);
-    vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1], params.surfels.rotation.at[4 * i + 2],
-                  params.surfels.rotation.at[4 * i + 3]);
+    vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1],
+                  params.surfels.rotation.at[4 * i + 2], params.surfels.rotation.at[4 * i + 3]);
     vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1],
                           has_third_scale() ? params.surfels.log_scale_w.at[i] : 0.0));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
     bool by_gradient = params.growth == RELIDAR_DENSIFY_BY_GRADIENT;
-    uint action = by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
-    if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;   // its halves are judged, as if the split came first
+    uint action =
+        by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
+    // its halves are judged, as if the split came first
+    if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = verdict(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;
     if (why != RELIDAR_DENSIFY_KEPT) {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rows of one array (a parameter group, a moment, a statistic) into the new order: survivors keep their order, copies follow their
-// original, so that neighbours in space stay neighbours in memory. Values are moved as bits. One thread a surfel.
-// Input: from, action, n_rows, starts. Output: to.
+// Rows of one array (a parameter group, a moment, a statistic) into the new order:
+// survivors keep their order, copies follow their original, so that neighbours in space
+// stay neighbours in memory. Values are moved as bits. One thread a surfel. Input: from,
+// action, n_rows, starts. Output: to.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -16,6 +17,7 @@ void main() {
     for (uint row = 0u; row < params.n_rows.at[i]; ++row) {
         bool zero = params.fresh != 0u && (changed || row > 0u);
         uint target = (params.starts.at[i] + row) * params.stride;
-        for (uint k = 0u; k < params.stride; ++k) params.to.at[target + k] = zero ? 0u : params.from.at[i * params.stride + k];
+        for (uint k = 0u; k < params.stride; ++k)
+            params.to.at[target + k] = zero ? 0u : params.from.at[i * params.stride + k];
     }
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opacities are lowered to a small value, from which only surfels that the scans need recover; the others are pruned. One thread a
-// surfel. In place: opacity_logit.
+// Opacities are lowered to a small value, from which only surfels that the scans need
+// recover; the others are pruned. One thread a surfel. In place: opacity_logit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

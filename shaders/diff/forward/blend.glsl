@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5). Where the geometric losses want them, also the blended normal and the
-// distortion (M10, M11), and the likelihood (M12); where a range image wants it the heaviest surface (M13).
-// Include after RELIDAR_PARAMS(ForwardParams).
+// Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5). Where the geometric losses
+// want them, also the blended normal and the distortion (M10, M11), and the likelihood
+// (M12); where a range image wants it the heaviest surface (M13). Include after
+// RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
@@ -10,14 +11,16 @@ struct Blended {
     RenderedRay ray;
     RenderedGeometry geometry;
     Surfaces surfaces;
-    float lost[6];   // what rounding took from the sums
-    float first_t;   // of the first hit
+    float lost[6];  // what rounding took from the sums
+    float first_t;  // of the first hit
 };
 
-/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first hit, of which no digits are lost in M10's sums.
+/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first
+/// hit, of which no digits are lost in M10's sums.
 /// @param before  weight of the hits before it
-void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, float beyond, inout RenderedGeometry q) {
-    q.distortion += w * (beyond * before - q.moment);   // M10
+void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, float beyond,
+                  inout RenderedGeometry q) {
+    q.distortion += w * (beyond * before - q.moment);  // M10
     q.moment += w * beyond;
     q.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
 }
@@ -64,7 +67,9 @@ vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
 }
 
 /// Light that is left behind the next hit, of that which is left before it.
-float left_behind(TraceScene scene, Hit hit, float transmittance) { return transmittance * (1.0 - min(hit.alpha, scene.alpha_max)); }
+float left_behind(TraceScene scene, Hit hit, float transmittance) {
+    return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
+}
 
 /// Whether a ray has ended before its next hit, which is not blended then.
 bool ends_before(TraceScene scene, Hit hit, float transmittance) {
@@ -73,13 +78,15 @@ bool ends_before(TraceScene scene, Hit hit, float transmittance) {
 
 /// Blends the next hit. @param c  its channels
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 c, inout Blended b) {
-    float next = left_behind(scene, hit, b.ray.transmittance), w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
+    float next = left_behind(scene, hit, b.ray.transmittance),
+          w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
     if (GEOMETRY != 0u) {
         if (b.ray.n_hits == 0u) b.first_t = hit.t;
         add_geometry(scene, ray, hit, w, b.ray.weight, hit.t - b.first_t, b.geometry);
     }
-    if (LIKELIHOOD != 0u) add_compensated(b.geometry.likelihood, b.lost[5], w * range_kernel(hit.t));   // M12
-    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);                         // M13
+    // M12
+    if (LIKELIHOOD != 0u) add_compensated(b.geometry.likelihood, b.lost[5], w * range_kernel(hit.t));
+    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);  // M13
     add_compensated(b.ray.depth, b.lost[0], w * hit.t);
     add_compensated(b.ray.weight, b.lost[1], w);
     add_compensated(b.ray.intensity, b.lost[2], w * c.x);
@@ -100,7 +107,8 @@ void keep_hit(uint k, Hit hit) {
 /// Adds the background, and writes what the ray renders.
 void finish_blending(uint ray_index, inout Blended b) {
     if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
-    add_compensated(b.ray.drop_logit, b.lost[4], b.ray.transmittance);   // background: intensity 0, hit 0, drop 1
+    // background: intensity 0, hit 0, drop 1
+    add_compensated(b.ray.drop_logit, b.lost[4], b.ray.transmittance);
     weigh_surface(b.surfaces);
     b.geometry.mode = b.surfaces.heaviest_t;
     if (GEOMETRY != 0u || LIKELIHOOD != 0u || MODE != 0u) params.geometry.at[ray_index] = b.geometry;

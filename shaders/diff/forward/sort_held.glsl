@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts a list of at most HELD hits a lane. For sort_hits.comp, which includes it with HELD, EACH and SORT of each size.
+// Sorts a list of at most HELD hits a lane. For sort_hits.comp, which includes it with
+// HELD, EACH and SORT of each size.
 
 #define LOAD(h)                                            \
     {                                                      \
@@ -8,8 +9,8 @@
         if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
     }
 
-// A step of the network: hits whose numbers in the order differ in one bit change places where they are not as `run` wants them, whose
-// bit in a number says which way.
+// A step of the network: hits whose numbers in the order differ in one bit change places
+// where they are not as `run` wants them, whose bit in a number says which way.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                     \
@@ -42,8 +43,9 @@
 
 #define READ(h) \
     if (lane * HELD + h < n) hits[h] = hit_of(list, place[h]);
-#define STORE(h) \
-    if (lane * HELD + h < n) params.lists.hits.at[list_entry(params.lists.room, list, lane * HELD + h)] = hits[h];
+#define STORE(h)             \
+    if (lane * HELD + h < n) \
+        params.lists.hits.at[list_entry(params.lists.room, list, lane * HELD + h)] = hits[h];
 
 void SORT(uint list, uint n) {
     uint lane = gl_SubgroupInvocationID, place[HELD];
@@ -69,7 +71,7 @@ void SORT(uint list, uint n) {
     }
     Hit hits[HELD];
     EACH(READ)
-    subgroupBarrier();   // all are read before any is written
+    subgroupBarrier();  // all are read before any is written
     EACH(STORE)
 }
 

@@ -1,22 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// The surfaces that a ray meets (docs/method.md M13): a hit farther behind the one before it than a gap begins another one. Hits come
-// nearest first, so one pass finds the heaviest.
+// The surfaces that a ray meets (docs/method.md M13): a hit farther behind the one before
+// it than a gap begins another one. Hits come nearest first, so one pass finds the
+// heaviest.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 RELIDAR_CONSTANT(uint, MODE, 0u);
 
 struct Surfaces {
-    float last_t;       // of the hit before
-    float start;        // t of the first hit of the present surface
-    float weight;       // of the present surface
-    float moment;       // sum w (t - start) over it
-    float heaviest;     // weight of the heaviest surface so far
-    float heaviest_t;   // mean of t over it
+    float last_t;      // of the hit before
+    float start;       // t of the first hit of the present surface
+    float weight;      // of the present surface
+    float moment;      // sum w (t - start) over it
+    float heaviest;    // weight of the heaviest surface so far
+    float heaviest_t;  // mean of t over it
 };
 
 Surfaces no_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
-/// Takes the present surface for the heaviest where it is; of equals the nearer one stays.
+/// Takes the present surface for the heaviest where it is; of equals the nearer one
+/// stays.
 void weigh_surface(inout Surfaces s) {
     if (!(s.weight > s.heaviest)) return;
     s.heaviest = s.weight;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: collects hits chunk by chunk, nearest first, and blends them (blend.glsl). One thread a ray; after forward/blend, of the
-// rays whose lists are unfit alone.
-// Input: scene (rays, records, instances, sh, acceleration structure, targets), lists.lengths. Output: rendered, kept, geometry.
-// Accumulated: scene.pass_cap_count, n_overfull.
+// Forward pass: collects hits chunk by chunk, nearest first, and blends them
+// (blend.glsl). One thread a ray; after forward/blend, of the rays whose lists are unfit
+// alone. Input: scene (rays, records, instances, sh, acceleration structure, targets),
+// lists.lengths. Output: rendered, kept, geometry. Accumulated: scene.pass_cap_count,
+// n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
@@ -36,7 +37,8 @@ void render(TraceScene scene, Ray ray, uint ray_index) {
 void main() {
     uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
-    if (!is_null(params.lists.lengths) && params.lists.lengths.at[thread_index()] != RELIDAR_LIST_UNFIT) return;
+    if (!is_null(params.lists.lengths) && params.lists.lengths.at[thread_index()] != RELIDAR_LIST_UNFIT)
+        return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     render(params.scene, ray_of(entry), i);
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer distance (Eq. 11) from the nearest points both ways, and the part of its derivative that simulated points get for being
-// found by measured ones: dL/dr_a += 2 (a - b) . d_a, in fixed point, so that many finders add up the same in any order. One thread a ray.
-// Input: rays, points, nearest, counts. Accumulated: d_found, terms.
+// Chamfer distance (Eq. 11) from the nearest points both ways, and the part of its
+// derivative that simulated points get for being found by measured ones: dL/dr_a += 2 (a
+// - b) . d_a, in fixed point, so that many finders add up the same in any order. One
+// thread a ray. Input: rays, points, nearest, counts. Accumulated: d_found, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -24,7 +25,9 @@ void main() {
         if (a != RELIDAR_NO_INDEX) {
             vec3 difference = params.simulated.at[a] - params.measured.at[k];
             squares_m2 += dot(difference, difference);
-            add_fixed(params.d_found, a, 2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
+            add_fixed(
+                params.d_found, a,
+                2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
         }
     }
     float weight = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0);

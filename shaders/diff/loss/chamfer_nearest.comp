@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact nearest point of a cloud for each point of another one in the same image order: the point of the same pixel is the first
-// bound, the tile around it the first to be searched; then only what lies in boxes nearer than the best so far. One thread a point.
-// Rounding does not matter: with the same operations in the same order, the distance to a box is never above that to its points.
-// Input: queries, cloud. Output: nearest.
+// Exact nearest point of a cloud for each point of another one in the same image order:
+// the point of the same pixel is the first bound, the tile around it the first to be
+// searched; then only what lies in boxes nearer than the best so far. One thread a point.
+// Rounding does not matter: with the same operations in the same order, the distance to a
+// box is never above that to its points. Input: queries, cloud. Output: nearest.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -25,7 +26,9 @@ float squared_length(vec3 d) {
 }
 
 /// To a box; infinite where it is empty, since RELIDAR_NO_POINT squared is.
-float squared_distance(vec3 query, vec3 low, vec3 high) { return squared_length(max(max(low - query, query - high), vec3(0.0))); }
+float squared_distance(vec3 query, vec3 low, vec3 high) {
+    return squared_length(max(max(low - query, query - high), vec3(0.0)));
+}
 
 void visit_point(uint i, inout Nearest best) {
     vec3 p = params.cloud.points.at[i];
@@ -38,12 +41,13 @@ void visit_point(uint i, inout Nearest best) {
 
 /// How items lie in a rectangle: the points of a tile, or the tiles of a group.
 struct Cells {
-    uvec2 begin, end;   // row, column
-    uint across;        // items in a row of the image
+    uvec2 begin, end;  // row, column
+    uint across;       // items in a row of the image
 };
 
 Cells cells_of(uint cell, uvec2 items, uint cells_across) {
-    uvec2 cell_size = uvec2(params.tile_rows, params.tile_columns), begin = uvec2(cell / cells_across, cell % cells_across) * cell_size;
+    uvec2 cell_size = uvec2(params.tile_rows, params.tile_columns),
+          begin = uvec2(cell / cells_across, cell % cells_across) * cell_size;
     return Cells(begin, min(begin + cell_size, items), items.y);
 }
 
@@ -53,7 +57,9 @@ uvec2 cells_over(uvec2 items) {
 }
 
 void visit_tile(uint tile, uvec2 points, uint tiles_across, inout Nearest best) {
-    if (!(squared_distance(best.query, params.cloud.tile_low.at[tile], params.cloud.tile_high.at[tile]) < best.squared_m2)) return;
+    if (!(squared_distance(best.query, params.cloud.tile_low.at[tile], params.cloud.tile_high.at[tile]) <
+          best.squared_m2))
+        return;
     Cells c = cells_of(tile, points, tiles_across);
     for (uint row = c.begin.x; row < c.end.x; ++row)
         for (uint column = c.begin.y; column < c.end.y; ++column) visit_point(row * c.across + column, best);
@@ -64,15 +70,19 @@ void main() {
     if (k >= params.rows * params.columns) return;
     Nearest best = Nearest(params.queries.at[k], uintBitsToFloat(0x7f800000u), RELIDAR_NO_INDEX);
     if (best.query.x < RELIDAR_NO_POINT) {
-        uvec2 points = uvec2(params.rows, params.columns), tiles = cells_over(points), groups = cells_over(tiles);
+        uvec2 points = uvec2(params.rows, params.columns), tiles = cells_over(points),
+              groups = cells_over(tiles);
         visit_point(k, best);
-        visit_tile(k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns, points, tiles.y, best);
+        visit_tile(k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns,
+                   points, tiles.y, best);
         for (uint group = 0u; group < groups.x * groups.y; ++group) {
-            if (!(squared_distance(best.query, params.cloud.group_low.at[group], params.cloud.group_high.at[group]) < best.squared_m2))
+            if (!(squared_distance(best.query, params.cloud.group_low.at[group],
+                                   params.cloud.group_high.at[group]) < best.squared_m2))
                 continue;
             Cells c = cells_of(group, tiles, groups.y);
             for (uint row = c.begin.x; row < c.end.x; ++row)
-                for (uint column = c.begin.y; column < c.end.y; ++column) visit_tile(row * c.across + column, points, tiles.y, best);
+                for (uint column = c.begin.y; column < c.end.y; ++column)
+                    visit_tile(row * c.across + column, points, tiles.y, best);
         }
     }
     params.nearest.at[k] = best.index;

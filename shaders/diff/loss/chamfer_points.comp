@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The simulated and the measured point of each ray, from where the ray starts (rolling shutter). One thread a ray.
-// Input: rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
+// The simulated and the measured point of each ray, from where the ray starts (rolling
+// shutter). One thread a ray. Input: rays, rendered, targets. Output: simulated,
+// measured. Accumulated: counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -10,7 +11,7 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-const float kLeastWeight = 0.1;   // below, D / W is the range of hardly anything
+const float kLeastWeight = 0.1;  // below, D / W is the range of hardly anything
 
 /// @return range of the simulated point, 0 where there is none (a NaN is none)
 float simulated_range(RenderedRay r) {
@@ -25,8 +26,10 @@ void main() {
         uint i = params.first_ray + k * params.ray_stride;
         DeviceTarget target = params.targets.at[i];
         DeviceRay ray = params.rays.at[i];
-        vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;   // small numbers keep their digits
-        vec2 range = target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
+        // small numbers keep their digits
+        vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;
+        vec2 range =
+            target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
         if (range.x > 0.0) is_point.x = 1.0;
         if (range.y > 0.0) is_point.y = 1.0;
         params.simulated.at[k] = is_point.x > 0.0 ? origin + range.x * ray.direction : vec3(RELIDAR_NO_POINT);

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Geometric losses on returned rays (docs/method.md M10-M12): distortion along the ray; W - B . N, the disagreement of the blended surfel
-// normals B with the normal N of the rendered range image; and how likely the hits make what was measured. One thread a ray.
-// Input: rays, rendered, geometry, targets. Output: d_geometry (less its point), d_tangents. Accumulated: upstream, terms.
+// Geometric losses on returned rays (docs/method.md M10-M12): distortion along the ray; W
+// - B . N, the disagreement of the blended surfel normals B with the normal N of the
+// rendered range image; and how likely the hits make what was measured. One thread a ray.
+// Input: rays, rendered, geometry, targets. Output: d_geometry (less its point),
+// d_tangents. Accumulated: upstream, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -12,10 +14,12 @@
 RELIDAR_PARAMS(GeometryLossParams);
 #include "range_image.glsl"
 
-const float kLargestBend = 0.1;   // of inverse ranges: a surface that steps by a tenth of its range has an edge there
-const float kLeastSine = 0.05;    // between the tangents: below, their plane is anyone's guess
+// of inverse ranges: a surface that steps by a tenth of its range has an edge there
+const float kLargestBend = 0.1;
+const float kLeastSine = 0.05;  // between the tangents: below, their plane is anyone's guess
 
-/// Whether the pixels on both sides of pixel i are on one surface with it: 1 / r is linear along a plane, however it is inclined.
+/// Whether the pixels on both sides of pixel i are on one surface with it: 1 / r is
+/// linear along a plane, however it is inclined.
 bool continues(uint a, uint i, uint b) {
     if (a == kNoPixel || b == kNoPixel || !is_surface(a) || !is_surface(b)) return false;
     float r = image_range(i);
@@ -29,12 +33,14 @@ vec3 chord(uint from, uint to) {
 
 /// Term of pixel i and its derivatives. @return the term
 float normal_term(uint i, inout GeometryGradient g) {
-    uint left = pixel_at(i, 0, -1), right = pixel_at(i, 0, 1), above = pixel_at(i, -1, 0), below = pixel_at(i, 1, 0);
+    uint left = pixel_at(i, 0, -1), right = pixel_at(i, 0, 1), above = pixel_at(i, -1, 0),
+         below = pixel_at(i, 1, 0);
     if (!is_surface(i) || !continues(left, i, right) || !continues(above, i, below)) return 0.0;
     vec3 across = chord(left, right), down = chord(above, below), area = cross(across, down);
     float size = length(area);
     if (!(size > kLeastSine * length(across) * length(down))) return 0.0;
-    float side = dot(area, ray_of(i).direction) > 0.0 ? -1.0 : 1.0;   // N faces the sensor, as surfel normals do
+    // N faces the sensor, as surfel normals do
+    float side = dot(area, ray_of(i).direction) > 0.0 ? -1.0 : 1.0;
     vec3 normal = side / size * area, blended = params.geometry.at[i].normal;
     float cosine = dot(normal, blended);
     g.normal = -params.normal_weight * normal;
@@ -45,7 +51,8 @@ float normal_term(uint i, inout GeometryGradient g) {
     return params.normal_weight * (params.rendered.at[i].weight - cosine);
 }
 
-/// Terms of a ray that returned and are its own: distortion and -ln(floor + (1 - floor) S).
+/// Terms of a ray that returned and are its own: distortion and -ln(floor + (1 - floor)
+/// S).
 vec2 ray_terms(uint i, inout GeometryGradient g) {
     RenderedGeometry q = params.geometry.at[i];
     float explained = params.likelihood_floor + (1.0 - params.likelihood_floor) * q.likelihood;

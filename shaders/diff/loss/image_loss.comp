@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 or Huber on returned rays, ray-drop cross-entropy of the softmax
-// of the two blended logits (M6) on all known rays. One thread a ray.
-// Input: rendered, targets. Output: upstream. Accumulated: terms.
+// Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 or Huber on
+// returned rays, ray-drop cross-entropy of the softmax of the two blended logits (M6) on
+// all known rays. One thread a ray. Input: rendered, targets. Output: upstream.
+// Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -22,7 +23,8 @@ float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     return params.depth_weight * abs(error);
 }
 
-/// Huber loss, e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 where delta is 0. @return the term
+/// Huber loss, e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 where delta is 0.
+/// @return the term
 float intensity_term(float error, inout RayGradient g) {
     float delta = params.intensity_delta, size = abs(error);
     bool squared = size < delta;
@@ -30,7 +32,8 @@ float intensity_term(float error, inout RayGradient g) {
     return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
 }
 
-/// -log of the probability of what happened; log(1 + exp(x)) without overflow. @return the term
+/// -log of the probability of what happened; log(1 + exp(x)) without overflow. @return
+/// the term
 float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     float x = r.drop_logit - r.hit_logit;
     float probability = 1.0 / (1.0 + exp(-x));

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of normal consistency (M11) through N: each pixel gathers, from the neighbours whose tangents end at its point
-// origin + r direction, dL/d(point); then r = D / W or D. One thread a pixel.
-// Input: rays, rendered, targets, d_tangents. Accumulated: upstream. Output: d_geometry (point, range).
+// Derivative of normal consistency (M11) through N: each pixel gathers, from the
+// neighbours whose tangents end at its point origin + r direction, dL/d(point); then r =
+// D / W or D. One thread a pixel. Input: rays, rendered, targets, d_tangents.
+// Accumulated: upstream. Output: d_geometry (point, range).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -17,8 +18,9 @@ vec3 d_tangent(uint i, int row_offset, int column_offset, uint which) {
 
 void main() {
     uint i = thread_index();
-    if (i >= params.n_rays || !is_surface(i)) return;   // no tangent ends where there is no surface
-    vec3 d_point = d_tangent(i, 0, -1, 0u) - d_tangent(i, 0, 1, 0u) + d_tangent(i, -1, 0, 1u) - d_tangent(i, 1, 0, 1u);
+    if (i >= params.n_rays || !is_surface(i)) return;  // no tangent ends where there is no surface
+    vec3 d_point =
+        d_tangent(i, 0, -1, 0u) - d_tangent(i, 0, 1, 0u) + d_tangent(i, -1, 0, 1u) - d_tangent(i, 1, 0, 1u);
     RenderedRay r = params.rendered.at[i];
     float range = image_range(i), d_range = dot(d_point, ray_of(i).direction);
     float scale = params.normalised_depth != 0u ? 1.0 / r.weight : 1.0;

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rendered range image and its neighbours, for kernels over GeometryLossParams. Include after RELIDAR_PARAMS.
+// The rendered range image and its neighbours, for kernels over GeometryLossParams.
+// Include after RELIDAR_PARAMS.
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_RANGE_IMAGE_GLSL
 #define RELIDAR_INCLUDED_DIFF_LOSS_RANGE_IMAGE_GLSL
 
 const uint kNoPixel = 0xffffffffu;
-const float kLeastWeight = 0.5;   // W of a surface: less is the range of hardly anything
+const float kLeastWeight = 0.5;  // W of a surface: less is the range of hardly anything
 
 DeviceRay ray_of(uint i) { return params.rays.at[params.first_ray + i * params.ray_stride]; }
 
@@ -20,13 +21,18 @@ float image_range(uint i) {
 }
 
 /// Whether pixel i, which returned, renders a surface too.
-bool is_surface(uint i) { return returned(i) && params.rendered.at[i].weight > kLeastWeight && image_range(i) > 0.0; }
+bool is_surface(uint i) {
+    return returned(i) && params.rendered.at[i].weight > kLeastWeight && image_range(i) > 0.0;
+}
 
-/// Pixel one row or column from pixel i, or kNoPixel outside the image. Columns wrap around where it is a whole sweep.
+/// Pixel one row or column from pixel i, or kNoPixel outside the image. Columns wrap
+/// around where it is a whole sweep.
 uint pixel_at(uint i, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;
     if (params.circular != 0u) column = (column + columns) % columns;
-    return row >= 0 && row < int(params.rows) && column >= 0 && column < columns ? uint(row * columns + column) : kNoPixel;
+    return row >= 0 && row < int(params.rows) && column >= 0 && column < columns
+               ? uint(row * columns + column)
+               : kNoPixel;
 }
 #endif

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of rendered (x) and measured (y) intensity around each returned pixel, constants of Wang et al. 2004 for
-// values 0..1, and its derivative by the window's mean, variance and covariance. One thread a pixel.
+// Structural similarity of rendered (x) and measured (y) intensity around each returned
+// pixel, constants of Wang et al. 2004 for values 0..1, and its derivative by the
+// window's mean, variance and covariance. One thread a pixel.
 //   S = (2 mx my + C1) (2 cov + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2)),   term = weight (1 - S)
 // Input: rendered, targets. Output: statistics. Accumulated: terms.
 #version 460
@@ -13,17 +14,18 @@
 RELIDAR_PARAMS(SsimParams);
 #include "ssim.glsl"
 
-const float kC1 = 1e-4;   // (0.01)^2
-const float kC2 = 9e-4;   // (0.03)^2
+const float kC1 = 1e-4;  // (0.01)^2
+const float kC2 = 9e-4;  // (0.03)^2
 
 struct Window {
-    float sum;          // of weights
-    vec2 mean;          // of x, y
+    float sum;  // of weights
+    vec2 mean;  // of x, y
     vec2 variance;
     float covariance;
 };
 
-/// Moments about the centre's own values first: the plain ones would cancel in flat regions.
+/// Moments about the centre's own values first: the plain ones would cancel in flat
+/// regions.
 Window window_around(uint i) {
     vec2 centre = vec2(params.rendered.at[i].intensity, target_of(i).intensity);
     float sum = 0.0, products = 0.0;
@@ -43,7 +45,8 @@ Window window_around(uint i) {
         }
     }
     vec2 shifted = values / sum;
-    return Window(sum, centre + shifted, squares / sum - shifted * shifted, products / sum - shifted.x * shifted.y);
+    return Window(sum, centre + shifted, squares / sum - shifted * shifted,
+                  products / sum - shifted.x * shifted.y);
 }
 
 /// Writes the derivatives of the term of pixel i. @return the term

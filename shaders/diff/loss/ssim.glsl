@@ -1,23 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
-// The window of structural similarity: 11 x 11 pixels, Gaussian of 1.5 pixels. Only known, returned pixels have a weight, and the
-// window is normalised over those it finds, so that dropped and unknown pixels, and rows beyond the image, neither blur into a
+// The window of structural similarity: 11 x 11 pixels, Gaussian of 1.5 pixels. Only
+// known, returned pixels have a weight, and the window is normalised over those it finds,
+// so that dropped and unknown pixels, and rows beyond the image, neither blur into a
 // surface nor count as one. Columns wrap around where the image is a whole sweep.
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_SSIM_GLSL
 #define RELIDAR_INCLUDED_DIFF_LOSS_SSIM_GLSL
 
 const int kSsimRadius = 5;
 const uint kNoPixel = 0xffffffffu;
-const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);   // exp(-d^2 / 4.5)
+// exp(-d^2 / 4.5)
+const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
 
 /// Pixel at an offset from pixel `i`, or kNoPixel outside the image.
 uint window_pixel(uint i, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;
     if (params.circular != 0u && columns > 2 * kSsimRadius) column = (column + columns) % columns;
-    return row >= 0 && row < int(params.rows) && column >= 0 && column < columns ? uint(row * columns + column) : kNoPixel;
+    return row >= 0 && row < int(params.rows) && column >= 0 && column < columns
+               ? uint(row * columns + column)
+               : kNoPixel;
 }
 
-float window_weight(int row_offset, int column_offset) { return kGaussian[abs(row_offset)] * kGaussian[abs(column_offset)]; }
+float window_weight(int row_offset, int column_offset) {
+    return kGaussian[abs(row_offset)] * kGaussian[abs(column_offset)];
+}
 
 DeviceTarget target_of(uint i) { return params.targets.at[params.first_ray + i * params.ray_stride]; }
 bool takes_part(DeviceTarget t) { return t.weight > 0.0 && t.range_m > 0.0; }

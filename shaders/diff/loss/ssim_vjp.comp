@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of structural similarity by rendered intensity: each pixel gathers from the windows it lies in. One thread a pixel.
+// Derivative of structural similarity by rendered intensity: each pixel gathers from the
+// windows it lies in. One thread a pixel.
 //   dL/dx_q = sum_p w_pq / sum_p' w ( dL/dm_p + 2 (x_q - mx_p) dL/dv_p + (y_q - my_p) dL/dcov_p )
 // Input: rendered, targets, statistics. Accumulated: upstream.
 #version 460
@@ -19,7 +20,8 @@ void main() {
             if (p == kNoPixel || !takes_part(target_of(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
             sum += window_weight(row, column) *
-                   (params.statistics.at[at] + (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
+                   (params.statistics.at[at] +
+                    (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
                     (y - params.statistics.at[at + 4u]) * params.statistics.at[at + 2u]);
         }
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A term of the parameters themselves, added to their gradients: actors' surfels outside their box or large against it. One thread a
-// surfel of any model.
-// Input: surfels, touched, models. Accumulated: d_surfels, terms.
+// A term of the parameters themselves, added to their gradients: actors' surfels outside
+// their box or large against it. One thread a surfel of any model. Input: surfels,
+// touched, models. Accumulated: d_surfels, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -20,18 +20,21 @@ float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m,
     return relative - 1.0;
 }
 
-/// sum over x, y, z of max(0, |mean| / half size - 1), and the same for standard deviations. @return the term
+/// sum over x, y, z of max(0, |mean| / half size - 1), and the same for standard
+/// deviations. @return the term
 float box_term(uint i, ModelEntry model, bool write) {
-    if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;   // no box
+    if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // no box
     float term = 0.0, largest_m = params.box_scale_share * model.half_diagonal;
     for (uint axis = 0u; axis < 3u; ++axis) {
         float mean = params.surfels.mean.at[3u * i + axis], outside = abs(mean) / model.half_size[axis] - 1.0;
         if (!(outside > 0.0)) continue;
         term += outside;
-        if (write) params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / model.half_size[axis];
+        if (write)
+            params.d_surfels.mean.at[3u * i + axis] += params.box_weight * sign(mean) / model.half_size[axis];
     }
     Floats log_scale = params.surfels.log_scale, d_log_scale = params.d_surfels.log_scale;
-    for (uint axis = 0u; axis < 2u; ++axis) term += scale_term(log_scale, d_log_scale, 2u * i + axis, largest_m, write);
+    for (uint axis = 0u; axis < 2u; ++axis)
+        term += scale_term(log_scale, d_log_scale, 2u * i + axis, largest_m, write);
     Floats third = params.surfels.log_scale_w;
     if (!is_null(third)) term += scale_term(third, params.d_surfels.log_scale_w, i, largest_m, write);
     return params.box_weight * term;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums over the pixels of each channel, in parts of them, one subgroup a channel and part: moments for the normalisation (mean of the part,
-// then squares about it), its derivatives by beta and gamma, or plain sums.
-// Input: from, d_to, scale_shift, moments. Output: partial.
+// Sums over the pixels of each channel, in parts of them, one subgroup a channel and
+// part: moments for the normalisation (mean of the part, then squares about it), its
+// derivatives by beta and gamma, or plain sums. Input: from, d_to, scale_shift, moments.
+// Output: partial.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -13,9 +14,12 @@ RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
 /// First pixel of a part within its image; of the next one for part + 1.
-uint begin_of(uint part, uint of_image) { return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image); }
+uint begin_of(uint part, uint of_image) {
+    return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
+}
 
-/// dL/d(beta) and dL/d(gamma) by way of one pixel. @param plane  where the channel of the image begins
+/// dL/d(beta) and dL/d(gamma) by way of one pixel. @param plane  where the channel of the
+/// image begins
 vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];
     float passes = gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);
@@ -24,7 +28,8 @@ vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine,
 }
 
 void main() {
-    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID, lane = gl_SubgroupInvocationID;
+    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+         lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
     uint of_image = params.n_parts / params.n_images, image = part / of_image;
     uint begin = begin_of(part % of_image, of_image), end = begin_of(part % of_image + 1u, of_image);
@@ -34,7 +39,8 @@ void main() {
         uint d_plane = (image * params.d_to.channels + params.d_to.first + channel) * params.n_pixels;
         uint place = (image * params.n_channels + channel) * params.n_pixels;
         vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
-        for (uint i = begin + lane; i < end; i += LANES) sum += gradients_at(i, plane, d_plane, place, affine, moments);
+        for (uint i = begin + lane; i < end; i += LANES)
+            sum += gradients_at(i, plane, d_plane, place, affine, moments);
     } else {
         for (uint i = begin + lane; i < end; i += LANES) sum.x += params.from.values.at[plane + i];
     }

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolution 1x1 or 3x3 of images whose columns are a ring and whose rows end in zeros, as an implicit matrix product:
+// Convolution 1x1 or 3x3 of images whose columns are a ring and whose rows end in zeros,
+// as an implicit matrix product:
 //   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx] from[i, y + ky - 1, x + kx - 1]
-// or, transposed, its derivative by the input. A subgroup makes RELIDAR_CONV_OUT channels of LANES * PIXELS columns of a row; sums stay in
-// registers, neighbouring columns come from neighbouring lanes. Weights lie in shared memory (STAGED), or in the lanes of the subgroup: a
-// CPU loads lane by lane, and moves between lanes in one instruction.
-// Input: from, weights, bias. Output or accumulated: to. Floor: 2 n_in TAPS operations a value.
+// or, transposed, its derivative by the input. A subgroup makes RELIDAR_CONV_OUT channels
+// of LANES * PIXELS columns of a row; sums stay in registers, neighbouring columns come
+// from neighbouring lanes. Weights lie in shared memory (STAGED), or in the lanes of the
+// subgroup: a CPU loads lane by lane, and moves between lanes in one instruction. Input:
+// from, weights, bias. Output or accumulated: to. Floor: 2 n_in TAPS operations a value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -20,22 +22,28 @@ RELIDAR_PARAMS(ConvParams);
 #include "conv.glsl"
 #include "lanes.glsl"
 
-const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u, kHeld = (kOut + LANES - 1u) / LANES;
-const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;   // one more for the neighbours of the last lane
-shared float tile[kIn * 9 * kOut];   // [in, tap, out]
+const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
+           kHeld = (kOut + LANES - 1u) / LANES;
+const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;  // one more for the neighbours of the last lane
+shared float tile[kIn * 9 * kOut];                      // [in, tap, out]
 
-/// Weights of some input channels for the output channels of this workgroup; those beyond are never used.
+/// Weights of some input channels for the output channels of this workgroup; those beyond
+/// are never used.
 void load_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
-        uint o = min(first_out + k % kOut, params.n_out - 1u), i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
+        uint o = min(first_out + k % kOut, params.n_out - 1u),
+             i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
         tile[k] = params.weights.at[weight_index(o, i, k / kOut % TAPS)];
     }
 }
 
 void main() {
-    uint n_pixels = params.rows * params.columns, segments = (params.columns + LANES * PIXELS - 1u) / (LANES * PIXELS);
-    uint out_tiles = (params.n_out + kOut - 1u) / kOut, group = workgroup_index(), lane = gl_SubgroupInvocationID;
-    uint segment = group / out_tiles * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID, line = segment / segments;
+    uint n_pixels = params.rows * params.columns,
+         segments = (params.columns + LANES * PIXELS - 1u) / (LANES * PIXELS);
+    uint out_tiles = (params.n_out + kOut - 1u) / kOut, group = workgroup_index(),
+         lane = gl_SubgroupInvocationID;
+    uint segment = group / out_tiles * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+         line = segment / segments;
     bool there = line < params.n_images * params.rows;
     line = there ? line : 0u;
     uint first_out = group % out_tiles * kOut, first_column = segment % segments * (LANES * PIXELS);
@@ -43,12 +51,13 @@ void main() {
 
     uint column[kLoads], row_at[kLines];
     bool inside[kLines];
-    [[unroll]] for (uint v = 0u; v < kLoads; ++v)
-        column[v] = (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
+    [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
+        (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
-        uint row = TAPS == 1u ? y : y + k - 1u;   // -1 is beyond all rows
+        uint row = TAPS == 1u ? y : y + k - 1u;  // -1 is beyond all rows
         inside[k] = row < params.rows;
-        row_at[k] = (image * params.from.channels + params.from.first) * n_pixels + (inside[k] ? row : 0u) * params.columns;
+        row_at[k] = (image * params.from.channels + params.from.first) * n_pixels +
+                    (inside[k] ? row : 0u) * params.columns;
     }
     float sum[PIXELS * kOut];
     [[unroll]] for (uint k = 0u; k < PIXELS * kOut; ++k) sum[k] = 0.0;
@@ -69,23 +78,27 @@ void main() {
                 uint tap = ky * kLines + kx;
                 float held[kHeld];
                 if (!STAGED) {
-                    [[unroll]] for (uint k = 0u; k < kHeld; ++k)
-                        held[k] = params.weights.at[weight_index(min(first_out + k * LANES + lane, params.n_out - 1u), i, tap)];
+                    [[unroll]] for (uint k = 0u; k < kHeld; ++k) held[k] =
+                        params.weights
+                            .at[weight_index(min(first_out + k * LANES + lane, params.n_out - 1u), i, tap)];
                 }
                 float seen[PIXELS];
-                [[unroll]] for (uint p = 0u; p < PIXELS; ++p) seen[p] = kx == 0u ? v[p] : from_lane(v[p], v[min(p + 1u, kLoads - 1u)], kx);
+                [[unroll]] for (uint p = 0u; p < PIXELS; ++p) seen[p] =
+                    kx == 0u ? v[p] : from_lane(v[p], v[min(p + 1u, kLoads - 1u)], kx);
                 [[unroll]] for (uint o = 0u; o < kOut; ++o) {
-                    float w = STAGED ? tile[(i % kIn * TAPS + tap) * kOut + o] : subgroupBroadcast(held[o / LANES], o % LANES);
+                    float w = STAGED ? tile[(i % kIn * TAPS + tap) * kOut + o]
+                                     : subgroupBroadcast(held[o / LANES], o % LANES);
                     [[unroll]] for (uint p = 0u; p < PIXELS; ++p) sum[p * kOut + o] += w * seen[p];
                 }
             }
         }
     }
 
-    uint to = (image * params.to.channels + params.to.first + first_out) * n_pixels + y * params.columns + first_column + lane;
+    uint to = (image * params.to.channels + params.to.first + first_out) * n_pixels + y * params.columns +
+              first_column + lane;
     [[unroll]] for (uint p = 0u; p < PIXELS; ++p) {
         if (!there || first_column + p * LANES + lane >= params.columns) continue;
-        [[unroll]] for (uint o = 0u; o < kOut; ++o)
-            if (first_out + o < params.n_out) put(to + o * n_pixels + p * LANES, first_out + o, sum[p * kOut + o]);
+        [[unroll]] for (uint o = 0u; o < kOut; ++o) if (first_out + o < params.n_out)
+            put(to + o * n_pixels + p * LANES, first_out + o, sum[p * kOut + o]);
     }
 }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Derivative of a convolution by its weights, in parts of the images' rows:
 //   partial[part, o, i, ky, kx] = sum_y,x d_to[o, y, x] from[i, y + ky - 1, x + kx - 1]
-// A subgroup makes RELIDAR_CONV_OUT output channels of one input channel (of RELIDAR_CONV_IN where 1x1): each lane sums its own columns,
-// the lanes are added at the end.
-// Input: from, d_to. Output: partial, summed by refine/sum_parts. Floor: 2 n_in n_out TAPS operations a pixel.
+// A subgroup makes RELIDAR_CONV_OUT output channels of one input channel (of
+// RELIDAR_CONV_IN where 1x1): each lane sums its own columns, the lanes are added at the
+// end. Input: from, d_to. Output: partial, summed by refine/sum_parts. Floor: 2 n_in
+// n_out TAPS operations a pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -18,25 +19,28 @@ RELIDAR_PARAMS(ConvWeightsParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
-float sum[kOut * kIn * TAPS];                       // [out, in, tap]
-float before[kIn * kLines], next[kIn * kLines];     // [in, line] LANES columns from one before a lane's own, and those after them
-float asked[kOut];                                  // d_to of the lane's column
+float sum[kOut * kIn * TAPS];  // [out, in, tap]
+// [in, line] LANES columns from one before a lane's own, and those after them
+float before[kIn * kLines], next[kIn * kLines];
+float asked[kOut];  // d_to of the lane's column
 
 /// Adds what LANES columns of a row give.
 void add_columns() {
-    [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k)
-        [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
-            float seen = kx == 0u ? before[k] : from_lane(before[k], next[k], kx);
-            [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += asked[o] * seen;
-        }
+    [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
+        float seen = kx == 0u ? before[k] : from_lane(before[k], next[k], kx);
+        [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += asked[o] * seen;
+    }
 }
 
 void main() {
-    uint in_tiles = (params.n_in + kIn - 1u) / kIn, out_tiles = (params.n_out + kOut - 1u) / kOut, lane = gl_SubgroupInvocationID;
-    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID, part = job / (in_tiles * out_tiles);
+    uint in_tiles = (params.n_in + kIn - 1u) / kIn, out_tiles = (params.n_out + kOut - 1u) / kOut,
+         lane = gl_SubgroupInvocationID;
+    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+         part = job / (in_tiles * out_tiles);
     uint first_in = job % in_tiles * kIn, first_out = job / in_tiles % out_tiles * kOut;
     uint n_lines = params.n_images * params.rows, n_pixels = params.rows * params.columns;
-    uint line = min(part, params.n_parts) * n_lines / params.n_parts, end = min(part + 1u, params.n_parts) * n_lines / params.n_parts;
+    uint line = min(part, params.n_parts) * n_lines / params.n_parts,
+         end = min(part + 1u, params.n_parts) * n_lines / params.n_parts;
     [[unroll]] for (uint k = 0u; k < kOut * kIn * TAPS; ++k) sum[k] = 0.0;
 
     for (; line < end; ++line) {
@@ -44,9 +48,11 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);   // row -1 is beyond all
+            // row -1 is beyond all
+            uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
-            row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels + (inside[k] ? row : 0u) * params.columns;
+            row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +
+                        (inside[k] ? row : 0u) * params.columns;
             float v = params.from.values.at[row_at[k] + column];
             next[k] = inside[k] ? v : 0.0;
         }

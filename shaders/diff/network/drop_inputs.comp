@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A batch of images for the network from the samples that are kept, normalised: what the sensor sees is turned about it by some columns,
-// its own pixels stay where they are. One thread a pixel.
-// Input: samples, targets, chosen, turn, scale_shift. Output: images, start, target.
+// A batch of images for the network from the samples that are kept, normalised: what the
+// sensor sees is turned about it by some columns, its own pixels stay where they are. One
+// thread a pixel. Input: samples, targets, chosen, turn, scale_shift. Output: images,
+// start, target.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -12,7 +13,8 @@ void main() {
     uint i = thread_index(), n_pixels = params.rows * params.columns;
     if (i >= params.n_images * n_pixels) return;
     uint image = i / n_pixels, at = i % n_pixels, x = at % params.columns;
-    uint seen = at - x + (x + params.columns - params.turn.at[image] % params.columns) % params.columns, sampled = params.chosen.at[image];
+    uint seen = at - x + (x + params.columns - params.turn.at[image] % params.columns) % params.columns,
+         sampled = params.chosen.at[image];
     for (uint c = 0u; c < params.n_channels; ++c) {
         uint from = c + params.n_fixed < params.n_channels ? seen : at;
         float v = params.samples.at[(sampled * params.n_channels + c) * n_pixels + from];

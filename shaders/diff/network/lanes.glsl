@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Columns that neighbouring lanes of a subgroup hold. Include after the constant LANES, the subgroup's size.
+// Columns that neighbouring lanes of a subgroup hold. Include after the constant LANES,
+// the subgroup's size.
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 

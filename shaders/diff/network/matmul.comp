@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Products of matrices that lie in memory by any strides: C = scale A B, for each entry of a batch and each head. A subgroup makes
-// RELIDAR_MATMUL_ROWS rows of LANES columns; its lanes hold a column of A and hand it round.
-// Input: a, b. Output: c.
+// Products of matrices that lie in memory by any strides: C = scale A B, for each entry
+// of a batch and each head. A subgroup makes RELIDAR_MATMUL_ROWS rows of LANES columns;
+// its lanes hold a column of A and hand it round. Input: a, b. Output: c.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -14,14 +14,17 @@ RELIDAR_PARAMS(MatmulParams);
 const uint kRows = RELIDAR_MATMUL_ROWS, kHeld = (kRows + LANES - 1u) / LANES;
 
 void main() {
-    uint tiles_x = (params.columns + LANES - 1u) / LANES, tiles_y = (params.rows + kRows - 1u) / kRows, lane = gl_SubgroupInvocationID;
-    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID, matrix = job / (tiles_x * tiles_y);
+    uint tiles_x = (params.columns + LANES - 1u) / LANES, tiles_y = (params.rows + kRows - 1u) / kRows,
+         lane = gl_SubgroupInvocationID;
+    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+         matrix = job / (tiles_x * tiles_y);
     bool there = matrix < params.n_batch * params.n_heads;
     matrix = there ? matrix : 0u;
     uint batch = matrix / params.n_heads, head = matrix % params.n_heads;
     uint first_row = job / tiles_x % tiles_y * kRows, column = job % tiles_x * LANES + lane;
     uint a = params.a.first + batch * params.a.batch + head * params.a.head;
-    uint b = params.b.first + batch * params.b.batch + head * params.b.head + min(column, params.columns - 1u) * params.b.column;
+    uint b = params.b.first + batch * params.b.batch + head * params.b.head +
+             min(column, params.columns - 1u) * params.b.column;
     float sum[kRows];
     [[unroll]] for (uint r = 0u; r < kRows; ++r) sum[r] = 0.0;
     for (uint k = 0u; k < params.inner; ++k) {
@@ -31,10 +34,11 @@ void main() {
             held[h] = params.a.values.at[a + row * params.a.row + k * params.a.column];
         }
         float v = params.b.values.at[b + k * params.b.row];
-        [[unroll]] for (uint r = 0u; r < kRows; ++r) sum[r] += subgroupBroadcast(held[r / LANES], r % LANES) * v;
+        [[unroll]] for (uint r = 0u; r < kRows; ++r) sum[r] +=
+            subgroupBroadcast(held[r / LANES], r % LANES) * v;
     }
     uint c = params.c.first + batch * params.c.batch + head * params.c.head + column * params.c.column;
-    [[unroll]] for (uint r = 0u; r < kRows; ++r)
-        if (there && column < params.columns && first_row + r < params.rows)
-            params.c.values.at[c + (first_row + r) * params.c.row] = params.scale * sum[r];
+    [[unroll]] for (uint r = 0u; r < kRows;
+                    ++r) if (there && column < params.columns && first_row + r < params.rows)
+        params.c.values.at[c + (first_row + r) * params.c.row] = params.scale * sum[r];
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normalised, ReLU, dropout: to = dropout(max(scale x + shift, 0)). A workgroup makes a stretch of one channel's pixels.
-// Input: from, scale_shift. Output: to. Floor: 8 B a value.
+// Normalised, ReLU, dropout: to = dropout(max(scale x + shift, 0)). A workgroup makes a
+// stretch of one channel's pixels. Input: from, scale_shift. Output: to. Floor: 8 B a
+// value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -13,7 +14,8 @@ void main() {
     if (plane >= params.n_images * params.n_channels) return;
     vec2 affine = params.scale_shift.at[plane % params.n_channels];
     uint from = plane_in(params.from, plane, params.n_channels) * params.n_pixels;
-    uint to = plane_in(params.to, plane, params.n_channels) * params.n_pixels, first = first_pixel(params.n_pixels);
+    uint to = plane_in(params.to, plane, params.n_channels) * params.n_pixels,
+         first = first_pixel(params.n_pixels);
     for (uint k = 0u; k < RELIDAR_NORM_PIXELS; ++k) {
         uint pixel = first + k * gl_WorkGroupSize.x;
         if (pixel >= params.n_pixels) return;

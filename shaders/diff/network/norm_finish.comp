@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batch normalisation (Ioffe and Szegedy), what every pixel of a channel has in common: moments of the batch from those of its parts
-// (Chan), or the running ones in evaluation; one thread a channel.
-// Input: partial, beta_gamma. In place: running. Output: moments, scale_shift.
+// Batch normalisation (Ioffe and Szegedy), what every pixel of a channel has in common:
+// moments of the batch from those of its parts (Chan), or the running ones in evaluation;
+// one thread a channel. Input: partial, beta_gamma. In place: running. Output: moments,
+// scale_shift.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -14,7 +15,8 @@ vec2 batch_moments(uint channel) {
     uint of_image = params.n_parts / params.n_images;
     for (uint part = 0u; part < params.n_parts; ++part) {
         uint at = 2u * (part * params.n_channels + channel);
-        float size = float(params.n_pixels / of_image + (part % of_image < params.n_pixels % of_image ? 1u : 0u));
+        float size =
+            float(params.n_pixels / of_image + (part % of_image < params.n_pixels % of_image ? 1u : 0u));
         float off = params.partial.at[at] - mean, both = n + size;
         mean += off * size / both;
         squares += params.partial.at[at + 1u] + off * off * n * size / both;
@@ -30,7 +32,8 @@ void main() {
     if (params.training != 0u) {
         vec2 batch = batch_moments(channel);
         float n = float(params.n_images * params.n_pixels);
-        params.running.at[channel] = mix(moments, vec2(batch.x, batch.y * n / max(n - 1.0, 1.0)), params.momentum);
+        params.running.at[channel] =
+            mix(moments, vec2(batch.x, batch.y * n / max(n - 1.0, 1.0)), params.momentum);
         moments = batch;
     }
     float inverse = 1.0 / sqrt(moments.y + params.epsilon);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of normalisation, ReLU and dropout by what was normalised, one thread a value:
+// Derivative of normalisation, ReLU and dropout by what was normalised, one thread a
+// value:
 //   d_from = scale (g - mean(g) - x^ mean(g x^)),   g = gate * d_to,   x^ = (x - mean) / deviation
 // Input: from, d_to, d_beta_gamma, scale_shift, moments. Output or accumulated: d_from.
 #version 460
@@ -23,7 +24,8 @@ void main() {
         if (pixel >= params.n_pixels) return;
         float x = params.from.values.at[from + pixel];
         uint place = plane * params.n_pixels + pixel;
-        float g = params.d_to.values.at[d_to + pixel] * gate(affine.x * x + affine.y, place, params.dropout_key, params.dropout);
+        float g = params.d_to.values.at[d_to + pixel] *
+                  gate(affine.x * x + affine.y, place, params.dropout_key, params.dropout);
         float d_x = affine.x * (g - mean.x - (x - moments.x) * moments.y * mean.y);
         if (params.accumulate != 0u) d_x += params.d_from.values.at[to + pixel];
         params.d_from.values.at[to + pixel] = d_x;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Largest of 2 x 2 pixels, one thread a pooled value; the last row or column of an odd number is left out.
-// Input: from (large). Output: to (small).
+// Largest of 2 x 2 pixels, one thread a pooled value; the last row or column of an odd
+// number is left out. Input: from (large). Output: to (small).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -15,6 +15,8 @@ void main() {
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
     uint at = large_at(params.from.channels, params.from.first, image, channel, 2u * y, 2u * x);
     float upper = max(params.from.values.at[at], params.from.values.at[at + 1u]);
-    float lower = max(params.from.values.at[at + params.columns], params.from.values.at[at + params.columns + 1u]);
-    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, y, x)] = max(upper, lower);
+    float lower =
+        max(params.from.values.at[at + params.columns], params.from.values.at[at + params.columns + 1u]);
+    params.to.values.at[small_at(params.to.channels, params.to.first, image, channel, y, x)] =
+        max(upper, lower);
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of pooling: the gradient of a pooled value is added to that of the first of its four pixels that has it, one thread a value.
-// Input: from (small gradients), pooled (large values). In place: to (large gradients).
+// Derivative of pooling: the gradient of a pooled value is added to that of the first of
+// its four pixels that has it, one thread a value. Input: from (small gradients), pooled
+// (large values). In place: to (large gradients).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -13,7 +14,8 @@ void main() {
     if (i >= params.n_images * params.n_channels * n_small) return;
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
-    uint first = large_at(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x), largest = 0u;
+    uint first = large_at(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x),
+         largest = 0u;
     float value = params.pooled.values.at[first];
     for (uint k = 1u; k < 4u; ++k) {
         uint off = k % 2u + k / 2u * params.columns;

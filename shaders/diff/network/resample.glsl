@@ -10,10 +10,12 @@ uint small_at(uint channels, uint first, uint image, uint channel, uint y, uint 
     return ((image * channels + first + channel) * params.small_rows + y) * params.small_columns + x;
 }
 
-/// Between which two of n_small entries one of n_large lies, centres at half steps, and the share of the second. In whole numbers, so that
-/// upsampling and its derivative agree on it whatever a device's division does.
+/// Between which two of n_small entries one of n_large lies, centres at half steps, and
+/// the share of the second. In whole numbers, so that upsampling and its derivative agree
+/// on it whatever a device's division does.
 void neighbours(int at, uint n_large, uint n_small, out int left, out float share) {
-    int whole = 2 * int(n_large), place = (2 * at + 1) * int(n_small) - int(n_large);   // in halves of a large entry
+    // in halves of a large entry
+    int whole = 2 * int(n_large), place = (2 * at + 1) * int(n_small) - int(n_large);
     left = place < 0 ? -1 : place / whole;
     share = float(place - left * whole) / float(whole);
 }

@@ -12,9 +12,11 @@ RELIDAR_PARAMS(SoftmaxParams);
 
 void softmax_row(uint first) {
     float largest = -1e30, sum = 0.0;
-    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) largest = max(largest, params.values.at[first + k]);
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
+        largest = max(largest, params.values.at[first + k]);
     largest = subgroupMax(largest);
-    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES) sum += exp(params.values.at[first + k] - largest);
+    for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
+        sum += exp(params.values.at[first + k] - largest);
     float scale = 1.0 / subgroupAdd(sum);
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
         params.values.at[first + k] = exp(params.values.at[first + k] - largest) * scale;

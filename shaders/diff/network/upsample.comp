@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bilinear interpolation to larger images, pixel centres at half steps: rows end with the last one, columns are a ring. One thread a value.
-// Input: from (small). Output: to (large).
+// Bilinear interpolation to larger images, pixel centres at half steps: rows end with the
+// last one, columns are a ring. One thread a value. Input: from (small). Output: to
+// (large).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -10,7 +11,8 @@ RELIDAR_PARAMS(ResampleParams);
 
 float line_at(uint base, int y, int x, float share) {
     uint row = base + row_of(y) * params.small_columns;
-    return mix(params.from.values.at[row + column_of(x)], params.from.values.at[row + column_of(x + 1)], share);
+    return mix(params.from.values.at[row + column_of(x)], params.from.values.at[row + column_of(x + 1)],
+               share);
 }
 
 void main() {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of the interpolation: each small pixel gathers the gradients of those that were mixed from it, one thread a value.
-// Input: from (large gradients). Output: to (small gradients).
+// Derivative of the interpolation: each small pixel gathers the gradients of those that
+// were mixed from it, one thread a value. Input: from (large gradients). Output: to
+// (small gradients).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -38,7 +39,8 @@ void main() {
     int first_x, first_y, n_x, n_y;
     candidates(column, params.columns, params.small_columns, first_x, n_x);
     candidates(row, params.rows, params.small_rows, first_y, n_y);
-    first_y = clamp(first_y, 0, int(params.rows) - n_y);   // rows end: all that may be mixed from the first or last one are within
+    // rows end: all that may be mixed from the first or last one are within
+    first_y = clamp(first_y, 0, int(params.rows) - n_y);
     float sum = 0.0;
     for (int y = first_y; y < first_y + n_y; ++y) {
         float weight_y = row_weight(y, row);

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba) over one parameter group, one thread a row, or a float (PER_FLOAT): neighbouring threads then read neighbouring
-// addresses, which a GPU loads together; a CPU gains nothing by it. Of rows that are not touched the gradient is zero, whatever it is;
-// with a list (list_touched.comp) rows that are not in it stay as they are.
-// Input: gradients, touched or rows and n_listed, bounds, model_scale, models. In place: values, moment1, moment2.
+// Adam (Kingma and Ba) over one parameter group, one thread a row, or a float
+// (PER_FLOAT): neighbouring threads then read neighbouring addresses, which a GPU loads
+// together; a CPU gains nothing by it. Of rows that are not touched the gradient is zero,
+// whatever it is; with a list (list_touched.comp) rows that are not in it stay as they
+// are. Input: gradients, touched or rows and n_listed, bounds, model_scale, models. In
+// place: values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../scene/find_model.glsl"
@@ -14,33 +16,41 @@ RELIDAR_PARAMS(AdamParams);
 /// @param block,within  which column of the row
 void update(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
-    float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];   // lanes of a CPU load faster than they branch
+    // lanes of a CPU load faster than they branch
+    float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
     g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
     float v = mix(g * g, params.moment2.at[i], params.beta2);
     params.moment1.at[i] = m;
     params.moment2.at[i] = v;
-    float rate = learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
-    float value = params.values.at[i] - rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];   // a NaN stays, for somebody looks for it
+    float rate =
+        learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
+    float value = params.values.at[i] -
+                  rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
+    // a NaN stays, for somebody looks for it
+    if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];
     params.values.at[i] = value;
 }
 
-/// All columns of a row, or the one of a thread. @param i  of the floats, or rows, that are updated
+/// All columns of a row, or the one of a thread. @param i  of the floats, or rows, that
+/// are updated
 void step_row(uint i) {
     uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? i / n_updated : i;
     if (!is_null(params.rows)) row = params.rows.at[row];
     bool has_gradient = is_null(params.touched) || params.touched.at[row] != 0u;
     float learning_rate = params.learning_rate;
     if (!is_null(params.model_scale))
-        learning_rate *= params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
+        learning_rate *=
+            params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
     if (PER_FLOAT) {
         uint k = i % n_updated;
         update(row, k / params.n_active * params.block, k % params.n_active, has_gradient, learning_rate);
         return;
     }
-    for (uint block = 0u; block < params.stride; block += params.block)   // a CPU divides integers lane by lane
-        for (uint within = 0u; within < params.n_active; ++within) update(row, block, within, has_gradient, learning_rate);
+    // a CPU divides integers lane by lane
+    for (uint block = 0u; block < params.stride; block += params.block)
+        for (uint within = 0u; within < params.n_active; ++within)
+            update(row, block, within, has_gradient, learning_rate);
 }
 
 void main() {

@@ -9,8 +9,8 @@ RELIDAR_SHARED_BEGIN
 // Some consecutive channels of images.
 struct ImageSlice {
     Floats values;
-    uint channels;         // of the images
-    uint first;            // that belongs to the slice
+    uint channels;  // of the images
+    uint first;     // that belongs to the slice
 };
 
 RELIDAR_SHARED_END

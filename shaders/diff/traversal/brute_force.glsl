@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backend: every surfel of every instance is a candidate. The oracle for the other backends on the device itself.
+// Backend: every surfel of every instance is a candidate. The oracle for the other
+// backends on the device itself.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 

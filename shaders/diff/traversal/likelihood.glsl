@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// How well a hit explains the range that its ray measured (docs/method.md M12), for the kernels that are built for it. Include after
-// includes.glsl.
+// How well a hit explains the range that its ray measured (docs/method.md M12), for the
+// kernels that are built for it. Include after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
 // Of the ray of this thread, where LIKELIHOOD.
-float measured_range = 0.0;       // m; 0: none, dropped or unknown
-float measured_per_scale = 0.0;   // 1/m
+float measured_range = 0.0;      // m; 0: none, dropped or unknown
+float measured_per_scale = 0.0;  // 1/m
 
 /// Makes them those of a ray of the batch.
 void take_measured(TraceScene scene, uint ray) {

@@ -4,23 +4,26 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
 
 struct Ray {
-    vec3 origin;      // world, m
-    vec3 direction;   // world, unit
-    float time_s;     // when it is fired, from the sweep's reference time, or RELIDAR_NO_TIME
+    vec3 origin;     // world, m
+    vec3 direction;  // world, unit
+    float time_s;    // when it is fired, from the sweep's reference time, or RELIDAR_NO_TIME
 };
 
 Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// The ray in the frame of the model that was met last: candidates come in runs of one instance.
+// The ray in the frame of the model that was met last: candidates come in runs of one
+// instance.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-vec3 entered_turn = vec3(0.0);   // how far the model has turned, in its own axes; see turned_by()
+vec3 entered_turn = vec3(0.0);  // how far the model has turned, in its own axes; see turned_by()
 
-/// The ray of this thread, in the order of the batch; n_rays and more: none. In an image, 8 threads in sequence are 4 x 2 neighbours, and
-/// 32 are 16 x 2, for columns lie closer than rows: they open the same nodes. Tiles run down the image, then across: a driver that gives
-/// each of its threads one stretch of the workgroups (lavapipe) so gives each a like share of sky and ground, which cost differently.
+/// The ray of this thread, in the order of the batch; n_rays and more: none. In an image,
+/// 8 threads in sequence are 4 x 2 neighbours, and 32 are 16 x 2, for columns lie closer
+/// than rows: they open the same nodes. Tiles run down the image, then across: a driver
+/// that gives each of its threads one stretch of the workgroups (lavapipe) so gives each
+/// a like share of sky and ground, which cost differently.
 uint traced_ray(TraceScene scene) {
     uint i = thread_index();
     if (scene.columns == 0u) return i;
@@ -31,7 +34,8 @@ uint traced_ray(TraceScene scene) {
 }
 
 vec3 model_point(InstanceEntry m, vec3 p) {
-    return vec3(exact_dot(m.row0.xyz, p) + m.row0.w, exact_dot(m.row1.xyz, p) + m.row1.w, exact_dot(m.row2.xyz, p) + m.row2.w);
+    return vec3(exact_dot(m.row0.xyz, p) + m.row0.w, exact_dot(m.row1.xyz, p) + m.row1.w,
+                exact_dot(m.row2.xyz, p) + m.row2.w);
 }
 vec3 model_vector(InstanceEntry m, vec3 d) {
     return vec3(exact_dot(m.row0.xyz, d), exact_dot(m.row1.xyz, d), exact_dot(m.row2.xyz, d));
@@ -42,18 +46,21 @@ vec3 exact_cross(vec3 a, vec3 b) {
     return product;
 }
 
-/// Turns a vector by the rotation whose Rodrigues vector (axis times tangent of half the angle) is g. It keeps lengths for every g, so that
-/// t is the same in the world and in a model that turns.
+/// Turns a vector by the rotation whose Rodrigues vector (axis times tangent of half the
+/// angle) is g. It keeps lengths for every g, so that t is the same in the world and in a
+/// model that turns.
 vec3 turned_by(vec3 g, vec3 p) {
     vec3 q = exact_cross(g, p), r = exact_cross(g, q);
     precise vec3 result = p + 2.0 / (1.0 + exact_dot(g, g)) * (q + r);
     return result;
 }
 
-/// The Rodrigues vector of a rotation vector, by the series of the tangent: exact to float for turns of up to half a radian.
+/// The Rodrigues vector of a rotation vector, by the series of the tangent: exact to
+/// float for turns of up to half a radian.
 vec3 rodrigues_vector(vec3 turn) {
     float x = 0.25 * exact_dot(turn, turn);
-    precise vec3 g = 0.5 * (1.0 + x * (1.0 / 3.0 + x * (2.0 / 15.0 + x * (17.0 / 315.0 + x * (62.0 / 2835.0))))) * turn;
+    precise vec3 g =
+        0.5 * (1.0 + x * (1.0 / 3.0 + x * (2.0 / 15.0 + x * (17.0 / 315.0 + x * (62.0 / 2835.0))))) * turn;
     return g;
 }
 
@@ -70,8 +77,8 @@ void follow_motion(TraceScene scene, uint instance, float time_s) {
     entered_direction = turned_by(-entered_turn, entered_direction);
 }
 
-/// Enters an instance: moves the ray into the frame of its model, at the pose that the model has at the ray's firing time. All kernels and
-/// backends use this function.
+/// Enters an instance: moves the ray into the frame of its model, at the pose that the
+/// model has at the ray's firing time. All kernels and backends use this function.
 void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (entered_instance == instance) return;
     InstanceEntry m = scene.instances.at[instance];
@@ -83,8 +90,9 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (m.moves != 0u) follow_motion(scene, instance, ray.time_s);
 }
 
-/// Turns a vector of the entered instance's model into the world. Loads the instance at this place, because
-/// rows that a caller loads early occupy 12 registers until they are used.
+/// Turns a vector of the entered instance's model into the world. Loads the instance at
+/// this place, because rows that a caller loads early occupy 12 registers until they are
+/// used.
 vec3 world_vector(TraceScene scene, vec3 g) {
     InstanceEntry m = scene.instances.at[entered_instance];
     vec3 v = g;

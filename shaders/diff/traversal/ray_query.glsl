@@ -1,14 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backend: ray query on a two-level acceleration structure. All geometry is non-opaque, so each candidate is offered; once the
-// buffer is closed the ray is shortened to its last hit, or the search would visit everything behind it.
-// A surfel's triangles are crossed at the hit itself, and a box is entered before and left behind it. An icosahedron is a surface that
-// encloses the hit: it is crossed before and behind. The far crossing lies behind the hit, so behind the start, wherever the near one is,
-// and at most `reach` behind it. So the ray is shortened to `reach` behind the last hit, and what it crosses there is not lost, though it
-// may begin before the start or hold the sensor. A hit that is offered at both crossings is known the second time.
+// Backend: ray query on a two-level acceleration structure. All geometry is non-opaque,
+// so each candidate is offered; once the buffer is closed the ray is shortened to its
+// last hit, or the search would visit everything behind it. A surfel's triangles are
+// crossed at the hit itself, and a box is entered before and left behind it. An
+// icosahedron is a surface that encloses the hit: it is crossed before and behind. The
+// far crossing lies behind the hit, so behind the start, wherever the near one is, and at
+// most `reach` behind it. So the ray is shortened to `reach` behind the last hit, and
+// what it crosses there is not lost, though it may begin before the start or hold the
+// sensor. A hit that is offered at both crossings is known the second time.
 //
-// The driver has each model at one pose. A model that moves during the sweep needs a query of its own, with the ray moved as the model is
-// moved back to that pose. The first query finds the models that stand still, by the cull mask. No hit of a moving model is lost: its
-// radius holds all that can be hit, and the rounding of the moved ray is far below the margin of the proxies.
+// The driver has each model at one pose. A model that moves during the sweep needs a
+// query of its own, with the ray moved as the model is moved back to that pose. The first
+// query finds the models that stand still, by the cull mask. No hit of a moving model is
+// lost: its radius holds all that can be hit, and the rounding of the moved ray is far
+// below the margin of the proxies.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
@@ -23,10 +28,10 @@ bool comes_near(float radius) {
 
 /// What one query looks for.
 struct Search {
-    vec3 origin;      // world, m
+    vec3 origin;  // world, m
     vec3 direction;
     uint mask;
-    uint instance;    // the only one whose candidates count; RELIDAR_NO_INSTANCE: all
+    uint instance;  // the only one whose candidates count; RELIDAR_NO_INSTANCE: all
 };
 
 /// @return false where the ray cannot meet the instance
@@ -35,7 +40,8 @@ bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search 
     InstanceEntry m = scene.instances.at[moving.instance];
     vec3 from_model = entered_origin - vec3(m.row0.w, m.row1.w, m.row2.w);
     search.origin = m.row0.xyz * from_model.x + m.row1.xyz * from_model.y + m.row2.xyz * from_model.z;
-    search.direction = m.row0.xyz * entered_direction.x + m.row1.xyz * entered_direction.y + m.row2.xyz * entered_direction.z;
+    search.direction = m.row0.xyz * entered_direction.x + m.row1.xyz * entered_direction.y +
+                       m.row2.xyz * entered_direction.z;
     search.mask = moving.mask;
     search.instance = moving.instance;
     return comes_near(scene.model_radii.at[moving.model]);
@@ -48,14 +54,17 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     for (uint k = 0u; k <= scene.n_moving; ++k) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving(scene, ray, scene.moving.at[k - 1u], search)) continue;
-        float end = 1e30;   // where the query stops
-        if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;   // by the queries before
-        rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT, search.mask,
-                              search.origin + start * search.direction, 0.0, search.direction, end);
+        float end = 1e30;  // where the query stops
+        // by the queries before
+        if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;
+        rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
+                              search.mask, search.origin + start * search.direction, 0.0, search.direction,
+                              end);
         while (rayQueryProceedEXT(query)) {
             uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-            if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;   // has the same mask
+            // has the same mask
+            if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;
             offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
             if (!hits_closed) continue;
             float bound = max(last_hit_t() - start, 0.0);

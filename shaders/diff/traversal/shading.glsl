@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channel values of a hit (intensity, hit logit, drop logit): from the record where SH are evaluated once a surfel, else from the
-// coefficients in the direction of the ray in the model's frame (docs/method.md section 3).
+// Channel values of a hit (intensity, hit logit, drop logit): from the record where SH
+// are evaluated once a surfel, else from the coefficients in the direction of the ray in
+// the model's frame (docs/method.md section 3).
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
 RELIDAR_CONSTANT(uint, SINGLE_DROP_LOGIT, 0u);
 
 const uint kNoInstance = 0xffffffffu;
-float ray_basis[16];              // SH basis of the current ray in the frame of ray_basis_instance
+float ray_basis[16];  // SH basis of the current ray in the frame of ray_basis_instance
 uint ray_basis_instance;
 
 /// Makes ray_basis that of an instance's frame, where SH are evaluated a hit.
@@ -38,7 +39,8 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
 
 /// @return intensity (clamped at 0), hit logit, drop logit
 vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
-    if (SH_PER_SURFEL != 0u) return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);
+    if (SH_PER_SURFEL != 0u)
+        return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);
     use_basis(scene, ray, instance);
     vec3 value = evaluate_channels(scene, surfel);
     return vec3(max(value.x, 0.0), SINGLE_DROP_LOGIT != 0u ? 0.0 : value.y, value.z);

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// What all lanes of a subgroup read from one address, loaded by them together: each loads another word of it and hands it to the others. A
-// CPU gathers lane by lane even where all addresses are the same: a node of 20 words then costs 20 gathers, and 3 in this way with 8 lanes.
-// All lanes must be there, and must not part.
+// What all lanes of a subgroup read from one address, loaded by them together: each loads
+// another word of it and hands it to the others. A CPU gathers lane by lane even where
+// all addresses are the same: a node of 20 words then costs 20 gathers, and 3 in this way
+// with 8 lanes. All lanes must be there, and must not part.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 
-const uint kNodeWords = 20u, kRecordWords = 16u;   // of BvhNode and SurfelRecord, whose words are in the order of their declaration
-const uint kMostParts = 5u;                        // of a node among 4 lanes, the smallest subgroup
+// of BvhNode and SurfelRecord, whose words are in the order of their declaration
+const uint kNodeWords = 20u, kRecordWords = 16u;
+const uint kMostParts = 5u;  // of a node among 4 lanes, the smallest subgroup
 
 /// Words of a struct: lane k % size of the subgroup holds word k in part k / size.
 struct SharedWords {
@@ -18,7 +20,8 @@ SharedWords load_words(Uints from, uint first, uint n) {
     SharedWords words;
     [[unroll]] for (uint p = 0u; p < kMostParts; ++p) {
         words.part[p] = 0u;
-        if (p * gl_SubgroupSize < n) words.part[p] = from.at[first + min(p * gl_SubgroupSize + gl_SubgroupInvocationID, n - 1u)];
+        if (p * gl_SubgroupSize < n)
+            words.part[p] = from.at[first + min(p * gl_SubgroupSize + gl_SubgroupInvocationID, n - 1u)];
     }
     return words;
 }
@@ -26,8 +29,7 @@ SharedWords load_words(Uints from, uint first, uint n) {
 /// @param k  the same in all lanes
 uint word_of(SharedWords words, uint k) {
     uint part = words.part[0];
-    [[unroll]] for (uint p = 1u; p < kMostParts; ++p)
-        if (k >= p * gl_SubgroupSize) part = words.part[p];
+    [[unroll]] for (uint p = 1u; p < kMostParts; ++p) if (k >= p * gl_SubgroupSize) part = words.part[p];
     return subgroupShuffle(part, k % gl_SubgroupSize);
 }
 

@@ -1,18 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a ray meets a 3D Gaussian (M9): at the point of largest density along it, the nearest to the mean in the frame whose unit is the
-// standard deviation, the rows A = (a_u / s_u, a_v / s_v, a_w / s_w) of the record. With a = A (mean - o), b = A d:
+// Where a ray meets a 3D Gaussian (M9): at the point of largest density along it, the
+// nearest to the mean in the frame whose unit is the standard deviation, the rows A =
+// (a_u / s_u, a_v / s_v, a_w / s_w) of the record. With a = A (mean - o), b = A d:
 //   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
-// and its derivative. As for surfels, q is computed from t as it was rounded: the point at t lies in the ellipsoid of alpha >= alpha_min
-// and so in every proxy of it, which is why no traversal loses it. What rounding leaves of q along b, where density does not change, is
-// taken out for at most kForgiven_m along the ray, half of the proxies' margin: without it the rounding of 50 m, some 3e-6 m, would be
-// noise in the opacity of Gaussians thinner than 1e-4 m.
+// and its derivative. As for surfels, q is computed from t as it was rounded: the point
+// at t lies in the ellipsoid of alpha >= alpha_min and so in every proxy of it, which is
+// why no traversal loses it. What rounding leaves of q along b, where density does not
+// change, is taken out for at most kForgiven_m along the ray, half of the proxies'
+// margin: without it the rounding of 50 m, some 3e-6 m, would be noise in the opacity of
+// Gaussians thinner than 1e-4 m.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 
 const float kForgiven_m = 5e-5;
 
 /// A vector in standard deviations.
-vec3 whitened(SurfelRecord s, vec3 v) { return vec3(exact_dot(s.axis_u, v), exact_dot(s.axis_v, v), exact_dot(s.normal, v)); }
+vec3 whitened(SurfelRecord s, vec3 v) {
+    return vec3(exact_dot(s.axis_u, v), exact_dot(s.axis_v, v), exact_dot(s.normal, v));
+}
 
 /// @param origin, direction  ray in the model frame, m; direction of unit length
 /// @return false where anything is not finite
@@ -38,13 +43,14 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
 ///   dalpha = -alpha q . dq as if t stood still,  dt = (b . da - (q + t b) . db) / b.b
 /// @param d_t      dL/dt at fixed alpha
 /// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
-SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
+SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit,
+                                         float d_t, float d_alpha) {
     SurfelHitGradient g;
     vec3 q = vec3(hit.u, hit.v, hit.w);
     vec3 p = hit.t * direction - (s.mean - origin);
     vec3 b = whitened(s, direction);
     float e = d_t / dot(b, b);
-    vec3 d_point = -d_alpha * hit.alpha * q - e * b;   // dL/d(A (o - mean))
+    vec3 d_point = -d_alpha * hit.alpha * q - e * b;  // dL/d(A (o - mean))
     vec3 d_mean = -(d_point.x * s.axis_u + d_point.y * s.axis_v + d_point.z * s.normal);
     g.d_mean = d_mean;
     g.d_axis_u = d_point.x * p - e * q.x * direction;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rotation matrix of an unnormalised quaternion (w, x, y, z) and its derivative. The gradient has no radial part.
+// Rotation matrix of an unnormalised quaternion (w, x, y, z) and its derivative. The
+// gradient has no radial part.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Real spherical harmonics up to degree 3 in the ordering and signs of 3D Gaussian splatting, and their gradient with
-// respect to the direction. value = 0.5 + basis(direction) . coefficients.
+// Real spherical harmonics up to degree 3 in the ordering and signs of 3D Gaussian
+// splatting, and their gradient with respect to the direction. value = 0.5 +
+// basis(direction) . coefficients.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
 
 const float kSh0 = 0.28209479177387814;
 const float kSh1 = 0.4886025119029199;
-const float kSh2[5] = float[](1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396);
+const float kSh2[5] = float[](1.0925484305920792, -1.0925484305920792, 0.31539156525252005,
+                              -1.0925484305920792, 0.5462742152960396);
 const float kSh3[7] = float[](-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154,
                               -0.4570457994644658, 1.445305721320277, -0.5900435899266435);
 
@@ -38,7 +40,8 @@ void sh_basis(vec3 d, uint degree, out float basis[16]) {
     basis[15] = kSh3[6] * x * (xx - 3.0 * yy);
 }
 
-/// dL/d(direction) from dL/d(basis). The polynomials are differentiated as written; the direction is not renormalised here.
+/// dL/d(direction) from dL/d(basis). The polynomials are differentiated as written; the
+/// direction is not renormalised here.
 vec3 sh_basis_vjp(vec3 d, uint degree, float d_basis[16]) {
     vec3 g = vec3(0.0);
     if (degree < 1u) return g;

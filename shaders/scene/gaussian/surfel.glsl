@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t and alpha the same numbers in every kernel.
-// Kernels call intersect() of primitive.glsl.
+// Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t
+// and alpha the same numbers in every kernel. Kernels call intersect() of primitive.glsl.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 
 /// Where a ray meets a primitive, in the frame of the record.
 struct SurfelHit {
-    float t;         // m along the ray
-    float u, v, w;   // in standard deviations; w is a 3D Gaussian's, 0 on a surfel's plane
-    float alpha;     // sigma G, not clamped
+    float t;        // m along the ray
+    float u, v, w;  // in standard deviations; w is a 3D Gaussian's, 0 on a surfel's plane
+    float alpha;    // sigma G, not clamped
 };
 
 float exact_dot(vec3 a, vec3 b) {
@@ -40,24 +40,25 @@ struct SurfelHitGradient {
     vec3 d_axis_v;
     vec3 d_normal;
     float d_opacity;
-    vec3 d_origin;      // of the ray, model frame
+    vec3 d_origin;  // of the ray, model frame
     vec3 d_direction;
 };
 
 /// @param d_t      dL/dt at fixed u, v
 /// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
-SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t, float d_alpha) {
+SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
+                                       float d_alpha) {
     SurfelHitGradient g;
     vec3 p = hit.t * direction - (s.mean - origin);
     float d_u = -d_alpha * hit.alpha * hit.u;
     float d_v = -d_alpha * hit.alpha * hit.v;
     vec3 d_p = d_u * s.axis_u + d_v * s.axis_v;
     d_t += dot(d_p, direction);
-    vec3 dt_dmean = s.normal / dot(s.normal, direction);   // dt/d(mean) = n / (n . d)
+    vec3 dt_dmean = s.normal / dot(s.normal, direction);  // dt/d(mean) = n / (n . d)
     g.d_opacity = d_alpha * hit.alpha / s.opacity;
     g.d_axis_u = d_u * p;
     g.d_axis_v = d_v * p;
-    g.d_normal = -d_t * p / dot(s.normal, direction);      // dt/dn = (mean - p_hit) / (n . d)
+    g.d_normal = -d_t * p / dot(s.normal, direction);  // dt/dn = (mean - p_hit) / (n . d)
     g.d_mean = d_t * dt_dmean - d_p;
     g.d_origin = d_p - d_t * dt_dmean;
     g.d_direction = hit.t * (d_p - d_t * dt_dmean);

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Inputs of a ray-drop network. Each is a function of the ray alone, and none depends on the sensor's yaw.
-// One thread a ray. Input: rays, measured, channels. Output: samples.
+// Inputs of a ray-drop network. Each is a function of the ray alone, and none depends on
+// the sensor's yaw. One thread a ray. Input: rays, measured, channels. Output: samples.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(DropChannelsParams);
 
-const float kLeastProbability = 1e-4;   // of either answer: logits stay within 9.2
+const float kLeastProbability = 1e-4;  // of either answer: logits stay within 9.2
 
 float channel_of(uint i, uint channel) {
     MeasuredRay m = params.measured.at[i];
@@ -20,11 +20,13 @@ float channel_of(uint i, uint channel) {
     if (channel == RELIDAR_DROP_WEIGHT) return m.weight;
     if (channel == RELIDAR_DROP_SPREAD) return log(1.0 + abs(m.median_range_m - m.mean_range_m));
     if (channel == RELIDAR_DROP_COSINE) return m.incidence;
-    return channel == RELIDAR_DROP_ELEVATION ? params.rays.at[i].direction.z : params.origin[channel - RELIDAR_DROP_ORIGIN];
+    return channel == RELIDAR_DROP_ELEVATION ? params.rays.at[i].direction.z
+                                             : params.origin[channel - RELIDAR_DROP_ORIGIN];
 }
 
 void main() {
     uint i = thread_index();
     if (i >= params.n_rays) return;
-    for (uint c = 0u; c < params.n_channels; ++c) params.samples.at[c * params.n_rays + i] = channel_of(i, params.channels.at[c]);
+    for (uint c = 0u; c < params.n_channels; ++c)
+        params.samples.at[c * params.n_rays + i] = channel_of(i, params.channels.at[c]);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rays of a sensor in the world, each fired from where the sensor is at its time. One thread a ray.
-// Input: rays, poses. Output: fired.
+// The rays of a sensor in the world, each fired from where the sensor is at its time. One
+// thread a ray. Input: rays, poses. Output: fired.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -13,5 +13,6 @@ void main() {
     if (i >= params.n_rays) return;
     SensorRay ray = params.rays.at[i];
     Firing firing = firing_at(params.poses, params.n_poses, ray.time_offset_s);
-    params.fired.at[i] = DeviceRay(placed_point(firing, ray.origin), placed_direction(firing, ray.direction), ray.time_offset_s);
+    params.fired.at[i] = DeviceRay(placed_point(firing, ray.origin), placed_direction(firing, ray.direction),
+                                   ray.time_offset_s);
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The points of the rays that return, side by side in the order of the rays, in the frame that the sensor's poses are given in. One thread
-// a ray. Input: rays, measured, poses, marks, places. Output: points, asked.
+// The points of the rays that return, side by side in the order of the rays, in the frame
+// that the sensor's poses are given in. One thread a ray. Input: rays, measured, poses,
+// marks, places. Output: points, asked.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -9,7 +10,9 @@
 RELIDAR_PARAMS(GatherPointsParams);
 
 /// floor(k n_rays / n_asked), in 32 bits.
-uint asked_ray(uint k) { return k * (params.n_rays / params.n_asked) + k * (params.n_rays % params.n_asked) / params.n_asked; }
+uint asked_ray(uint k) {
+    return k * (params.n_rays / params.n_asked) + k * (params.n_rays % params.n_asked) / params.n_asked;
+}
 
 void main() {
     uint i = thread_index();
@@ -22,5 +25,6 @@ void main() {
     float range_m = params.of_image != 0u ? m.range_m : m.median_range_m;
     float intensity = params.step > 0.0 ? round(m.intensity / params.step) * params.step : m.intensity;
     params.points.at[params.places.at[i]] =
-        ReturnedPoint(placed_point(firing, ray.origin + range_m * ray.direction), intensity, ray.time_offset_s, ray.channel, m.instance);
+        ReturnedPoint(placed_point(firing, ray.origin + range_m * ray.direction), intensity,
+                      ray.time_offset_s, ray.channel, m.instance);
 }

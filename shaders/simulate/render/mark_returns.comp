@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which rays of a scan return: they met something, and are not dropped more likely than the threshold says. A network brings nothing back
-// that the sensor cannot see (1 stays 1). One thread a ray.
-// Input: measured, drop_prob. Output: marks.
+// Which rays of a scan return: they met something, and are not dropped more likely than
+// the threshold says. A network brings nothing back that the sensor cannot see (1 stays
+// 1). One thread a ray. Input: measured, drop_prob. Output: marks.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a sensor makes of what its rays render: ranges and intensity as the beam measures them, and whether anything returns,
+// What a sensor makes of what its rays render: ranges and intensity as the beam measures
+// them, and whether anything returns,
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6),   1 if the ray met nothing within the sensor's limits
 // A ray with a drop_prob of 1 never returns: this kernel alone decides which rays can.
-// One thread a ray. Input: rays, fired, rendered, geometry, beams, response. Output: measured.
+// One thread a ray. Input: rays, fired, rendered, geometry, beams, response. Output:
+// measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
 
-/// How bright the sensor reports the same surface at a range: linear between the entries, constant beyond them.
+/// How bright the sensor reports the same surface at a range: linear between the entries,
+/// constant beyond them.
 float fall_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
@@ -22,7 +25,8 @@ float fall_at(float range_m) {
     return before.y;
 }
 
-/// Range of the image before the beam's offset. @param mode_m  of the heaviest surface @param normalised  D / W
+/// Range of the image before the beam's offset. @param mode_m  of the heaviest surface
+/// @param normalised  D / W
 float chosen_range(RenderedRay r, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return r.depth;
     if (r.weight < params.min_weight) return 0.0;
@@ -30,9 +34,13 @@ float chosen_range(RenderedRay r, float mode_m, float normalised) {
     return params.range_kind == RELIDAR_RANGE_MEDIAN && r.median_depth > 0.0 ? r.median_depth : normalised;
 }
 
-float measured_range(float surface_m, SensorBeam beam) { return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m; }
+float measured_range(float surface_m, SensorBeam beam) {
+    return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
+}
 /// As RangeLimits::contains().
-bool within_limits(float range_m) { return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m; }
+bool within_limits(float range_m) {
+    return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m;
+}
 
 /// Cosine between a ray and the blended normal of what it met; 0 without a normal.
 float incidence(vec3 normal, vec3 direction) {
@@ -55,9 +63,11 @@ void main() {
     m.range_m = measured_range(chosen_m, beam);
     m.median_range_m = measured_range(surface_m, beam);
     m.mean_range_m = measured_range(dominated ? normalised : surface_m, beam);
-    m.intensity = clamp(beam.intensity_gain * fall_at(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
+    m.intensity =
+        clamp(beam.intensity_gain * fall_at(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
     float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));
-    m.drop_prob = 1.0 - (is_met && within_limits(m.range_m) && within_limits(m.median_range_m) ? returns : 0.0);
+    m.drop_prob =
+        1.0 - (is_met && within_limits(m.range_m) && within_limits(m.median_range_m) ? returns : 0.0);
     m.weight = r.weight;
     m.incidence = is_met ? incidence(geometry.normal, params.fired.at[i].direction) : 0.0;
     m.instance = is_met ? r.instance : RELIDAR_NO_INSTANCE;

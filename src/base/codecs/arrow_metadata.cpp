@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables of a flatbuffer are read by field number: field n stands in entry n of the table's vtable, after its two sizes.
+// Tables of a flatbuffer are read by field number: field n stands in entry n of the
+// table's vtable, after its two sizes.
 #include "base/codecs/arrow_metadata.hpp"
 
 #include <cstring>
@@ -29,7 +30,8 @@ struct Bytes {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
 
-    explicit Bytes(std::string_view bytes) : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), options()) {
+    explicit Bytes(std::string_view bytes)
+        : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), options()) {
         if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) malformed("too long");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
@@ -71,12 +73,15 @@ public:
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) malformed("name");
         return text->str();
     }
-    /// A vector of structs: 4 bytes of length, then the structs, which need not be aligned.
+    /// A vector of structs: 4 bytes of length, then the structs, which need not be
+    /// aligned.
     template <class Struct>
     std::vector<Struct> structs(int field) const {
         const std::uint8_t* vector = verified_vector(field, sizeof(Struct));
         std::vector<Struct> values(vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0);
-        if (!values.empty()) std::memcpy(values.data(), vector + sizeof(flatbuffers::uoffset_t), values.size() * sizeof(Struct));
+        if (!values.empty())
+            std::memcpy(values.data(), vector + sizeof(flatbuffers::uoffset_t),
+                        values.size() * sizeof(Struct));
         return values;
     }
     std::vector<Table> tables(int field) const {
@@ -93,7 +98,8 @@ public:
     }
 
 private:
-    Table(Bytes& bytes, const std::uint8_t* at) : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
+    Table(Bytes& bytes, const std::uint8_t* at)
+        : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
         bytes.verifier.EndTable();  // its depth is bounded by the code that reads it
     }
@@ -130,16 +136,16 @@ Field field_of(const Table& table) {
     Field field;
     field.name = table.name(0);
     const auto type = table.scalar<std::uint8_t>(2, 0);
-    if (type == kTypeInt)
-        field.type = integer_type(table.needed(3, "type"));
-    else if (type == kTypeFloat)
-        field.type = floating_type(table.needed(3, "type"));
+    if (type == kTypeInt) field.type = integer_type(table.needed(3, "type"));
+    else if (type == kTypeFloat) field.type = floating_type(table.needed(3, "type"));
     else if (type != kTypeUtf8)
-        throw DataError(
-            fmt::format("column '{}' is of Arrow's type {}, expected integers, floating point numbers or utf8 text", field.name, type));
+        throw DataError(fmt::format(
+            "column '{}' is of Arrow's type {}, expected integers, floating point numbers or utf8 text",
+            field.name, type));
     if (const std::optional<Table> encoding = table.table(4)) {
         const std::optional<Table> index = encoding->table(1);
-        field.dictionary = {encoding->scalar<std::int64_t>(0, 0), index ? integer_type(*index) : Field::Type{Kind::integer, 32, true}};
+        field.dictionary = {encoding->scalar<std::int64_t>(0, 0),
+                            index ? integer_type(*index) : Field::Type{Kind::integer, 32, true}};
     }
     return field;
 }
@@ -159,7 +165,8 @@ Codec codec_of(const Table& batch) {
 Footer parse_footer(std::string_view bytes) {
     Bytes copy(bytes);
     const Table footer = Table::root(copy), schema = footer.needed(1, "schema");
-    if (schema.scalar<std::int16_t>(0, 0) != 0) throw DataError("numbers are big-endian, expected little-endian");
+    if (schema.scalar<std::int16_t>(0, 0) != 0)
+        throw DataError("numbers are big-endian, expected little-endian");
     Footer parsed;
     for (const Table& field : schema.tables(1)) parsed.fields.push_back(field_of(field));
     parsed.dictionaries = footer.structs<Block>(2);

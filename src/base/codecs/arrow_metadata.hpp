@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What an Arrow IPC file says of itself: the footer at its end and the message before each record batch, both flatbuffers. Field numbers
-// are those of Arrow's public format (File.fbs, Schema.fbs, Message.fbs). Nothing is read that was not verified to lie in the buffer.
+// What an Arrow IPC file says of itself: the footer at its end and the message before
+// each record batch, both flatbuffers. Field numbers are those of Arrow's public format
+// (File.fbs, Schema.fbs, Message.fbs). Nothing is read that was not verified to lie in
+// the buffer.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +16,8 @@ namespace relidar::arrow {
 enum class Kind { integer, floating, text };
 enum class Codec { none, lz4_frame, zstd };
 
-/// A column: its values, or where it is encoded by a dictionary, those of the dictionary and the type of the indices.
+/// A column: its values, or where it is encoded by a dictionary, those of the dictionary
+/// and the type of the indices.
 struct Field {
     struct Type {
         Kind kind = Kind::text;
@@ -29,7 +32,8 @@ struct Field {
     };
     std::optional<Dictionary> dictionary;
 
-    /// Buffers of this column in a record batch: validity, values; of text validity, offsets, characters.
+    /// Buffers of this column in a record batch: validity, values; of text validity,
+    /// offsets, characters.
     std::size_t count_buffers() const { return type.kind == Kind::text && !dictionary ? 3 : 2; }
 };
 
@@ -59,14 +63,16 @@ struct Footer {
 };
 
 struct RecordBatch {
-    std::optional<std::int64_t> dictionary;  ///< whose values it holds; nothing where it holds rows of the table
+    /// whose values it holds; nothing where it holds rows of the table
+    std::optional<std::int64_t> dictionary;
     std::int64_t length = 0;
     std::vector<Node> nodes;
     std::vector<Buffer> buffers;
     Codec codec = Codec::none;
 };
 
-/// @param bytes  of the flatbuffer @throws DataError without the file's name: what is wrong
+/// @param bytes  of the flatbuffer @throws DataError without the file's name: what is
+/// wrong
 Footer parse_footer(std::string_view bytes);
 /// @param bytes  of the message's flatbuffer @throws as parse_footer
 RecordBatch parse_batch(std::string_view bytes);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A file appears under its name complete, or not at all: written to a temporary name in the same folder, flushed to the
-// disk, renamed, and the folder flushed too, so that a power cut leaves the old file or the new one.
+// A file appears under its name complete, or not at all: written to a temporary name in
+// the same folder, flushed to the disk, renamed, and the folder flushed too, so that a
+// power cut leaves the old file or the new one.
 #include <relidar/base/files.hpp>
 
 #include <algorithm>
@@ -24,7 +25,8 @@ namespace fs = std::filesystem;
 using export_detail::system_message;
 
 [[noreturn]] void fail(const fs::path& path, std::string why) {
-    std::replace(why.begin(), why.end(), '\n', ' ');   // one line a failure, whatever a library's message holds
+    // one line a failure, whatever a library's message holds
+    std::replace(why.begin(), why.end(), '\n', ' ');
     throw DataError(fmt::format("writing '{}': {}", path.string(), why));
 }
 
@@ -38,29 +40,33 @@ struct TemporaryFile {
     }
 };
 
-/// Where the bytes go: a link is followed, so that it stays a link; anything that is no regular file is refused (renaming
-/// onto a device would replace it).
+/// Where the bytes go: a link is followed, so that it stays a link; anything that is no
+/// regular file is refused (renaming onto a device would replace it).
 fs::path final_path(const fs::path& path) {
     if (!path.has_filename()) fail(path, "the path names no file");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
     if (fs::exists(status)) {
-        if (!fs::is_regular_file(status)) fail(path, "there is something of that name that is no regular file");
+        if (!fs::is_regular_file(status))
+            fail(path, "there is something of that name that is no regular file");
         return fs::canonical(path);
     }
     const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
     const fs::file_status parent = fs::status(folder, error);
     if (!fs::exists(parent))
-        fail(path, fmt::format("folder '{}': {}", folder.string(), system_message(error ? error.value() : ENOENT)));
+        fail(path,
+             fmt::format("folder '{}': {}", folder.string(), system_message(error ? error.value() : ENOENT)));
     if (!fs::is_directory(parent)) fail(path, fmt::format("'{}' is no folder", folder.string()));
     return folder / path.filename();
 }
 
-void call_writer(const fs::path& path, const fs::path& temporary, const std::function<void(const fs::path&)>& write) {
+void call_writer(const fs::path& path, const fs::path& temporary,
+                 const std::function<void(const fs::path&)>& write) {
     try {
         write(temporary);
     } catch (const Error& error) {
-        if (error.code() != ExitCode::data) throw;   // a device that fails while the data is fetched is not a file error
+        // a device that fails while the data is fetched is not a file error
+        if (error.code() != ExitCode::data) throw;
         fail(path, error.what());
     } catch (const std::bad_alloc&) {
         throw;
@@ -77,7 +83,8 @@ void flush_file(const fs::path& path, const fs::path& temporary) {
     if (result != 0) fail(path, "flushing to disk: " + system_message(error));
 }
 
-/// Makes the rename durable. Folders that cannot be opened for reading, and file systems without folder flush, are let be.
+/// Makes the rename durable. Folders that cannot be opened for reading, and file systems
+/// without folder flush, are let be.
 void flush_folder(const fs::path& path) {
     const int folder = ::open(path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;
@@ -90,7 +97,7 @@ void flush_folder(const fs::path& path) {
 }  // namespace
 
 fs::path temporary_path(const fs::path& path) {
-    static std::atomic<unsigned> count{0};   // two threads may write the same name
+    static std::atomic<unsigned> count{0};  // two threads may write the same name
     return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
 }
 
@@ -99,18 +106,21 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
     TemporaryFile temporary{temporary_path(target)};
     call_writer(path, temporary.path, write);
     flush_file(path, temporary.path);
-    if (::rename(temporary.path.c_str(), target.c_str()) != 0) fail(path, "renaming the temporary file: " + system_message(errno));
+    if (::rename(temporary.path.c_str(), target.c_str()) != 0)
+        fail(path, "renaming the temporary file: " + system_message(errno));
     temporary.renamed = true;
     flush_folder(target);
 }
 
 void remove_temporaries(const fs::path& folder) {
-    static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");   // as temporary_path makes them
+    static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");  // as temporary_path makes them
     std::error_code failed;
     std::vector<fs::path> found;
     for (const auto& entry : fs::directory_iterator(folder, failed)) {
-        const bool is_ours = entry.is_regular_file(failed) || (entry.is_directory(failed) && !entry.is_symlink(failed));
-        if (is_ours && std::regex_match(entry.path().filename().string(), kTemporary)) found.push_back(entry.path());
+        const bool is_ours =
+            entry.is_regular_file(failed) || (entry.is_directory(failed) && !entry.is_symlink(failed));
+        if (is_ours && std::regex_match(entry.path().filename().string(), kTemporary))
+            found.push_back(entry.path());
     }
     for (const fs::path& path : found) fs::remove_all(path, failed);
 }

@@ -28,7 +28,8 @@ public:
         return value;
     }
     std::string_view take(std::uint64_t n) {
-        if (n > bytes_.size() - at_) throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
+        if (n > bytes_.size() - at_)
+            throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
         const std::string_view part = bytes_.substr(at_, std::size_t(n));
         at_ += std::size_t(n);
         return part;

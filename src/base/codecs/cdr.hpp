@@ -10,7 +10,8 @@
 
 namespace relidar::scan_files {
 
-/// Little-endian: every number at a multiple of its size, counted behind the first four bytes.
+/// Little-endian: every number at a multiple of its size, counted behind the first four
+/// bytes.
 class Cdr {
 public:
     template <class T>

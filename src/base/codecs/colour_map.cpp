@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scalar range images as pictures. Colours are interpolated linearly between the stops below. "turbo" is a rainbow of our
-// own in the manner of that map (dark indigo, blue, cyan, green, yellow, orange, dark red), near to far; "heat" is for errors.
+// Scalar range images as pictures. Colours are interpolated linearly between the stops
+// below. "turbo" is a rainbow of our own in the manner of that map (dark indigo, blue,
+// cyan, green, yellow, orange, dark red), near to far; "heat" is for errors.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -18,13 +19,27 @@ namespace {
 using Colour = std::array<std::uint8_t, 3>;
 
 constexpr std::array<Colour, 16> kTurbo{{
-    {38, 24, 84},   {54, 50, 148},   {62, 84, 204},   {60, 120, 240}, {46, 156, 246}, {28, 190, 224}, {30, 216, 184}, {66, 234, 138},
-    {120, 246, 92}, {168, 246, 62},  {210, 232, 50},  {240, 202, 52}, {248, 162, 46}, {244, 114, 30}, {216, 64, 16},  {132, 12, 8},
+    {38, 24, 84},
+    {54, 50, 148},
+    {62, 84, 204},
+    {60, 120, 240},
+    {46, 156, 246},
+    {28, 190, 224},
+    {30, 216, 184},
+    {66, 234, 138},
+    {120, 246, 92},
+    {168, 246, 62},
+    {210, 232, 50},
+    {240, 202, 52},
+    {248, 162, 46},
+    {244, 114, 30},
+    {216, 64, 16},
+    {132, 12, 8},
 }};
 constexpr std::array<Colour, 2> kGray{{{0, 0, 0}, {255, 255, 255}}};
 constexpr std::array<Colour, 4> kHeat{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
-constexpr Colour kNoValue{44, 44, 48};        // dark gray: nothing there
-constexpr std::uint8_t kSeparator = 128;      // gray
+constexpr Colour kNoValue{44, 44, 48};    // dark gray: nothing there
+constexpr std::uint8_t kSeparator = 128;  // gray
 constexpr int kSeparatorRows = 2;
 
 std::span<const Colour> stops_of(const std::string& map) {
@@ -46,33 +61,39 @@ Colour interpolate(std::span<const Colour> stops, double t) {
 }
 
 void check_count(const char* name, std::size_t found, std::size_t expected) {
-    if (found != expected) throw DataError(fmt::format("colouring an image: {} values of {}, expected {}", found, name, expected));
+    if (found != expected)
+        throw DataError(
+            fmt::format("colouring an image: {} values of {}, expected {}", found, name, expected));
 }
 
 }  // namespace
 
-Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high, const std::string& map,
-                 const std::vector<float>& mask) {
+Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
+                 const std::string& map, const std::vector<float>& mask) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
     check_count("the image", values.size(), n);
     if (!mask.empty()) check_count("the mask", mask.size(), n);
     if (!std::isfinite(low) || !std::isfinite(high))
         throw DataError(fmt::format("colouring an image: range {} to {}, expected finite values", low, high));
     const std::span<const Colour> stops = stops_of(map);
-    const double span = high > low ? double(high) - double(low) : 1.0;   // a constant image takes the lowest colour
+    // a constant image takes the lowest colour
+    const double span = high > low ? double(high) - double(low) : 1.0;
 
     Image image{rows, columns, {}};
     image.rgb.reserve(n * 3);
     for (std::size_t i = 0; i < n; ++i) {
         const bool shown = !std::isnan(values[i]) && (mask.empty() || mask[i] != 0.0f);
-        const Colour colour = shown ? interpolate(stops, std::clamp((double(values[i]) - double(low)) / span, 0.0, 1.0)) : kNoValue;
+        const Colour colour =
+            shown ? interpolate(stops, std::clamp((double(values[i]) - double(low)) / span, 0.0, 1.0))
+                  : kNoValue;
         image.rgb.insert(image.rgb.end(), colour.begin(), colour.end());
     }
     return image;
 }
 
 Image stack(const std::vector<Image>& images, int stretch) {
-    if (stretch < 1) throw UsageError(fmt::format("stacking images: stretch {}, expected at least 1", stretch));
+    if (stretch < 1)
+        throw UsageError(fmt::format("stacking images: stretch {}, expected at least 1", stretch));
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenEXR images of float channels, ZIP compressed. Encoded in memory: OpenEXR writes its line table in a destructor, which
-// cannot report a full disk, so the writing proper is left to our own file functions.
+// OpenEXR images of float channels, ZIP compressed. Encoded in memory: OpenEXR writes its
+// line table in a destructor, which cannot report a full disk, so the writing proper is
+// left to our own file functions.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -44,17 +45,19 @@ private:
 
 void check_image(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
-        throw DataError(fmt::format("EXR image: {} x {} pixels, {} channels, expected some of each", rows, columns, channels.size()));
+        throw DataError(fmt::format("EXR image: {} x {} pixels, {} channels, expected some of each", rows,
+                                    columns, channels.size()));
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     for (const auto& [name, values] : channels)
         if (values.size() != n)
-            throw DataError(fmt::format("EXR image: channel '{}' has {} values, expected {}", name, values.size(), n));
+            throw DataError(
+                fmt::format("EXR image: channel '{}' has {} values, expected {}", name, values.size(), n));
 }
 
 }  // namespace
 
-void write_exr(const std::filesystem::path& path, int rows, int columns, const std::map<std::string, std::vector<float>>& channels,
-               const FileNotes& notes) {
+void write_exr(const std::filesystem::path& path, int rows, int columns,
+               const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
     check_image(rows, columns, channels);
     MemoryStream stream;
@@ -66,7 +69,8 @@ void write_exr(const std::filesystem::path& path, int rows, int columns, const s
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {
             header.channels().insert(name, imf::Channel(imf::FLOAT));
-            char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));   // OpenEXR only reads from it
+            // OpenEXR only reads from it
+            char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));
             buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
         }
         imf::OutputFile file(stream, header);

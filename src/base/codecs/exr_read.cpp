@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenEXR images of scan lines. The header is read here first, by the published layout of the file: OpenEXR allocates what a header asks
-// for before it looks whether so much can be there.
+// OpenEXR images of scan lines. The header is read here first, by the published layout of
+// the file: OpenEXR allocates what a header asks for before it looks whether so much can
+// be there.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -25,11 +26,13 @@ namespace {
 
 namespace imf = OPENEXR_IMF_NAMESPACE;
 
-constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800, kParts = 0x1000;
-constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;   // bytes
-constexpr std::size_t kMostInflated = 1032;                        // deflate's own bound: a larger image is a lie
-constexpr std::size_t kAlwaysFits = 16 << 20;                      // bytes of an image that nobody has to prove
-constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};   // that OpenEXR unpacks, by compression
+constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800,
+                        kParts = 0x1000;
+constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;  // bytes
+constexpr std::size_t kMostInflated = 1032;    // deflate's own bound: a larger image is a lie
+constexpr std::size_t kAlwaysFits = 16 << 20;  // bytes of an image that nobody has to prove
+// that OpenEXR unpacks, by compression
+constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
 /// The bytes of a header in turn.
 class ExrHeader {
@@ -63,7 +66,7 @@ private:
     std::size_t at_ = 0;
 };
 
-constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;   // 500 MB as rays and their scan
+constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;  // 500 MB as rays and their scan
 
 /// What a header promises.
 struct Promise {
@@ -78,14 +81,16 @@ void read_window(std::string_view bytes, Promise& promise) {
     std::memcpy(corner, bytes.data(), sizeof corner);
     promise.columns = std::int64_t(corner[2]) - corner[0] + 1;
     promise.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    constexpr std::int32_t kFarthest = 1 << 29;   // of a corner: what the library counts with ints
+    constexpr std::int32_t kFarthest = 1 << 29;  // of a corner: what the library counts with ints
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
-            throw DataError(fmt::format("a corner of dataWindow at {}, expected one within {}", c, kFarthest));
+            throw DataError(
+                fmt::format("a corner of dataWindow at {}, expected one within {}", c, kFarthest));
 }
 
 void read_compression(std::string_view bytes, Promise& promise) {
-    const std::size_t kind = bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
+    const std::size_t kind =
+        bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
     if (kind >= std::size(kRowsAtOnce)) throw DataError("its compression is unknown");
     promise.rows_at_once = kRowsAtOnce[kind];
 }
@@ -94,28 +99,52 @@ void read_channels(std::string_view bytes, Promise& promise) {
     const std::string list(bytes);
     ExrHeader items(list);
     for (std::string name = items.name(); !name.empty(); name = items.name()) {
-        items.bytes(8);   // type and linearity, which OpenEXR checks
+        items.bytes(8);  // type and linearity, which OpenEXR checks
         const std::int32_t x = items.number(), y = items.number();
-        if (x != 1 || y != 1) throw DataError(fmt::format("channel '{}' has every {} x {}th pixel, expected all", excerpt(name), x, y));
+        if (x != 1 || y != 1)
+            throw DataError(
+                fmt::format("channel '{}' has every {} x {}th pixel, expected all", excerpt(name), x, y));
         if (std::find(promise.channels.begin(), promise.channels.end(), name) != promise.channels.end())
             throw DataError(fmt::format("channel '{}' occurs twice", excerpt(name)));
         promise.channels.push_back(name);
-        if (promise.channels.size() > kMostChannels) throw DataError(fmt::format("more than {} channels", kMostChannels));
+        if (promise.channels.size() > kMostChannels)
+            throw DataError(fmt::format("more than {} channels", kMostChannels));
     }
-    if (!items.at_end()) throw DataError("its list of channels ends before the bytes that it is said to have");
+    if (!items.at_end())
+        throw DataError("its list of channels ends before the bytes that it is said to have");
 }
 
-/// Whether an attribute has the bytes that its type needs. OpenEXR reads these, whatever size is told, and would go on in the middle of
-/// something else: there it finds sizes that nobody has looked at.
+/// Whether an attribute has the bytes that its type needs. OpenEXR reads these, whatever
+/// size is told, and would go on in the middle of something else: there it finds sizes
+/// that nobody has looked at.
 void check_layout(const std::string& name, const std::string& type, std::string_view bytes) {
-    static const std::map<std::string_view, std::size_t> kSizes = {
-        {"box2i", 16}, {"box2f", 16},   {"chromaticities", 32}, {"compression", 1}, {"deepImageState", 1}, {"double", 8},
-        {"envmap", 1}, {"float", 4},    {"int", 4},             {"keycode", 28},    {"lineOrder", 1},      {"m33d", 72},
-        {"m33f", 36},  {"m44d", 128},   {"m44f", 64},           {"rational", 8},    {"tiledesc", 9},       {"timecode", 8},
-        {"v2d", 16},   {"v2f", 8},      {"v2i", 8},             {"v3d", 24},        {"v3f", 12},           {"v3i", 12}};
+    static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
+                                                                   {"box2f", 16},
+                                                                   {"chromaticities", 32},
+                                                                   {"compression", 1},
+                                                                   {"deepImageState", 1},
+                                                                   {"double", 8},
+                                                                   {"envmap", 1},
+                                                                   {"float", 4},
+                                                                   {"int", 4},
+                                                                   {"keycode", 28},
+                                                                   {"lineOrder", 1},
+                                                                   {"m33d", 72},
+                                                                   {"m33f", 36},
+                                                                   {"m44d", 128},
+                                                                   {"m44f", 64},
+                                                                   {"rational", 8},
+                                                                   {"tiledesc", 9},
+                                                                   {"timecode", 8},
+                                                                   {"v2d", 16},
+                                                                   {"v2f", 8},
+                                                                   {"v2i", 8},
+                                                                   {"v3d", 24},
+                                                                   {"v3f", 12},
+                                                                   {"v3i", 12}};
     if (const auto known = kSizes.find(type); known != kSizes.end() && known->second != bytes.size())
-        throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}", excerpt(name), type, bytes.size(),
-                                    known->second));
+        throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}", excerpt(name),
+                                    type, bytes.size(), known->second));
     if (type == "chlist") {
         Promise of_others;
         read_channels(bytes, of_others);
@@ -124,7 +153,8 @@ void check_layout(const std::string& name, const std::string& type, std::string_
         const std::string list(bytes);
         for (ExrHeader items(list); !items.at_end();) {
             const std::int32_t size = items.number();
-            if (size < 0) throw DataError(fmt::format("attribute '{}' has a text of {} bytes", excerpt(name), size));
+            if (size < 0)
+                throw DataError(fmt::format("attribute '{}' has a text of {} bytes", excerpt(name), size));
             items.bytes(std::size_t(size));
         }
     }
@@ -133,7 +163,8 @@ void check_layout(const std::string& name, const std::string& type, std::string_
 void check_kind(ExrHeader& header) {
     if (header.number() != std::int32_t(kExrMagic)) throw DataError("it does not begin as an OpenEXR file");
     const auto version = std::uint32_t(header.number());
-    if ((version & kVersionBits) > 2) throw DataError(fmt::format("version {} of the format, expected 2", version & kVersionBits));
+    if ((version & kVersionBits) > 2)
+        throw DataError(fmt::format("version {} of the format, expected 2", version & kVersionBits));
     if (version & kTiles) throw DataError("an image of tiles, expected scan lines");
     if (version & kDeep) throw DataError("deep pixels, expected one value a channel");
     if (version & kParts) throw DataError("several images in one file, expected one");
@@ -149,16 +180,19 @@ Promise read_header(const std::string& file) {
         const std::int32_t size = header.number();
         if (size < 0) throw DataError(fmt::format("attribute '{}' of {} bytes", excerpt(name), size));
         const std::string_view bytes = header.bytes(std::size_t(size));
-        if (!seen.insert(name).second) throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        if (type == "idmanifest" || type == "preview" || type == "bytes")   // they hold sizes of their own
-            throw DataError(fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
+        if (!seen.insert(name).second)
+            throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
+        if (type == "idmanifest" || type == "preview" || type == "bytes")  // they hold sizes of their own
+            throw DataError(
+                fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
         check_layout(name, type, bytes);
         if (name == "dataWindow") read_window(bytes, promise);
         if (name == "compression") read_compression(bytes, promise);
         if (name == "channels") read_channels(bytes, promise);
         if (type == "string" && bytes.size() <= kLongestNote) promise.notes[name] = bytes;
     }
-    if (!seen.contains("dataWindow") || !seen.contains("channels")) throw DataError("its header has no dataWindow, or no channels");
+    if (!seen.contains("dataWindow") || !seen.contains("channels"))
+        throw DataError("its header has no dataWindow, or no channels");
     return promise;
 }
 
@@ -166,14 +200,17 @@ Promise read_header(const std::string& file) {
 void check_promise(const Promise& promise, std::size_t file_bytes) {
     const std::int64_t rows = promise.rows, columns = promise.columns;
     if (rows <= 0 || columns <= 0 || promise.channels.empty())
-        throw DataError(fmt::format("{} x {} pixels, {} channels, expected some of each", rows, columns, promise.channels.size()));
+        throw DataError(fmt::format("{} x {} pixels, {} channels, expected some of each", rows, columns,
+                                    promise.channels.size()));
     if (rows > std::int64_t(kMaxPixels) / columns)
         throw DataError(fmt::format("{} x {} pixels, expected at most {}", rows, columns, kMaxPixels));
-    const std::int64_t unpacked = (rows + promise.rows_at_once - 1) / promise.rows_at_once * promise.rows_at_once;
-    const std::size_t least = std::size_t(unpacked * columns) * promise.channels.size() * 2;   // bytes, half precision
+    const std::int64_t unpacked =
+        (rows + promise.rows_at_once - 1) / promise.rows_at_once * promise.rows_at_once;
+    // bytes, half precision
+    const std::size_t least = std::size_t(unpacked * columns) * promise.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
-        throw DataError(fmt::format("{} x {} pixels of {} channels are impossible in a file of {} bytes", rows, columns,
-                                    promise.channels.size(), file_bytes));
+        throw DataError(fmt::format("{} x {} pixels of {} channels are impossible in a file of {} bytes",
+                                    rows, columns, promise.channels.size(), file_bytes));
 }
 
 /// What OpenEXR reads from instead of a file.
@@ -224,7 +261,7 @@ ExrImage read_exr(const std::filesystem::path& path) {
     } catch (const DataError& error) {
         const std::string said = error.what();
         throw DataError(said.starts_with(path.string()) ? said : fmt::format("{}: {}", path.string(), said));
-    } catch (const std::exception& error) {   // of OpenEXR
+    } catch (const std::exception& error) {  // of OpenEXR
         throw DataError(fmt::format("{}: {}", path.string(), excerpt(error.what())));
     }
 }

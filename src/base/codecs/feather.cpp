@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// An Arrow IPC file: "ARROW1", messages, footer, 4 bytes of the footer's length, "ARROW1". A compressed buffer begins with 8 bytes of its
-// uncompressed length; -1 there says that it is not compressed after all.
+// An Arrow IPC file: "ARROW1", messages, footer, 4 bytes of the footer's length,
+// "ARROW1". A compressed buffer begins with 8 bytes of its uncompressed length; -1 there
+// says that it is not compressed after all.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -11,8 +12,8 @@
 #include <glm/gtc/packing.hpp>
 
 #include <relidar/base/error.hpp>
-#include "base/files.hpp"
 #include "base/codecs/unpack.hpp"
+#include "base/files.hpp"
 
 namespace relidar {
 namespace {
@@ -23,8 +24,9 @@ using arrow::Kind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-constexpr std::size_t kMostRows = 64, kMostText = 1024;  // for each byte of the file: lz4 comes to 255 bytes, zstd on equal values farther
-constexpr std::size_t kPadding = 64;                     // writers may fill buffers up to this
+// for each byte of the file: lz4 comes to 255 bytes, zstd on equal values farther
+constexpr std::size_t kMostRows = 64, kMostText = 1024;
+constexpr std::size_t kPadding = 64;  // writers may fill buffers up to this
 
 template <class T>
 T load(std::string_view bytes, std::size_t at) {
@@ -35,17 +37,21 @@ T load(std::string_view bytes, std::size_t at) {
 
 /// A part of some bytes; negative numbers are none.
 std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t n, const char* what) {
-    if (offset < 0 || n < 0 || std::uint64_t(offset) > bytes.size() || std::uint64_t(n) > bytes.size() - std::uint64_t(offset))
-        throw DataError(fmt::format("{} at {} of {} bytes, but only {} are there", what, offset, n, bytes.size()));
+    if (offset < 0 || n < 0 || std::uint64_t(offset) > bytes.size() ||
+        std::uint64_t(n) > bytes.size() - std::uint64_t(offset))
+        throw DataError(
+            fmt::format("{} at {} of {} bytes, but only {} are there", what, offset, n, bytes.size()));
     return bytes.substr(std::size_t(offset), std::size_t(n));
 }
 
 std::string_view footer_of(std::string_view bytes) {
     constexpr std::size_t kHead = 8, kTail = 4 + kMagic.size();
     if (bytes.size() < kHead + kTail || !bytes.starts_with(kMagic))
-        throw DataError(fmt::format("{} bytes that do not begin with ARROW1, expected a Feather V2 file", bytes.size()));
+        throw DataError(
+            fmt::format("{} bytes that do not begin with ARROW1, expected a Feather V2 file", bytes.size()));
     if (!bytes.ends_with(kMagic)) throw DataError("cut short: it does not end with ARROW1");
-    const std::int64_t end = std::int64_t(bytes.size() - kTail), n = load<std::int32_t>(bytes, bytes.size() - kTail);
+    const std::int64_t end = std::int64_t(bytes.size() - kTail),
+                       n = load<std::int32_t>(bytes, bytes.size() - kTail);
     return part(bytes, end - n, n, "a footer");
 }
 
@@ -54,13 +60,15 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix || load<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
-        throw DataError(fmt::format("no message at {}, expected a record batch of Arrow 0.15 or later", block.offset));
+        throw DataError(
+            fmt::format("no message at {}, expected a record batch of Arrow 0.15 or later", block.offset));
     const auto n = load<std::int32_t>(message, 4);
     return {arrow::parse_batch(part(message, kPrefix, n, "a message")),
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// A buffer of a batch, at least n_bytes. Its uncompressed length must be those, up to padding, before anything is allocated.
+/// A buffer of a batch, at least n_bytes. Its uncompressed length must be those, up to
+/// padding, before anything is allocated.
 std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(at);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
@@ -77,26 +85,26 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
         throw DataError(fmt::format("a buffer of {} bytes, expected {}", n, n_bytes));
     if (!compressed) return std::string(stored.substr(0, n_bytes));
     std::string bytes(std::size_t(n), '\0');
-    if (batch.layout.codec == Codec::lz4_frame)
-        unpack_lz4(stored, bytes);
-    else
-        unpack_zstd(stored, bytes);
+    if (batch.layout.codec == Codec::lz4_frame) unpack_lz4(stored, bytes);
+    else unpack_zstd(stored, bytes);
     return bytes;
 }
 
 /// Rows of a column in a batch, none of them missing.
 std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffer) {
     if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
-        throw DataError(fmt::format("a record batch of {} columns and {} buffers, expected more", batch.layout.nodes.size(),
-                                    batch.layout.buffers.size()));
+        throw DataError(fmt::format("a record batch of {} columns and {} buffers, expected more",
+                                    batch.layout.nodes.size(), batch.layout.buffers.size()));
     const arrow::Node& found = batch.layout.nodes[node];
-    if (found.length != batch.layout.length) throw DataError(fmt::format("{} rows in a batch of {}", found.length, batch.layout.length));
+    if (found.length != batch.layout.length)
+        throw DataError(fmt::format("{} rows in a batch of {}", found.length, batch.layout.length));
     if (found.null_count != 0) throw DataError(fmt::format("{} values are missing", found.null_count));
     return std::size_t(found.length);
 }
 
 template <class Stored, class T, class Convert>
-void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& column, const Convert& convert) {
+void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+             const Convert& convert) {
     const std::size_t n = rows_of(batch, column.node, column.buffer + 1);
     const std::string bytes = buffer_of(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i) values.push_back(convert(load<Stored>(bytes, i * sizeof(Stored))));
@@ -104,50 +112,59 @@ void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& 
 
 /// Values of integers of any width.
 template <class T>
-void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column, const Field::Type& type) {
+void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                     const Field::Type& type) {
     const auto as = [](auto value) { return T(value); };
     switch (type.bits) {
         case 8:
-            return type.is_signed ? push_as<std::int8_t>(values, batch, column, as) : push_as<std::uint8_t>(values, batch, column, as);
+            return type.is_signed ? push_as<std::int8_t>(values, batch, column, as)
+                                  : push_as<std::uint8_t>(values, batch, column, as);
         case 16:
-            return type.is_signed ? push_as<std::int16_t>(values, batch, column, as) : push_as<std::uint16_t>(values, batch, column, as);
+            return type.is_signed ? push_as<std::int16_t>(values, batch, column, as)
+                                  : push_as<std::uint16_t>(values, batch, column, as);
         case 32:
-            return type.is_signed ? push_as<std::int32_t>(values, batch, column, as) : push_as<std::uint32_t>(values, batch, column, as);
+            return type.is_signed ? push_as<std::int32_t>(values, batch, column, as)
+                                  : push_as<std::uint32_t>(values, batch, column, as);
         default:
             break;
     }
     if (type.is_signed) return push_as<std::int64_t>(values, batch, column, as);
     push_as<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
-        if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max())) throw DataError(fmt::format("{} is beyond 63 bits", value));
+        if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
+            throw DataError(fmt::format("{} is beyond 63 bits", value));
         return T(value);
     });
 }
 
 void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column, int bits) {
     const auto as = [](auto value) { return double(value); };
-    if (bits == 64)
-        push_as<double>(values, batch, column, as);
-    else if (bits == 32)
-        push_as<float>(values, batch, column, as);
+    if (bits == 64) push_as<double>(values, batch, column, as);
+    else if (bits == 32) push_as<float>(values, batch, column, as);
     else
-        push_as<std::uint16_t>(values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
+        push_as<std::uint16_t>(values, batch, column,
+                               [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
 /// Text i lies between offsets i and i + 1. @param most  bytes of it that are believed
-void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node, std::size_t first_buffer, std::size_t most) {
+void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
+                  std::size_t first_buffer, std::size_t most) {
     const std::size_t n = rows_of(batch, node, first_buffer + 2);
     if (n == 0) return;  // writers leave the offsets of no rows out
     const std::string offsets = buffer_of(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t i) { return load<std::int32_t>(offsets, i * sizeof(std::int32_t)); };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
-            throw DataError(fmt::format("text {} from {} to {}, expected offsets that rise", i, offset(i), offset(i + 1)));
-    if (std::size_t(offset(n)) > most) throw DataError(fmt::format("{} bytes of text, expected at most {}", offset(n), most));
+            throw DataError(fmt::format("text {} from {} to {}, expected offsets that rise", i, offset(i),
+                                        offset(i + 1)));
+    if (std::size_t(offset(n)) > most)
+        throw DataError(fmt::format("{} bytes of text, expected at most {}", offset(n), most));
     const std::string characters = buffer_of(batch, first_buffer + 2, std::size_t(offset(n)));
-    for (std::size_t i = 0; i < n; ++i) values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
+    for (std::size_t i = 0; i < n; ++i)
+        values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
-/// Rows of all batches. @throws DataError where they are more than the file is believed to hold
+/// Rows of all batches. @throws DataError where they are more than the file is believed
+/// to hold
 std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
@@ -214,20 +231,20 @@ std::vector<double> Feather::numbers(const std::string& name) const {
         if (type.kind == Kind::text || column.field.dictionary) throw DataError("text, expected numbers");
         std::vector<double> values;
         for (const Batch& batch : batches_) {
-            if (type.kind == Kind::integer)
-                append_integers(values, batch, column, type);
-            else
-                append_floats(values, batch, column, type.bits);
+            if (type.kind == Kind::integer) append_integers(values, batch, column, type);
+            else append_floats(values, batch, column, type.bits);
         }
         for (std::size_t i = 0; i < values.size(); ++i)
-            if (!std::isfinite(values[i])) throw DataError(fmt::format("row {} is {}, expected a finite number", i, values[i]));
+            if (!std::isfinite(values[i]))
+                throw DataError(fmt::format("row {} is {}, expected a finite number", i, values[i]));
         return values;
     });
 }
 
 std::vector<std::int64_t> Feather::integers(const std::string& name) const {
     return reading(name, [&](const Column& column) {
-        if (column.field.type.kind != Kind::integer || column.field.dictionary) throw DataError("no integers, but expected them");
+        if (column.field.type.kind != Kind::integer || column.field.dictionary)
+            throw DataError("no integers, but expected them");
         std::vector<std::int64_t> values;
         for (const Batch& batch : batches_) append_integers(values, batch, column, column.field.type);
         return values;
@@ -245,13 +262,16 @@ std::vector<std::string> Feather::texts(const std::string& name) const {
         }
         std::vector<std::string> words;
         for (const Batch& batch : dictionaries_)
-            if (batch.layout.dictionary == column.field.dictionary->id) append_texts(words, batch, 0, 0, most);
+            if (batch.layout.dictionary == column.field.dictionary->id)
+                append_texts(words, batch, 0, 0, most);
         std::vector<std::int64_t> indices;
-        for (const Batch& batch : batches_) append_integers(indices, batch, column, column.field.dictionary->index);
+        for (const Batch& batch : batches_)
+            append_integers(indices, batch, column, column.field.dictionary->index);
         std::size_t length = 0;
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())
-                throw DataError(fmt::format("entry {} of a dictionary of {}, expected one that is there", index, words.size()));
+                throw DataError(fmt::format("entry {} of a dictionary of {}, expected one that is there",
+                                            index, words.size()));
             length += words[std::size_t(index)].size();
             if (length > most) throw DataError(fmt::format("more than {} bytes of text", most));
             values.push_back(words[std::size_t(index)]);

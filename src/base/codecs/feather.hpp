@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables in Feather V2 files, which are Arrow IPC files: columns of numbers or text, uncompressed or compressed by lz4 or zstd.
+// Tables in Feather V2 files, which are Arrow IPC files: columns of numbers or text,
+// uncompressed or compressed by lz4 or zstd.
 #pragma once
 
 #include <cstdint>
@@ -12,8 +13,9 @@
 
 namespace relidar {
 
-/// A file in memory; a column is decompressed when it is asked for. Every offset and length is checked against the file, and no file is
-/// believed to hold more than 64 rows, or 1024 bytes of one column's text, for each of its bytes.
+/// A file in memory; a column is decompressed when it is asked for. Every offset and
+/// length is checked against the file, and no file is believed to hold more than 64 rows,
+/// or 1024 bytes of one column's text, for each of its bytes.
 class Feather {
 public:
     /// @throws DataError naming the file: no such file, cut short or damaged
@@ -26,7 +28,8 @@ public:
     const std::string& name() const { return name_; }
     std::size_t rows() const { return rows_; }
 
-    /// Values of a column of numbers, all of them finite. @throws DataError naming file and column: missing, of another type, damaged
+    /// Values of a column of numbers, all of them finite. @throws DataError naming file
+    /// and column: missing, of another type, damaged
     std::vector<double> numbers(const std::string& column) const;
     /// Values of a column of integers. @throws as numbers
     std::vector<std::int64_t> integers(const std::string& column) const;

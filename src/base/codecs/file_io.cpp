@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes to and from files; see file_io.hpp. C streams rather than C++ ones, because they report errno.
+// Bytes to and from files; see file_io.hpp. C streams rather than C++ ones, because they
+// report errno.
 #include "file_io.hpp"
 
 #include <algorithm>
@@ -18,7 +19,8 @@ namespace relidar::export_detail {
 
 std::string note_line(const std::pair<std::string, std::string>& note) {
     std::string line = note.first + " " + note.second;
-    std::replace_if(line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
+    std::replace_if(
+        line.begin(), line.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, ' ');
     return line;
 }
 
@@ -41,7 +43,8 @@ void OutputFile::close() {
     const bool flushed = std::fflush(file_) == 0;
     const int flush_error = errno;
     const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
-    if (!flushed || !closed) throw DataError("writing the last bytes: " + system_message(flushed ? errno : flush_error));
+    if (!flushed || !closed)
+        throw DataError("writing the last bytes: " + system_message(flushed ? errno : flush_error));
 }
 
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
@@ -53,7 +56,9 @@ void write_file(const std::filesystem::path& path, std::string_view bytes) {
 }
 
 std::vector<std::byte> read_file(const std::filesystem::path& path) {
-    const auto fail = [&](const std::string& why) { throw DataError(fmt::format("reading '{}': {}", path.string(), why)); };
+    const auto fail = [&](const std::string& why) {
+        throw DataError(fmt::format("reading '{}': {}", path.string(), why));
+    };
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
     if (!std::filesystem::exists(status)) fail(system_message(error ? error.value() : ENOENT));

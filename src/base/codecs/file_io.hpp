@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes to and from files, with every failure noticed: short writes, failed flushes, files that shrink while read.
-// Messages name only what failed; write_atomically and the readers add path and purpose. Private to export.
+// Bytes to and from files, with every failure noticed: short writes, failed flushes,
+// files that shrink while read. Messages name only what failed; write_atomically and the
+// readers add path and purpose. Private to export.
 #pragma once
 
 #include <bit>
@@ -16,7 +17,8 @@ namespace relidar::export_detail {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
-/// A file opened for writing. Destruction without close() leaves the file as it is, unflushed data lost.
+/// A file opened for writing. Destruction without close() leaves the file as it is,
+/// unflushed data lost.
 class OutputFile {
 public:
     explicit OutputFile(const std::filesystem::path& path);

@@ -57,7 +57,8 @@ std::string record(Code code, std::string_view body) {
 
 }  // namespace
 
-McapWriter::McapWriter(std::filesystem::path path, std::string_view profile) : path_(std::move(path)), file_(path_, std::ios::binary) {
+McapWriter::McapWriter(std::filesystem::path path, std::string_view profile)
+    : path_(std::move(path)), file_(path_, std::ios::binary) {
     put(kMagic);
     std::string header;
     append_text(header, profile);
@@ -68,11 +69,14 @@ McapWriter::McapWriter(std::filesystem::path path, std::string_view profile) : p
 void McapWriter::put(std::string_view bytes) {
     errno = 0;
     file_.write(bytes.data(), std::streamsize(bytes.size()));
-    if (!file_) throw DataError(fmt::format("writing '{}': {}", path_.string(), errno ? std::strerror(errno) : "it cannot be written"));
+    if (!file_)
+        throw DataError(fmt::format("writing '{}': {}", path_.string(),
+                                    errno ? std::strerror(errno) : "it cannot be written"));
     written_ += bytes.size();
 }
 
-std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view encoding, std::string_view definition) {
+std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view encoding,
+                                     std::string_view definition) {
     std::string body;
     append(body, ++n_schemas_);
     append_text(body, name), append_text(body, encoding), append_text(body, definition);
@@ -81,7 +85,8 @@ std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view enc
     return n_schemas_;
 }
 
-std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding, const Values& metadata) {
+std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
+                                      const Values& metadata) {
     const auto id = std::uint16_t(n_messages_.size() + 1);
     n_messages_[id] = 0;
     std::string body;
@@ -107,7 +112,7 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
     append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
-    append(body, time_ns), append(body, time_ns);   // logged and published
+    append(body, time_ns), append(body, time_ns);  // logged and published
     body += message;
     chunk_ += record(kMessageRecord, body);
 }
@@ -118,21 +123,23 @@ void McapWriter::end_chunk() {
     std::string body;
     append(body, chunk_first_ns_), append(body, chunk_last_ns_), append(body, std::uint64_t(chunk_.size()));
     append(body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
-    append_text(body, "");   // not compressed: floats of a scan give little
+    append_text(body, "");  // not compressed: floats of a scan give little
     append(body, std::uint64_t(chunk_.size()));
     put(record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
-    std::string places;   // of the indices by channel, as the chunk's own index has them
+    std::string places;  // of the indices by channel, as the chunk's own index has them
     for (const auto& [channel, messages] : chunk_index_) {
         append(places, channel), append(places, written_);
         std::string index, entries;
-        for (const Indexed& message : messages) append(entries, message.time_ns), append(entries, message.offset);
+        for (const Indexed& message : messages)
+            append(entries, message.time_ns), append(entries, message.offset);
         append(index, channel), append_text(index, entries);
         put(record(kMessageIndex, index));
     }
     std::string index;
-    append(index, chunk_first_ns_), append(index, chunk_last_ns_), append(index, begin), append(index, end - begin);
+    append(index, chunk_first_ns_), append(index, chunk_last_ns_), append(index, begin),
+        append(index, end - begin);
     append_text(index, places);
     append(index, written_ - end), append_text(index, ""), append(index, std::uint64_t(chunk_.size()));
     append(index, std::uint64_t(chunk_.size()));
@@ -148,13 +155,14 @@ std::string McapWriter::statistics() const {
     std::uint64_t n_messages = 0;
     for (const auto& [channel, n] : n_messages_) append(counts, channel), append(counts, n), n_messages += n;
     append(body, n_messages), append(body, n_schemas_), append(body, std::uint32_t(n_messages_.size()));
-    append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);   // no attachments
+    append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);  // no attachments
     append(body, n_messages ? first_ns_ : std::uint64_t(0)), append(body, last_ns_);
     append_text(body, counts);
     return record(kStatistics, body);
 }
 
-/// Records of the summary, which begins where the file ends now, in groups of one code each.
+/// Records of the summary, which begins where the file ends now, in groups of one code
+/// each.
 std::string McapWriter::summary(std::vector<Group>& groups) const {
     std::string bytes;
     const auto add = [&](Code code, const std::string& records) {
@@ -169,7 +177,7 @@ std::string McapWriter::summary(std::vector<Group>& groups) const {
 void McapWriter::close() {
     end_chunk();
     std::string end, footer;
-    append(end, std::uint32_t(0));   // no checksum of everything: chunks have theirs
+    append(end, std::uint32_t(0));  // no checksum of everything: chunks have theirs
     put(record(kDataEnd, end));
     const std::uint64_t begin = written_;
     std::vector<Group> groups;
@@ -184,7 +192,8 @@ void McapWriter::close() {
     put(record(kFooter, footer));
     put(kMagic);
     file_.close();
-    if (!file_) throw DataError(fmt::format("writing '{}': the disk could not take all of it", path_.string()));
+    if (!file_)
+        throw DataError(fmt::format("writing '{}': the disk could not take all of it", path_.string()));
 }
 
 }  // namespace relidar::scan_files

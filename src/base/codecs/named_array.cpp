@@ -18,11 +18,12 @@ namespace relidar {
 namespace {
 
 template <class T>
-NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values, std::size_t n) {
+NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values,
+                std::size_t n) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
     if (array.count() != n)
-        throw DataError(fmt::format("array '{}': {} values, expected {} for shape [{}]", array.name, n, array.count(),
-                                    fmt::join(array.shape, ", ")));
+        throw DataError(fmt::format("array '{}': {} values, expected {} for shape [{}]", array.name, n,
+                                    array.count(), fmt::join(array.shape, ", ")));
     array.bytes.resize(n * sizeof(T));
     if (n > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
     return array;
@@ -35,8 +36,11 @@ struct Half {
     template <class Number>
     explicit operator Number() const {
         const int exponent = bits >> 10 & 31, mantissa = bits & 1023;
-        float value = std::ldexp(float(exponent ? mantissa + 1024 : mantissa), exponent ? exponent - 25 : -24);
-        if (exponent == 31) value = mantissa ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
+        float value =
+            std::ldexp(float(exponent ? mantissa + 1024 : mantissa), exponent ? exponent - 25 : -24);
+        if (exponent == 31)
+            value =
+                mantissa ? std::numeric_limits<float>::quiet_NaN() : std::numeric_limits<float>::infinity();
         return Number(bits & 0x8000 ? -value : value);
     }
 };
@@ -58,11 +62,17 @@ using Converter = std::vector<Out> (*)(const NamedArray&);
 template <class Out>
 Converter<Out> converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
-        {"f2", convert<Out, Half>}, {"f4", convert<Out, float>}, {"f8", convert<Out, double>},
-        {"i1", convert<Out, std::int8_t>}, {"i2", convert<Out, std::int16_t>},
-        {"i4", convert<Out, std::int32_t>}, {"i8", convert<Out, std::int64_t>},
-        {"u1", convert<Out, std::uint8_t>}, {"u2", convert<Out, std::uint16_t>},
-        {"u4", convert<Out, std::uint32_t>}, {"u8", convert<Out, std::uint64_t>},
+        {"f2", convert<Out, Half>},
+        {"f4", convert<Out, float>},
+        {"f8", convert<Out, double>},
+        {"i1", convert<Out, std::int8_t>},
+        {"i2", convert<Out, std::int16_t>},
+        {"i4", convert<Out, std::int32_t>},
+        {"i8", convert<Out, std::int64_t>},
+        {"u1", convert<Out, std::uint8_t>},
+        {"u2", convert<Out, std::uint16_t>},
+        {"u4", convert<Out, std::uint32_t>},
+        {"u8", convert<Out, std::uint64_t>},
         {"b1", convert<Out, std::uint8_t>},
     }};
     for (const auto& [name, function] : kConverters)
@@ -74,22 +84,32 @@ template <class Out>
 std::vector<Out> values_of(const NamedArray& array) {
     export_detail::check_array(array);
     const Converter<Out> function = converter<Out>(array.dtype);
-    if (!function) throw DataError(fmt::format("array '{}': type '{}' cannot be read as numbers", array.name, array.dtype));
+    if (!function)
+        throw DataError(
+            fmt::format("array '{}': type '{}' cannot be read as numbers", array.name, array.dtype));
     return function(array);
 }
 
 /// UTF-8 as Unicode's numbers. What is no UTF-8 becomes U+FFFD, byte by byte.
 std::u32string code_points(std::string_view utf8) {
-    constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};   // shorter forms are forbidden
+    // shorter forms are forbidden
+    constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {
         const auto first = static_cast<unsigned char>(utf8[i]);
-        const std::size_t more = first < 0x80 ? 0 : first >> 5 == 6 ? 1 : first >> 4 == 14 ? 2 : first >> 3 == 30 ? 3 : 4;
+        const std::size_t more = first < 0x80       ? 0
+                                 : first >> 5 == 6  ? 1
+                                 : first >> 4 == 14 ? 2
+                                 : first >> 3 == 30 ? 3
+                                                    : 4;
         char32_t point = more == 0 ? first : first & (0x3Fu >> more);
         std::size_t n = 1;
-        for (; more < 4 && n <= more && i + n < utf8.size() && (static_cast<unsigned char>(utf8[i + n]) & 0xC0) == 0x80; ++n)
+        for (; more < 4 && n <= more && i + n < utf8.size() &&
+               (static_cast<unsigned char>(utf8[i + n]) & 0xC0) == 0x80;
+             ++n)
             point = point << 6 | (static_cast<unsigned char>(utf8[i + n]) & 0x3F);
-        const bool valid = more < 4 && n == more + 1 && point >= kLeast[more] && point <= 0x10FFFF && (point < 0xD800 || point > 0xDFFF);
+        const bool valid = more < 4 && n == more + 1 && point >= kLeast[more] && point <= 0x10FFFF &&
+                           (point < 0xD800 || point > 0xDFFF);
         points.push_back(valid ? point : kReplacement);
         i += valid ? n : 1;
     }
@@ -104,7 +124,9 @@ std::size_t item_size(std::string_view dtype) {
     if (dtype.starts_with('S') || dtype.starts_with('U')) {
         std::uint32_t length = 0;
         const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
-        return error == std::errc() && end == dtype.data() + dtype.size() ? length * (dtype[0] == 'U' ? sizeof(char32_t) : 1) : 0;
+        return error == std::errc() && end == dtype.data() + dtype.size()
+                   ? length * (dtype[0] == 'U' ? sizeof(char32_t) : 1)
+                   : 0;
     }
     if (!converter<float>(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
@@ -117,7 +139,7 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
         empty = empty || extent == 0;
         overflow = __builtin_mul_overflow(product, extent, &product) || overflow;
     }
-    if (empty) return 0;   // an extent of 0 makes any other extent legal
+    if (empty) return 0;  // an extent of 0 makes any other extent legal
     if (overflow) return std::nullopt;
     return product;
 }
@@ -125,11 +147,12 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
 void check_array(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
     const std::size_t size = item_size(array.dtype);
-    if (size == 0) throw DataError(fmt::format("array '{}': type '{}' is not supported", array.name, array.dtype));
+    if (size == 0)
+        throw DataError(fmt::format("array '{}': type '{}' is not supported", array.name, array.dtype));
     const auto expected = byte_count(array.shape, size);
     if (!expected || *expected != array.bytes.size())
-        throw DataError(fmt::format("array '{}': {} bytes do not fill shape [{}] of {}", array.name, array.bytes.size(),
-                                    fmt::join(array.shape, ", "), array.dtype));
+        throw DataError(fmt::format("array '{}': {} bytes do not fill shape [{}] of {}", array.name,
+                                    array.bytes.size(), fmt::join(array.shape, ", "), array.dtype));
 }
 
 }  // namespace export_detail
@@ -154,11 +177,13 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const fl
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n) {
     return make(std::move(name), std::move(shape), "f8", values, n);
 }
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values, std::size_t n) {
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
+                      std::size_t n) {
     return make(std::move(name), std::move(shape), "i4", values, n);
 }
 
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values, std::size_t n) {
+NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
+                      std::size_t n) {
     return make(std::move(name), std::move(shape), "u2", values, n);
 }
 
@@ -171,9 +196,13 @@ NamedArray make_text(std::string name, const std::string& text) {
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts) {
     std::vector<std::u32string> letters;
     std::size_t length = 1;
-    for (const std::string& text : texts) length = std::max(length, letters.emplace_back(code_points(text)).size());
+    for (const std::string& text : texts)
+        length = std::max(length, letters.emplace_back(code_points(text)).size());
     const std::size_t size = length * sizeof(char32_t);
-    NamedArray array{std::move(name), fmt::format("U{}", length), {texts.size()}, std::vector<std::byte>(texts.size() * size)};
+    NamedArray array{std::move(name),
+                     fmt::format("U{}", length),
+                     {texts.size()},
+                     std::vector<std::byte>(texts.size() * size)};
     for (std::size_t i = 0; i < letters.size(); ++i)
         std::memcpy(array.bytes.data() + i * size, letters[i].data(), letters[i].size() * sizeof(char32_t));
     return array;

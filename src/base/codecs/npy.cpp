@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The .npy header as numpy writes it:
 //   {'descr': '<f4', 'fortran_order': False, 'shape': (66, 1030), }
-// Only what NamedArray can hold is accepted; big-endian, Fortran order, text, structs and objects are refused by name.
+// Only what NamedArray can hold is accepted; big-endian, Fortran order, text, structs and
+// objects are refused by name.
 #include "npy.hpp"
 
 #include <charconv>
@@ -45,10 +46,13 @@ public:
     std::optional<std::vector<std::size_t>> shape;
 
 private:
-    [[noreturn]] static std::string refuse(const std::string& why) { throw DataError("its npy header " + why); }
+    [[noreturn]] static std::string refuse(const std::string& why) {
+        throw DataError("its npy header " + why);
+    }
 
     bool peek(char c) {
-        while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t')) text_.remove_prefix(1);
+        while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t'))
+            text_.remove_prefix(1);
         return !text_.empty() && text_[0] == c;
     }
     bool accept(char c) {
@@ -85,7 +89,7 @@ private:
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
         if (error != std::errc()) refuse("holds an impossible shape");
         text_.remove_prefix(std::size_t(end - text_.data()));
-        accept('L');   // Python 2 wrote long integers so
+        accept('L');  // Python 2 wrote long integers so
         return value;
     }
     std::vector<std::size_t> tuple() {
@@ -124,20 +128,23 @@ std::string npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    if (array.shape.size() == 1) shape.pop_back();   // (n,) is a tuple, (n) is not
-    std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order, array.dtype, shape);
-    constexpr std::size_t kPrefix = 10;   // magic, version, length
+    if (array.shape.size() == 1) shape.pop_back();  // (n,) is a tuple, (n) is not
+    std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
+                                   array.dtype, shape);
+    constexpr std::size_t kPrefix = 10;  // magic, version, length
     const std::size_t total = (kPrefix + dict.size() + 1 + kAlignment - 1) / kAlignment * kAlignment;
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';
-    if (dict.size() > 0xFFFF) throw DataError(fmt::format("array '{}' has {} dimensions", array.name, array.shape.size()));
+    if (dict.size() > 0xFFFF)
+        throw DataError(fmt::format("array '{}' has {} dimensions", array.name, array.shape.size()));
     std::string header(kNpyMagic);
     header += {'\x01', '\x00', char(dict.size() & 0xFF), char(dict.size() >> 8)};
     return header + dict;
 }
 
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
-    if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0) throw DataError("it is not a .npy array");
+    if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
+        throw DataError("it is not a .npy array");
     const auto version = std::to_integer<int>(bytes[6]);
     if (version < 1 || version > 3) throw DataError(fmt::format("npy version {}, expected 1 to 3", version));
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
@@ -148,10 +155,12 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
     HeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse();
     NamedArray array{name, type_of(*header.descr), *header.shape, {}};
-    if (*header.fortran_order) throw DataError("its values are in Fortran (column-major) order, expected row-major");
+    if (*header.fortran_order)
+        throw DataError("its values are in Fortran (column-major) order, expected row-major");
     const auto expected = byte_count(array.shape, item_size(array.dtype));
     const std::size_t found = bytes.size() - start - length;
-    if (!expected || *expected != found) throw DataError(fmt::format("{} bytes of values do not fill its shape", found));
+    if (!expected || *expected != found)
+        throw DataError(fmt::format("{} bytes of values do not fill its shape", found));
     array.bytes.assign(bytes.end() - std::ptrdiff_t(found), bytes.end());
     return array;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The .npy header, one entry of an npz file: magic, version, and a Python dict of type, order and shape. Private to export.
+// The .npy header, one entry of an npz file: magic, version, and a Python dict of type,
+// order and shape. Private to export.
 #pragma once
 
 #include <cstddef>

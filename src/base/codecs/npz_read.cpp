@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// npz as numpy.savez and numpy.savez_compressed write it: zip entries stored or deflated, zip64 fields included. The central
-// directory is what counts; every offset and size is checked against the file before it is used, and the checksum after.
+// npz as numpy.savez and numpy.savez_compressed write it: zip entries stored or deflated,
+// zip64 fields included. The central directory is what counts; every offset and size is
+// checked against the file before it is used, and the checksum after.
 #include <relidar/base/arrays.hpp>
 
 #include <algorithm>
@@ -20,13 +21,14 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kLocalSignature = 0x04034b50, kCentralSignature = 0x02014b50, kEndSignature = 0x06054b50;
+constexpr std::uint32_t kLocalSignature = 0x04034b50, kCentralSignature = 0x02014b50,
+                        kEndSignature = 0x06054b50;
 constexpr std::uint32_t kEnd64Signature = 0x06064b50, kLocator64Signature = 0x07064b50;
 constexpr std::size_t kLocalSize = 30, kCentralSize = 46, kEndSize = 22, kEnd64Size = 56, kLocator64Size = 20;
 constexpr std::uint16_t kZip64Extra = 1;
 constexpr std::uint32_t kSee64 = 0xFFFFFFFF;
-constexpr std::size_t kMaxExpansion = 1032;   // deflate's own bound: a larger size is a lie
-constexpr std::size_t kPiece = 1 << 30;       // zlib counts in 32 bits
+constexpr std::size_t kMaxExpansion = 1032;  // deflate's own bound: a larger size is a lie
+constexpr std::size_t kPiece = 1 << 30;      // zlib counts in 32 bits
 
 /// The bytes of the archive, read with a bounds check.
 struct Archive {
@@ -34,14 +36,16 @@ struct Archive {
 
     std::span<const std::byte> part(std::uint64_t offset, std::uint64_t n_bytes) const {
         if (offset > bytes.size() || n_bytes > bytes.size() - offset)
-            throw DataError(fmt::format("{} bytes expected at {}, but the file ends at {}", n_bytes, offset, bytes.size()));
+            throw DataError(fmt::format("{} bytes expected at {}, but the file ends at {}", n_bytes, offset,
+                                        bytes.size()));
         return std::span(bytes).subspan(offset, n_bytes);
     }
 };
 
 template <class T>
 T get(std::span<const std::byte> bytes, std::size_t offset) {
-    if (offset > bytes.size() || sizeof(T) > bytes.size() - offset) throw DataError("a zip record is cut short");
+    if (offset > bytes.size() || sizeof(T) > bytes.size() - offset)
+        throw DataError("a zip record is cut short");
     T value;
     std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
@@ -51,13 +55,16 @@ struct Directory {
     std::uint64_t n_entries = 0, size = 0, offset = 0;
 };
 
-/// Position of the end record: the last one whose comment reaches exactly to the end of the file.
+/// Position of the end record: the last one whose comment reaches exactly to the end of
+/// the file.
 std::size_t find_end(const Archive& archive) {
     const std::size_t n = archive.bytes.size();
     if (n < kEndSize) throw DataError(fmt::format("{} bytes are too few for a zip archive", n));
     for (std::size_t back = kEndSize; back <= std::min<std::size_t>(n, kEndSize + 0xFFFF); ++back) {
         const auto record = archive.part(n - back, kEndSize);
-        if (get<std::uint32_t>(record, 0) == kEndSignature && get<std::uint16_t>(record, 20) == back - kEndSize) return n - back;
+        if (get<std::uint32_t>(record, 0) == kEndSignature &&
+            get<std::uint16_t>(record, 20) == back - kEndSize)
+            return n - back;
     }
     throw DataError("it is not a zip archive, or its end is missing");
 }
@@ -65,20 +72,25 @@ std::size_t find_end(const Archive& archive) {
 Directory find_directory(const Archive& archive) {
     const std::size_t end = find_end(archive);
     const auto record = archive.part(end, kEndSize);
-    Directory directory{get<std::uint16_t>(record, 10), get<std::uint32_t>(record, 12), get<std::uint32_t>(record, 16)};
-    const bool see64 = directory.n_entries == 0xFFFF || directory.size == kSee64 || directory.offset == kSee64;
+    Directory directory{get<std::uint16_t>(record, 10), get<std::uint32_t>(record, 12),
+                        get<std::uint32_t>(record, 16)};
+    const bool see64 =
+        directory.n_entries == 0xFFFF || directory.size == kSee64 || directory.offset == kSee64;
     if (see64 && end >= kLocator64Size) {
         const auto locator = archive.part(end - kLocator64Size, kLocator64Size);
         if (get<std::uint32_t>(locator, 0) == kLocator64Signature) {
             const auto end64 = archive.part(get<std::uint64_t>(locator, 8), kEnd64Size);
-            if (get<std::uint32_t>(end64, 0) != kEnd64Signature) throw DataError("the zip64 end record is damaged");
-            directory = {get<std::uint64_t>(end64, 32), get<std::uint64_t>(end64, 40), get<std::uint64_t>(end64, 48)};
+            if (get<std::uint32_t>(end64, 0) != kEnd64Signature)
+                throw DataError("the zip64 end record is damaged");
+            directory = {get<std::uint64_t>(end64, 32), get<std::uint64_t>(end64, 40),
+                         get<std::uint64_t>(end64, 48)};
         }
     }
     if (directory.size > end || directory.offset > end - directory.size)
         throw DataError("the zip directory lies outside the file");
     if (directory.n_entries > directory.size / kCentralSize)
-        throw DataError(fmt::format("{} zip entries do not fit a directory of {} bytes", directory.n_entries, directory.size));
+        throw DataError(fmt::format("{} zip entries do not fit a directory of {} bytes", directory.n_entries,
+                                    directory.size));
     return directory;
 }
 
@@ -89,7 +101,8 @@ struct NpzEntry {
     std::uint64_t packed_size = 0, size = 0, offset = 0;
 };
 
-/// Replaces the fields that say "see zip64" by those of the extra field, which holds just these, in this order.
+/// Replaces the fields that say "see zip64" by those of the extra field, which holds just
+/// these, in this order.
 void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
         const std::size_t size = get<std::uint16_t>(extra, at + 2);
@@ -120,7 +133,8 @@ NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
     entry.offset = get<std::uint32_t>(record, 42);
     const std::size_t n_name = get<std::uint16_t>(record, 28), n_extra = get<std::uint16_t>(record, 30);
     const std::size_t n_comment = get<std::uint16_t>(record, 32);
-    if (n_name + n_extra + n_comment > record.size() - kCentralSize) throw DataError("the zip directory is cut short");
+    if (n_name + n_extra + n_comment > record.size() - kCentralSize)
+        throw DataError("the zip directory is cut short");
     entry.name.assign(reinterpret_cast<const char*>(record.data()) + kCentralSize, n_name);
     apply_zip64(entry, record.subspan(kCentralSize + n_name, n_extra));
     at += kCentralSize + n_name + n_extra + n_comment;
@@ -133,7 +147,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
     int status = Z_OK;
     std::size_t consumed = 0, produced = 0;
-    Bytef none = 0;   // zlib wants a place to write even where nothing is expected
+    Bytef none = 0;  // zlib wants a place to write even where nothing is expected
     while (status == Z_OK) {
         stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(packed.data() + consumed));
         stream.avail_in = uInt(std::min(packed.size() - consumed, kPiece));
@@ -154,7 +168,8 @@ std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
     if (entry.flags & 1) throw DataError("it is encrypted");
     const auto local = archive.part(entry.offset, kLocalSize);
     if (get<std::uint32_t>(local, 0) != kLocalSignature) throw DataError("its zip header is damaged");
-    const std::uint64_t start = entry.offset + kLocalSize + get<std::uint16_t>(local, 26) + get<std::uint16_t>(local, 28);
+    const std::uint64_t start =
+        entry.offset + kLocalSize + get<std::uint16_t>(local, 26) + get<std::uint16_t>(local, 28);
     const auto packed = archive.part(start, entry.packed_size);
     std::vector<std::byte> bytes;
     if (entry.method == 0) {
@@ -175,8 +190,10 @@ std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
 NamedArray read_array(const Archive& archive, const NpzEntry& entry) {
     constexpr std::string_view kSuffix = ".npy";
     try {
-        if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix)) throw DataError("it is not a .npy array");
-        return export_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()), unpack(archive, entry));
+        if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix))
+            throw DataError("it is not a .npy array");
+        return export_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
+                                        unpack(archive, entry));
     } catch (const DataError& error) {
         throw DataError(fmt::format("entry '{}': {}", entry.name, error.what()));
     }
@@ -191,9 +208,11 @@ std::vector<NamedArray> parse(const Archive& archive) {
     std::size_t at = 0;
     for (std::uint64_t i = 0; i < directory.n_entries; ++i) {
         const NpzEntry entry = parse_entry(records, at);
-        if (!names.insert(entry.name).second) throw DataError(fmt::format("entry '{}' occurs twice", entry.name));
+        if (!names.insert(entry.name).second)
+            throw DataError(fmt::format("entry '{}' occurs twice", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
-        if (n_packed > archive.bytes.size()) throw DataError("zip entries overlap");   // the trick of zip bombs
+        // the trick of zip bombs
+        if (n_packed > archive.bytes.size()) throw DataError("zip entries overlap");
         arrays.push_back(read_array(archive, entry));
     }
     return arrays;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// npz: a zip archive of deflated .npy files, as numpy.savez_compressed writes. Entries carry no time of writing (1980-01-01),
-// so that equal arrays make equal files. Plain zip only: entries and archive stay below 4 GiB, more is refused.
+// npz: a zip archive of deflated .npy files, as numpy.savez_compressed writes. Entries
+// carry no time of writing (1980-01-01), so that equal arrays make equal files. Plain zip
+// only: entries and archive stay below 4 GiB, more is refused.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -21,11 +22,12 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kLocalHeader = 0x04034b50, kCentralHeader = 0x02014b50, kEndRecord = 0x06054b50;
-constexpr std::uint16_t kVersion = 20;        // deflate
+constexpr std::uint16_t kVersion = 20;  // deflate
 constexpr std::uint16_t kUtf8Names = 1 << 11;
 constexpr std::uint16_t kDeflated = 8;
-constexpr std::uint16_t kDate = 0x0021;       // 1980-01-01, the earliest the format knows
-constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();   // this value itself means "see zip64"
+constexpr std::uint16_t kDate = 0x0021;  // 1980-01-01, the earliest the format knows
+// this value itself means "see zip64"
+constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();
 
 /// One file of the archive as the two directories describe it.
 struct Entry {
@@ -37,7 +39,8 @@ struct Entry {
 class Deflater {
 public:
     Deflater() {
-        if (deflateInit2(&stream_, Z_DEFAULT_COMPRESSION, Z_DEFLATED, -MAX_WBITS, 8, Z_DEFAULT_STRATEGY) != Z_OK)
+        if (deflateInit2(&stream_, Z_DEFAULT_COMPRESSION, Z_DEFLATED, -MAX_WBITS, 8, Z_DEFAULT_STRATEGY) !=
+            Z_OK)
             throw std::bad_alloc();
     }
     ~Deflater() { deflateEnd(&stream_); }
@@ -47,7 +50,8 @@ public:
     /// @param n_bytes below 4 GiB
     void add(const void* data, std::size_t n_bytes, bool last) {
         const auto* bytes = static_cast<const Bytef*>(data);
-        if (n_bytes > 0) crc = std::uint32_t(::crc32(crc, bytes, uInt(n_bytes)));   // a null pointer would reset it
+        // a null pointer would reset it
+        if (n_bytes > 0) crc = std::uint32_t(::crc32(crc, bytes, uInt(n_bytes)));
         stream_.next_in = const_cast<Bytef*>(bytes);
         stream_.avail_in = uInt(n_bytes);
         do {
@@ -71,13 +75,13 @@ void append_common(std::string& bytes, const Entry& entry) {
     append(bytes, kVersion);
     append(bytes, kUtf8Names);
     append(bytes, kDeflated);
-    append(bytes, std::uint16_t(0));   // time
+    append(bytes, std::uint16_t(0));  // time
     append(bytes, kDate);
     append(bytes, entry.crc);
     append(bytes, entry.packed_size);
     append(bytes, entry.size);
     append(bytes, std::uint16_t(entry.name.size()));
-    append(bytes, std::uint16_t(0));   // extra field
+    append(bytes, std::uint16_t(0));  // extra field
 }
 
 std::string local_header(const Entry& entry) {
@@ -90,12 +94,12 @@ std::string local_header(const Entry& entry) {
 std::string central_header(const Entry& entry) {
     std::string bytes;
     append(bytes, kCentralHeader);
-    append(bytes, kVersion);           // made by
+    append(bytes, kVersion);  // made by
     append_common(bytes, entry);
-    append(bytes, std::uint16_t(0));   // comment
-    append(bytes, std::uint16_t(0));   // disk
-    append(bytes, std::uint16_t(0));   // internal attributes
-    append(bytes, std::uint32_t(0));   // external attributes
+    append(bytes, std::uint16_t(0));  // comment
+    append(bytes, std::uint16_t(0));  // disk
+    append(bytes, std::uint16_t(0));  // internal attributes
+    append(bytes, std::uint32_t(0));  // external attributes
     append(bytes, entry.offset);
     return bytes + entry.name;
 }
@@ -103,18 +107,19 @@ std::string central_header(const Entry& entry) {
 std::string end_record(std::size_t n_entries, std::size_t directory_size, std::size_t directory_offset) {
     std::string bytes;
     append(bytes, kEndRecord);
-    append(bytes, std::uint32_t(0));   // disks
+    append(bytes, std::uint32_t(0));  // disks
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint32_t(directory_size));
     append(bytes, std::uint32_t(directory_offset));
-    append(bytes, std::uint16_t(0));   // comment
+    append(bytes, std::uint16_t(0));  // comment
     return bytes;
 }
 
 void check_size(const std::string& what, std::uint64_t n_bytes) {
     if (n_bytes >= kLimit)
-        throw DataError(fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
+        throw DataError(
+            fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
 }
 
 /// Writes one array at `offset`. @return its directory entry
@@ -137,9 +142,11 @@ void check(const std::vector<NamedArray>& arrays) {
     for (const NamedArray& array : arrays) {
         export_detail::check_array(array);
         if (array.name.size() > 0xFF00) throw DataError("an array name is too long");
-        if (!names.insert(array.name).second) throw DataError(fmt::format("array name '{}' is used twice", array.name));
+        if (!names.insert(array.name).second)
+            throw DataError(fmt::format("array name '{}' is used twice", array.name));
     }
-    if (arrays.size() >= 0xFFFF) throw DataError(fmt::format("{} arrays, npz files hold at most 65534", arrays.size()));
+    if (arrays.size() >= 0xFFFF)
+        throw DataError(fmt::format("{} arrays, npz files hold at most 65534", arrays.size()));
 }
 
 }  // namespace

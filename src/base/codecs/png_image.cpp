@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// 8-bit RGB images as PNG, by libpng's simplified interface, whose failures are return values instead of jumps.
+// 8-bit RGB images as PNG, by libpng's simplified interface, whose failures are return
+// values instead of jumps.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -22,35 +23,39 @@ void append_big_endian(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
-/// An iTXt chunk: UTF-8 text, not compressed. The simplified interface has no way to write one.
+/// An iTXt chunk: UTF-8 text, not compressed. The simplified interface has no way to
+/// write one.
 std::string text_chunk(const std::string& name, const std::string& text) {
-    // After the name come its end, "not compressed", the method, and the empty language and translated name.
+    // After the name come its end, "not compressed", the method, and the empty language
+    // and translated name.
     const std::string body = "iTXt" + name + std::string(5, '\0') + text;
     std::string chunk;
     append_big_endian(chunk, static_cast<std::uint32_t>(body.size() - 4));
     chunk += body;
-    append_big_endian(chunk,
-                      static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()))));
+    append_big_endian(chunk, static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()),
+                                                              static_cast<uInt>(body.size()))));
     return chunk;
 }
 
-constexpr std::ptrdiff_t kAfterHeader = 8 + 25;   // the signature, and the IHDR chunk of 13 bytes
+constexpr std::ptrdiff_t kAfterHeader = 8 + 25;  // the signature, and the IHDR chunk of 13 bytes
 
 }  // namespace
 
 std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
-        throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows, image.columns, image.rgb.size(),
-                                    n));
+        throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows,
+                                    image.columns, image.rgb.size(), n));
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
     description.width = png_uint_32(image.columns);
     description.height = png_uint_32(image.rows);
     description.format = PNG_FORMAT_RGB;
-    png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);   // upper bound; the call below sets the true size
+    // upper bound; the call below sets the true size
+    png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
     std::vector<std::uint8_t> bytes(size);
-    const int done = png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
+    const int done =
+        png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
     const std::string message = description.message;
     png_image_free(&description);
     if (!done) throw DataError("encoding a PNG image: " + message);

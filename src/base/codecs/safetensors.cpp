@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// safetensors: u64 header size, JSON header (type, shape and byte range of each array, and string metadata), then the data
-// without gaps. A reader trusts nothing: sizes, ranges and coverage are all checked, so that a file
-// cut anywhere is refused. Whether values are finite is for the caller to judge.
+// safetensors: u64 header size, JSON header (type, shape and byte range of each array,
+// and string metadata), then the data without gaps. A reader trusts nothing: sizes,
+// ranges and coverage are all checked, so that a file cut anywhere is refused. Whether
+// values are finite is for the caller to judge.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -25,30 +26,45 @@ using Json = nlohmann::json;
 using export_detail::byte_count;
 using export_detail::item_size;
 
-constexpr std::size_t kMaxHeader = 4u << 20;   // the format allows 100 MB, which parsed take 24 times that; ours have a few kB
+// the format allows 100 MB, which parsed take 24 times that; ours have a few kB
+constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";
 
 constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
-    {"BOOL", "b1"}, {"U8", "u1"}, {"I8", "i1"}, {"U16", "u2"}, {"I16", "i2"}, {"F16", "f2"},
-    {"U32", "u4"}, {"I32", "i4"}, {"F32", "f4"}, {"U64", "u8"}, {"I64", "i8"}, {"F64", "f8"},
+    {"BOOL", "b1"},
+    {"U8", "u1"},
+    {"I8", "i1"},
+    {"U16", "u2"},
+    {"I16", "i2"},
+    {"F16", "f2"},
+    {"U32", "u4"},
+    {"I32", "i4"},
+    {"F32", "f4"},
+    {"U64", "u8"},
+    {"I64", "i8"},
+    {"F64", "f8"},
 }};
 
 /// @throws DataError for text, which safetensors has not
 std::string tensor_type(const std::string& dtype) {
-    const auto it = std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
+    const auto it =
+        std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
     if (it == kTypes.end()) throw DataError(fmt::format("type '{}' is not supported by safetensors", dtype));
     return std::string(it->first);
 }
 
 std::string numpy_type(const std::string& name, const std::string& type) {
-    const auto it = std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
-    if (it == kTypes.end()) throw DataError(fmt::format("array '{}': type '{}' is not supported", name, excerpt(type)));
+    const auto it =
+        std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
+    if (it == kTypes.end())
+        throw DataError(fmt::format("array '{}': type '{}' is not supported", name, excerpt(type)));
     return std::string(it->second);
 }
 
 /// In the order given: a reader of the file sees what comes first first.
-std::string make_header(const std::vector<NamedArray>& arrays, const std::map<std::string, std::string>& metadata) {
+std::string make_header(const std::vector<NamedArray>& arrays,
+                        const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
     if (!metadata.empty()) header[kMetadata] = metadata;
     std::size_t offset = 0;
@@ -57,16 +73,18 @@ std::string make_header(const std::vector<NamedArray>& arrays, const std::map<st
         if (array.name == kMetadata || header.contains(array.name))
             throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
         const std::size_t end = offset + array.bytes.size();
-        header[array.name] = {{"dtype", tensor_type(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
+        header[array.name] = {
+            {"dtype", tensor_type(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
         offset = end;
     }
     std::string text = header.dump();
-    text.resize((text.size() + 7) / 8 * 8, ' ');   // data starts at a multiple of 8
+    text.resize((text.size() + 7) / 8 * 8, ' ');  // data starts at a multiple of 8
     if (text.size() > kMaxHeader) throw DataError("the header would exceed 4 MiB");
     return text;
 }
 
-/// The description of a file and the names in the order they stand there, which orders arrays without bytes.
+/// The description of a file and the names in the order they stand there, which orders
+/// arrays without bytes.
 struct Header {
     Json json;
     std::vector<std::string> names;
@@ -78,21 +96,28 @@ Header parse_header(const std::vector<std::byte>& file) {
     std::uint64_t size = 0;
     if (file.size() < sizeof size) throw DataError(fmt::format("{} bytes, expected at least 8", file.size()));
     std::memcpy(&size, file.data(), sizeof size);
-    if (size > kMaxHeader) throw DataError(fmt::format("header of {} bytes, expected at most {}", size, kMaxHeader));
+    if (size > kMaxHeader)
+        throw DataError(fmt::format("header of {} bytes, expected at most {}", size, kMaxHeader));
     if (size > file.size() - sizeof size)
-        throw DataError(fmt::format("header of {} bytes, but the file ends after {}", size, file.size() - sizeof size));
+        throw DataError(
+            fmt::format("header of {} bytes, but the file ends after {}", size, file.size() - sizeof size));
     header.data_start = sizeof size + size;
     const char* text = reinterpret_cast<const char*>(file.data()) + sizeof size;
-    header.json = Json::parse(text, text + size, [&](int depth, Json::parse_event_t event, const Json& parsed) {
-        if (event == Json::parse_event_t::key && depth == 1) header.names.push_back(parsed.get<std::string>());
-        return true;
-    }, false);
+    header.json = Json::parse(
+        text, text + size,
+        [&](int depth, Json::parse_event_t event, const Json& parsed) {
+            if (event == Json::parse_event_t::key && depth == 1)
+                header.names.push_back(parsed.get<std::string>());
+            return true;
+        },
+        false);
     if (header.json.is_discarded()) throw DataError("the header is not valid JSON");
     if (!header.json.is_object()) throw DataError("the header is not a JSON object");
     if (header.json.size() != header.names.size()) throw DataError("the header names an array twice");
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
-            throw DataError(fmt::format("array '{}': a name of {} bytes, expected at most {}", excerpt(name), name.size(), kMaxName));
+            throw DataError(fmt::format("array '{}': a name of {} bytes, expected at most {}", excerpt(name),
+                                        name.size(), kMaxName));
     }
     return header;
 }
@@ -102,11 +127,12 @@ std::vector<std::size_t> integers(const std::string& name, const Json& entry, co
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
         throw DataError(fmt::format("array '{}': no list '{}'", name, key));
     if (entry[key].size() > kMaxDimensions)
-        throw DataError(
-            fmt::format("array '{}': '{}' holds {} numbers, expected at most {}", name, key, entry[key].size(), kMaxDimensions));
+        throw DataError(fmt::format("array '{}': '{}' holds {} numbers, expected at most {}", name, key,
+                                    entry[key].size(), kMaxDimensions));
     std::vector<std::size_t> result;
     for (const Json& value : entry[key]) {
-        if (!value.is_number_unsigned()) throw DataError(fmt::format("array '{}': '{}' holds {}", name, key, value.type_name()));
+        if (!value.is_number_unsigned())
+            throw DataError(fmt::format("array '{}': '{}' holds {}", name, key, value.type_name()));
         result.push_back(value.get<std::size_t>());
     }
     return result;
@@ -120,14 +146,16 @@ struct Range {
 std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}': no string 'dtype'", name));
-    NamedArray array{name, numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
+    NamedArray array{
+        name, numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
     const std::vector<std::size_t> offsets = integers(name, entry, "data_offsets");
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data)
         throw DataError(fmt::format("array '{}': data_offsets [{}] do not lie in the {} bytes of data", name,
                                     fmt::join(offsets, ", "), n_data));
     const auto expected = byte_count(array.shape, item_size(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
-        throw DataError(fmt::format("array '{}': {} bytes do not fill its shape", name, offsets[1] - offsets[0]));
+        throw DataError(
+            fmt::format("array '{}': {} bytes do not fill its shape", name, offsets[1] - offsets[0]));
     return {std::move(array), {offsets[0], offsets[1]}};
 }
 
@@ -135,13 +163,15 @@ std::map<std::string, std::string> parse_metadata(const Json& entry) {
     std::map<std::string, std::string> result;
     if (!entry.is_object()) throw DataError("__metadata__ is not an object");
     for (const auto& [key, value] : entry.items()) {
-        if (!value.is_string()) throw DataError(fmt::format("__metadata__ '{}' is not a string", excerpt(key)));
+        if (!value.is_string())
+            throw DataError(fmt::format("__metadata__ '{}' is not a string", excerpt(key)));
         result[key] = value.get<std::string>();
     }
     return result;
 }
 
-std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file, std::map<std::string, std::string>* metadata) {
+std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
+                                      std::map<std::string, std::string>* metadata) {
     const Header header = parse_header(file);
     const std::size_t n_data = file.size() - header.data_start;
     std::vector<std::pair<NamedArray, Range>> entries;
@@ -158,14 +188,15 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file, std::m
     std::vector<NamedArray> arrays;
     for (auto& [array, range] : entries) {
         if (range.begin != covered)
-            throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)", array.name, range.begin,
-                                        covered));
+            throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)",
+                                        array.name, range.begin, covered));
         const auto data = file.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
         arrays.push_back(std::move(array));
     }
-    if (covered != n_data) throw DataError(fmt::format("{} bytes of data, the header describes {}", n_data, covered));
+    if (covered != n_data)
+        throw DataError(fmt::format("{} bytes of data, the header describes {}", n_data, covered));
     if (metadata) *metadata = std::move(found);
     return arrays;
 }
@@ -185,7 +216,8 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
     });
 }
 
-std::vector<NamedArray> read_safetensors(const std::filesystem::path& path, std::map<std::string, std::string>* metadata) {
+std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
+                                         std::map<std::string, std::string>* metadata) {
     const std::vector<std::byte> file = export_detail::read_file(path);
     try {
         return parse_tensors(file, metadata);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A folder appears under its name complete, or not at all: filled under a temporary name beside it, then renamed.
+// A folder appears under its name complete, or not at all: filled under a temporary name
+// beside it, then renamed.
 #include <relidar/base/files.hpp>
 
 #include <cerrno>
@@ -27,8 +28,10 @@ void remove_abandoned(const fs::path& parent, const std::string& prefix) {
         const std::string name = entry.path().filename().string();
         if (!name.starts_with(prefix)) continue;
         pid_t process = 0;
-        const auto [end, error] = std::from_chars(name.data() + prefix.size(), name.data() + name.size(), process);
-        if (error == std::errc() && end == name.data() + name.size() && process > 0 && ::kill(process, 0) != 0 && errno == ESRCH)
+        const auto [end, error] =
+            std::from_chars(name.data() + prefix.size(), name.data() + name.size(), process);
+        if (error == std::errc() && end == name.data() + name.size() && process > 0 &&
+            ::kill(process, 0) != 0 && errno == ESRCH)
             abandoned.push_back(entry.path());
     }
     for (const fs::path& path : abandoned) fs::remove_all(path, failed);
@@ -36,14 +39,16 @@ void remove_abandoned(const fs::path& parent, const std::string& prefix) {
 
 }  // namespace
 
-StagedFolder::StagedFolder(const fs::path& wanted) : wanted_((fs::absolute(wanted) / "").lexically_normal().parent_path()) {
+StagedFolder::StagedFolder(const fs::path& wanted)
+    : wanted_((fs::absolute(wanted) / "").lexically_normal().parent_path()) {
     const std::string prefix = fmt::format(".{}.tmp-", wanted_.filename().string());
     remove_abandoned(wanted_.parent_path(), prefix);
     path_ = wanted_.parent_path() / fmt::format("{}{}", prefix, ::getpid());
     std::error_code failed;
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
-    if (failed) throw DataError(fmt::format("{}: cannot be made a folder: {}", path_.string(), failed.message()));
+    if (failed)
+        throw DataError(fmt::format("{}: cannot be made a folder: {}", path_.string(), failed.message()));
 }
 
 StagedFolder::~StagedFolder() {
@@ -52,23 +57,27 @@ StagedFolder::~StagedFolder() {
 }
 
 void StagedFolder::finish_new() const {
-    if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;   // refuses a folder with something in it
+    if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;  // refuses a folder with something in it
     const int error = errno;
     const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
-    throw DataError(is_taken ? fmt::format("{}: found it there by now, expected a name that is free", wanted_.string())
-                             : fmt::format("{}: renaming what was written: {}", wanted_.string(), std::generic_category().message(error)));
+    throw DataError(
+        is_taken ? fmt::format("{}: found it there by now, expected a name that is free", wanted_.string())
+                 : fmt::format("{}: renaming what was written: {}", wanted_.string(),
+                               std::generic_category().message(error)));
 }
 
 void StagedFolder::finish() const {
 #ifdef RENAME_EXCHANGE
-    if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;   // the old one goes with this
+    // the old one goes with this
+    if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
     const fs::path old = path_.string() + "-old";
     std::error_code failed, ignored;
     if (fs::exists(fs::symlink_status(wanted_, ignored))) fs::rename(wanted_, old, failed);
     if (!failed) fs::rename(path_, wanted_, failed);
     if (failed) fs::rename(old, wanted_, ignored);
-    if (failed) throw DataError(fmt::format("{}: renaming what was written: {}", wanted_.string(), failed.message()));
+    if (failed)
+        throw DataError(fmt::format("{}: renaming what was written: {}", wanted_.string(), failed.message()));
     fs::remove_all(old, ignored);
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records of a TFRecord file. CRC-32C: reflected polynomial 0x82F63B78, start and end inverted.
+// Records of a TFRecord file. CRC-32C: reflected polynomial 0x82F63B78, start and end
+// inverted.
 #include "base/codecs/tfrecord.hpp"
 
 #include <array>
@@ -54,19 +55,23 @@ TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
         std::array<char, kHeader> header{};
         in.seekg(std::streamoff(at));
         if (left < kHeader || !in.read(header.data(), kHeader))
-            throw DataError(fmt::format("{}: truncated: {} bytes of its header, expected {}", where, left, kHeader));
+            throw DataError(
+                fmt::format("{}: truncated: {} bytes of its header, expected {}", where, left, kHeader));
         if (number_at<std::uint32_t>(&header[8]) != masked_crc32c({header.data(), 8}))
             throw DataError(fmt::format("{}: the CRC of its length is wrong, expected a TFRecord", where));
         const auto size = number_at<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
-            throw DataError(fmt::format("{}: truncated: a length of {} bytes with {} left in the file, expected {} more after the data",
-                                        where, size, left, kFooter));
+            throw DataError(
+                fmt::format("{}: truncated: a length of {} bytes with {} left in the file, expected {} more "
+                            "after the data",
+                            where, size, left, kFooter));
         records_.push_back({at + kHeader, size});
         at += kHeader + size + kFooter;
         left -= size + kFooter;
     }
-    if (records_.empty()) throw DataError(fmt::format("{}: empty, expected records of a TFRecord", file_.string()));
+    if (records_.empty())
+        throw DataError(fmt::format("{}: empty, expected records of a TFRecord", file_.string()));
 }
 
 std::string TfRecords::read(std::size_t record) const {
@@ -75,10 +80,12 @@ std::string TfRecords::read(std::size_t record) const {
     std::ifstream in(file_, std::ios::binary);
     in.seekg(std::streamoff(place.begin));
     if (!in.read(data.data(), std::streamsize(data.size())))
-        throw DataError(fmt::format("{}: record {}: {} bytes cannot be read", file_.string(), record, data.size()));
+        throw DataError(
+            fmt::format("{}: record {}: {} bytes cannot be read", file_.string(), record, data.size()));
     const auto crc = number_at<std::uint32_t>(&data[place.size]);
     data.resize(place.size);
-    if (crc != masked_crc32c(data)) throw DataError(fmt::format("{}: record {}: the CRC of its data is wrong", file_.string(), record));
+    if (crc != masked_crc32c(data))
+        throw DataError(fmt::format("{}: record {}: the CRC of its data is wrong", file_.string(), record));
     return data;
 }
 

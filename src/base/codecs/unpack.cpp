@@ -11,7 +11,8 @@ namespace relidar {
 
 void unpack_lz4(std::string_view from, std::string& to) {
     LZ4F_dctx* context = nullptr;
-    if (LZ4F_isError(LZ4F_createDecompressionContext(&context, LZ4F_VERSION))) throw DataError("lz4 cannot begin");
+    if (LZ4F_isError(LZ4F_createDecompressionContext(&context, LZ4F_VERSION)))
+        throw DataError("lz4 cannot begin");
     std::size_t read = 0, written = 0, left = 1;
     while (left != 0) {
         std::size_t n_to = to.size() - written, n_from = from.size() - read;
@@ -20,12 +21,14 @@ void unpack_lz4(std::string_view from, std::string& to) {
         if (LZ4F_isError(left) || (n_to == 0 && n_from == 0)) break;
     }
     LZ4F_freeDecompressionContext(context);
-    if (left != 0 || written != to.size()) throw DataError(fmt::format("a damaged lz4 frame: {} of {} bytes", written, to.size()));
+    if (left != 0 || written != to.size())
+        throw DataError(fmt::format("a damaged lz4 frame: {} of {} bytes", written, to.size()));
 }
 
 void unpack_zstd(std::string_view from, std::string& to) {
     const std::size_t n = ZSTD_decompress(to.data(), to.size(), from.data(), from.size());
-    if (ZSTD_isError(n) || n != to.size()) throw DataError(fmt::format("damaged zstd data, expected {} bytes", to.size()));
+    if (ZSTD_isError(n) || n != to.size())
+        throw DataError(fmt::format("damaged zstd data, expected {} bytes", to.size()));
 }
 
 }  // namespace relidar

@@ -7,7 +7,8 @@
 
 namespace relidar {
 
-/// Fills `to`, as long as the file says, from one lz4 frame. @throws DataError where the frame is damaged or of another size
+/// Fills `to`, as long as the file says, from one lz4 frame. @throws DataError where the
+/// frame is damaged or of another size
 void unpack_lz4(std::string_view from, std::string& to);
 /// The same from one zstd frame.
 void unpack_zstd(std::string_view from, std::string& to);

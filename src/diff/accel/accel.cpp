@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One face over the driver's structures and the software tree, and when either is built anew instead of refitted.
+// One face over the driver's structures and the software tree, and when either is built
+// anew instead of refitted.
 #include <relidar/diff/accel.hpp>
 
 #include "diff/accel/bvh.hpp"
@@ -17,21 +18,24 @@ Proxy resolve(Proxy proxy, const Device& device) {
 struct Accel::Impl {
     AccelOptions options;
     Proxy proxy;
-    std::unique_ptr<HardwareAccel> hardware;   ///< one of the two
+    std::unique_ptr<HardwareAccel> hardware;  ///< one of the two
     std::unique_ptr<Bvh> software;
     bool built = false;
-    bool outgrown = false;          ///< seen by check_growth()
-    int refits = 0;                 ///< since the last build
-    bool measured = false;          ///< a cost was recorded since the last build
-    double cost_when_built = 0.0;   ///< 0 = not looked at since
+    bool outgrown = false;         ///< seen by check_growth()
+    int refits = 0;                ///< since the last build
+    bool measured = false;         ///< a cost was recorded since the last build
+    double cost_when_built = 0.0;  ///< 0 = not looked at since
     std::uint64_t n_updates = 0;
 
-    Impl(Device& device, const DeviceScene& scene, const AccelOptions& o) : options(o), proxy(resolve(o.proxy, device)) {
+    Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
+        : options(o), proxy(resolve(o.proxy, device)) {
         if (device.traversal() == Traversal::software) software = std::make_unique<Bvh>(device, scene);
         else hardware = std::make_unique<HardwareAccel>(device, scene, proxy);
     }
 
-    bool due() const { return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every); }
+    bool due() const {
+        return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every);
+    }
     void build(Stream& stream, const DeviceScene& scene) {
         if (hardware) hardware->record(stream, scene, options, {{0, scene.size()}}, false);
         else software->build(stream, scene, options);
@@ -48,7 +52,8 @@ std::vector<SurfelRange> those_that_bend(const std::vector<Model>& models) {
     std::vector<SurfelRange> ranges;
     for (const Model& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
-        if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first) ranges.back().count += model.count;
+        if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first)
+            ranges.back().count += model.count;
         else ranges.push_back({model.first, model.count});
     }
     return ranges;
@@ -80,7 +85,8 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
 void Accel::bend(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update(stream, scene);
-    a.refit(stream, scene, those_that_bend(scene.layout().models));   // gaits come back to where they were: a tree does not degrade
+    // gaits come back to where they were: a tree does not degrade
+    a.refit(stream, scene, those_that_bend(scene.layout().models));
     ++a.n_updates;
 }
 
@@ -111,6 +117,8 @@ Proxy Accel::proxy() const { return impl_->proxy; }
 std::uint64_t Accel::updates() const { return impl_->n_updates; }
 const Accel::Impl& impl_of(const Accel& accel) { return *accel.impl_; }
 int Accel::refits_since_build() const { return impl_->refits; }
-std::uint64_t Accel::memory_bytes() const { return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes(); }
+std::uint64_t Accel::memory_bytes() const {
+    return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes();
+}
 
 }  // namespace relidar

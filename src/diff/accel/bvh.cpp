@@ -11,10 +11,10 @@
 
 #include <relidar/base/error.hpp>
 
-#include "gpu/radix_sort.hpp"
-#include "gpu/stream.hpp"
 #include "diff/shared/accel.h"
 #include "diff/shared/bvh_build.h"
+#include "gpu/radix_sort.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -23,23 +23,26 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};   // kernels that share memory
+constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};  // kernels that share memory
 
-// There is room for more nodes than there are. A CPU's threads each take a stretch of a launch: few threads, each of which takes nodes
-// from everywhere, give them a like share.
+// There is room for more nodes than there are. A CPU's threads each take a stretch of a
+// launch: few threads, each of which takes nodes from everywhere, give them a like share.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
-/// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at a multiple of 16 bytes.
+/// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at
+/// a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
 
 std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
 std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
-/// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels need of them
+/// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels
+/// need of them
 std::uint32_t subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
-        throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}", info.name, info.why_not_software));
+        throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}",
+                                      info.name, info.why_not_software));
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
@@ -64,10 +67,11 @@ std::uint32_t top_nodes(std::uint32_t n) {
 /// Those without surfels too, which begin nowhere.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// The scratch, in words times the number of surfels, padded. Keys, boxes and costs are needed no more when the collapse begins; it puts
-/// its own there.
-constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5, kBoxesAt = 7, kCostsAt = 13,
-                        kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22, kScratchWords = 23;
+/// The scratch, in words times the number of surfels, padded. Keys, boxes and costs are
+/// needed no more when the collapse begins; it puts its own there.
+constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
+                        kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
+                        kScratchWords = 23;
 constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
 
 struct Bvh::Impl {
@@ -81,25 +85,25 @@ struct Bvh::Impl {
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
-    Array<std::uint32_t, shared::InstanceModels> model_of;   ///< [n_instances]
-    Array<float, shared::SurfelBoxes> boxes;                 ///< [n,6]
-    Array<std::uint32_t, shared::ModelBounds> bounds;        ///< [n_models,6]
-    Array<std::uint32_t> scratch;                            ///< binary trees, and the keys being sorted
-    Array<std::uint32_t, shared::BinaryRoots> queue;         ///< [bound] binary nodes that become wide
-    Array<std::uint32_t, shared::LevelSizes> level_sizes;    ///< of the queue
+    Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances]
+    Array<float, shared::SurfelBoxes> boxes;                ///< [n,6]
+    Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6]
+    Array<std::uint32_t> scratch;                           ///< binary trees, and the keys being sorted
+    Array<std::uint32_t, shared::BinaryRoots> queue;        ///< [bound] binary nodes that become wide
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;   ///< of the queue
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
-    Array<shared::BvhNode> nodes;                            ///< [bound]
-    Array<std::uint32_t, shared::LeafOrder> order;           ///< [n]
-    Array<glm::uvec2, shared::WideLinks> links;              ///< [bound]
-    Array<float, shared::WideBoxes> node_boxes;              ///< [bound,6]
-    Array<std::uint32_t, shared::Arrivals> arrivals;         ///< [bound]
-    Array<std::uint32_t, shared::WideCount> count;           ///< [1]
-    Array<std::uint32_t, shared::InstanceRoots> roots;       ///< [n_instances]
-    Array<std::uint32_t, shared::TopOrder> top_order;        ///< [n_instances]
+    Array<shared::BvhNode> nodes;                       ///< [bound]
+    Array<std::uint32_t, shared::LeafOrder> order;      ///< [n]
+    Array<glm::uvec2, shared::WideLinks> links;         ///< [bound]
+    Array<float, shared::WideBoxes> node_boxes;         ///< [bound,6]
+    Array<std::uint32_t, shared::Arrivals> arrivals;    ///< [bound]
+    Array<std::uint32_t, shared::WideCount> count;      ///< [1]
+    Array<std::uint32_t, shared::InstanceRoots> roots;  ///< [n_instances]
+    Array<std::uint32_t, shared::TopOrder> top_order;   ///< [n_instances]
     Array<shared::BvhNode> top_node_array;
     Array<float, shared::InstanceBoxes> top_boxes;
     Array<glm::uvec2> top_keys;
-    Array<float, shared::CostSums> cost_sums;                ///< of workgroups
+    Array<float, shared::CostSums> cost_sums;  ///< of workgroups
     Readback costs;
 
     Impl(Device& device, const DeviceScene& scene);
@@ -109,15 +113,18 @@ struct Bvh::Impl {
     Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
         return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
     }
-    /// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs of the binary nodes.
+    /// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs
+    /// of the binary nodes.
     std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
     void collapse(Stream& stream, const DeviceScene& scene);
     std::uint32_t key_bits() const {
-        return 3 * RELIDAR_BVH_MORTON_BITS + static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
+        return 3 * RELIDAR_BVH_MORTON_BITS +
+               static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
     }
-    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
+    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                    const SurfelRange& range);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
     /// @param first,last  surfels that the models which are fitted begin with
     void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
@@ -128,8 +135,11 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
       bound(node_bound(n, n_models)),
-      n_refitting(coalesces(d) ? RELIDAR_BVH_WIDTH * bound : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
-      proxies(d, "diff/accel/proxies", {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
+      n_refitting(coalesces(d) ? RELIDAR_BVH_WIDTH * bound
+                               : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
+      proxies(
+          d, "diff/accel/proxies",
+          {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
       bounds_kernel(d, "diff/accel/bvh_bounds", {kShares}, Subgroups::full),
       keys_kernel(d, "diff/accel/bvh_keys"),
       sort(d, n, 2),
@@ -146,7 +156,9 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       model_of(d, std::span<const std::uint32_t>(model_of_instances(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
-      scratch(d, std::max(kScratchWords * std::size_t(padded(n)), kSlotsAt * std::size_t(padded(n)) + 8 * std::size_t(bound)),
+      scratch(d,
+              std::max(kScratchWords * std::size_t(padded(n)),
+                       kSlotsAt * std::size_t(padded(n)) + 8 * std::size_t(bound)),
               "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
       level_sizes(d, levels() + 1, "collapse levels"),
@@ -165,7 +177,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, groups_of(bound), "cost sums"),
       costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
 
-/// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this bound is not deeper than 4 levels less.
+/// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this
+/// bound is not deeper than 4 levels less.
 std::uint32_t Bvh::Impl::levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -194,7 +207,8 @@ SortSet Bvh::Impl::sort_set(int set) const {
             .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
-void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                           const SurfelRange& range) {
     run(stream, proxies, range.count,
         {.records = scene.records().address(),
          .vertices = {},
@@ -209,9 +223,14 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
 
 SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
-    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup, 
-        {.boxes = boxes.address(), .models = scene.models().address(), .bounds = bounds.address(), .n_surfels = n, .n_models = n_models});
-    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);   // so that the result is set 0
+    run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup,
+        {.boxes = boxes.address(),
+         .models = scene.models().address(),
+         .bounds = bounds.address(),
+         .n_surfels = n,
+         .n_models = n_models});
+    // so that the result is set 0
+    const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),
          .models = scene.models().address(),
@@ -254,15 +273,21 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
 
 void Bvh::Impl::fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last) {
     run(stream, refit_kernel, n_refitting,
-        {.wide = wide(), .boxes = boxes.address(), .bound = bound, .first_surfel = first, .last_surfel = last});
+        {.wide = wide(),
+         .boxes = boxes.address(),
+         .bound = bound,
+         .first_surfel = first,
+         .last_surfel = last});
 }
 
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
     impl_ = std::make_unique<Impl>(device, scene);
     Stream stream(device);
-    for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()}) stream.fill(*zero);
+    for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()})
+        stream.fill(*zero);
     // as models without surfels keep them
-    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()}) stream.fill(*none, RELIDAR_BVH_NO_NODE);
+    for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()})
+        stream.fill(*none, RELIDAR_BVH_NO_NODE);
     stream.finish();
 }
 
@@ -288,7 +313,8 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     move(stream, scene);
 }
 
-void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges) {
+void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                const std::vector<SurfelRange>& ranges) {
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
         impl_->make_boxes(stream, scene, options, {first, count});
@@ -323,10 +349,12 @@ shared::BvhPointers Bvh::pointers() const {
 std::uint64_t Bvh::memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer : {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(),
-                                 &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(), &b.links.buffer(),
-                                 &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(), &b.top_order.buffer(),
-                                 &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(), &b.cost_sums.buffer()})
+    for (const Buffer* buffer :
+         {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(),
+          &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(), &b.links.buffer(),
+          &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(),
+          &b.top_order.buffer(), &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(),
+          &b.cost_sums.buffer()})
         bytes += buffer->size_bytes();
     return bytes;
 }
@@ -341,7 +369,8 @@ BvhOnHost Bvh::download() const {
 
 void Bvh::record_cost(Stream& stream) {
     Impl& b = *impl_;
-    run(stream, b.cost_kernel, b.bound, {.wide = b.wide(), .boxes = b.boxes.address(), .partial = b.cost_sums.address(), .bound = b.bound});
+    run(stream, b.cost_kernel, b.bound,
+        {.wide = b.wide(), .boxes = b.boxes.address(), .partial = b.cost_sums.address(), .bound = b.bound});
     b.costs.record(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bottom levels (one a model) and the top level (one instance a placed model), built and refitted by the driver.
+// Bottom levels (one a model) and the top level (one instance a placed model), built and
+// refitted by the driver.
 #include "diff/accel/hardware.hpp"
 
 #include <algorithm>
@@ -10,8 +11,8 @@
 
 #include <relidar/base/error.hpp>
 
-#include "gpu/stream.hpp"
 #include "diff/shared/accel.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -24,19 +25,24 @@ struct Structure {
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what) : device(&impl_of(owner)) {
+    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size, const std::string& what)
+        : device(&impl_of(owner)) {
         storage = std::make_unique<Buffer>(owner, size, what);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
         info.buffer = impl_of(*storage).handle;
         info.size = size;
         info.type = type;
-        gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle), "vkCreateAccelerationStructureKHR");
-        VkAccelerationStructureDeviceAddressInfoKHR query{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
+        gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
+                   "vkCreateAccelerationStructureKHR");
+        VkAccelerationStructureDeviceAddressInfoKHR query{
+            VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
         query.accelerationStructure = handle;
         address = vkGetAccelerationStructureDeviceAddressKHR(device->device, &query);
     }
-    ~Structure() { if (handle) vkDestroyAccelerationStructureKHR(device->device, handle, nullptr); }
+    ~Structure() {
+        if (handle) vkDestroyAccelerationStructureKHR(device->device, handle, nullptr);
+    }
     Structure(const Structure&) = delete;
     Structure& operator=(const Structure&) = delete;
 };
@@ -44,7 +50,8 @@ struct Structure {
 /// What one build reads, kept together because Vulkan wants pointers between the pieces.
 struct BuildInput {
     VkAccelerationStructureGeometryKHR geometry{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_KHR};
-    VkAccelerationStructureBuildGeometryInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
+    VkAccelerationStructureBuildGeometryInfoKHR info{
+        VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
     /// @param n primitives or instances
@@ -52,20 +59,24 @@ struct BuildInput {
         range.primitiveCount = n;
         info.geometryCount = 1;
         info.pGeometries = &geometry;
-        VkAccelerationStructureBuildSizesInfoKHR result{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_SIZES_INFO_KHR};
-        vkGetAccelerationStructureBuildSizesKHR(device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &n, &result);
+        VkAccelerationStructureBuildSizesInfoKHR result{
+            VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_SIZES_INFO_KHR};
+        vkGetAccelerationStructureBuildSizesKHR(
+            device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &n, &result);
         return result;
     }
 
     void prepare(const Structure& target, bool update, std::uint64_t scratch) {
-        info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
+        info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR
+                           : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
         info.srcAccelerationStructure = update ? target.handle : VK_NULL_HANDLE;
         info.dstAccelerationStructure = target.handle;
         info.scratchData.deviceAddress = scratch;
     }
 };
 
-/// One command for all of them, so that they are built at the same time. Takes the inputs as they are now.
+/// One command for all of them, so that they are built at the same time. Takes the inputs
+/// as they are now.
 void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
     stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
@@ -75,21 +86,23 @@ void record_builds(Stream::Impl& stream, const std::string& name, std::vector<Bu
             infos.back().pGeometries = &input.geometry;
             ranges.push_back(&input.range);
         }
-        vkCmdBuildAccelerationStructuresKHR(commands, static_cast<std::uint32_t>(infos.size()), infos.data(), ranges.data());
+        vkCmdBuildAccelerationStructuresKHR(commands, static_cast<std::uint32_t>(infos.size()), infos.data(),
+                                            ranges.data());
     });
 }
 
 /// Triangles over the corners that diff/accel/proxies writes.
 struct Mesh {
     std::uint32_t n_corners;
-    std::vector<std::uint32_t> corners;   ///< [triangles,3]
+    std::vector<std::uint32_t> corners;  ///< [triangles,3]
 
     std::uint32_t n_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
 };
 
 const Mesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
-const Mesh kIcosahedron{12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
-                             2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
+const Mesh kIcosahedron{
+    12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
+         2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
 /// Vertex indices of n meshes one behind the other.
 std::vector<std::uint32_t> triangle_indices(const Mesh& mesh, std::uint32_t n) {
@@ -106,17 +119,17 @@ struct HardwareAccel::Impl {
     Proxy proxy;
     const Mesh& mesh;
     Kernel<shared::ProxyParams> proxies;
-    Array<float> geometry;            ///< vertices [n,corners,3] or boxes [n,6]
-    Array<std::uint32_t> reach;       ///< [1] of icosahedra
-    Array<std::uint32_t> indices;     ///< of the largest model; shared by all, each with its own first vertex
-    std::vector<std::unique_ptr<Structure>> blas;   ///< one a model, null where it has no surfels
+    Array<float> geometry;         ///< vertices [n,corners,3] or boxes [n,6]
+    Array<std::uint32_t> reach;    ///< [1] of icosahedra
+    Array<std::uint32_t> indices;  ///< of the largest model; shared by all, each with its own first vertex
+    std::vector<std::unique_ptr<Structure>> blas;  ///< one a model, null where it has no surfels
     std::vector<BuildInput> blas_input;
-    std::vector<std::uint64_t> blas_scratch;        ///< offset of each: they are built at the same time
+    std::vector<std::uint64_t> blas_scratch;  ///< offset of each: they are built at the same time
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
-    Array<std::uint32_t, shared::ModelRadii> radii;   ///< [models]
-    Array<shared::MovingInstance> moving;             ///< [instances] room for all
+    Array<std::uint32_t, shared::ModelRadii> radii;  ///< [models]
+    Array<shared::MovingInstance> moving;            ///< [instances] room for all
     std::uint32_t n_moving = 0;
     Buffer scratch;
     std::uint64_t scratch_address = 0;
@@ -125,21 +138,27 @@ struct HardwareAccel::Impl {
         : proxy(p),
           mesh(kind_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
           proxies(device, "diff/accel/proxies",
-                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
-          model_radii(device, "diff/accel/model_radii", {{ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
+                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
+                   {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
+          model_radii(device, "diff/accel/model_radii",
+                      {{ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
           radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
           moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
-        if (&mesh == &kIcosahedron && proxy == Proxy::triangles) reach = Array<std::uint32_t>(device, 1, "reach of proxies");
+        if (&mesh == &kIcosahedron && proxy == Proxy::triangles)
+            reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
     void describe_model(const Model& model);
-    void make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
-    void measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range);
+    void make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                      const SurfelRange& range);
+    void measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                       const SurfelRange& range);
     void write_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all);
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Geometry of one bottom level: the model's slice of the proxy array. No opaque flag: every candidate must be offered.
+/// Geometry of one bottom level: the model's slice of the proxy array. No opaque flag:
+/// every candidate must be offered.
 void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
@@ -154,14 +173,16 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
         t = {};
         t.sType = VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_TRIANGLES_DATA_KHR;
         t.vertexFormat = VK_FORMAT_R32G32B32_SFLOAT;
-        t.vertexData.deviceAddress = impl_of(geometry.buffer()).address + 12ull * mesh.n_corners * model.first;
+        t.vertexData.deviceAddress =
+            impl_of(geometry.buffer()).address + 12ull * mesh.n_corners * model.first;
         t.vertexStride = 12;
         t.maxVertex = mesh.n_corners * std::max(model.count, 1u) - 1;
         t.indexType = VK_INDEX_TYPE_UINT32;
         t.indexData.deviceAddress = impl_of(indices.buffer()).address;
     }
     input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR;
-    input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR | VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
+    input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR |
+                       VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
 void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all) {
@@ -169,7 +190,8 @@ void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<s
     if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
 }
 
-/// Writes the instances of models that have surfels into memory of the stream. @return their device address
+/// Writes the instances of models that have surfels into memory of the stream. @return
+/// their device address
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
@@ -202,9 +224,11 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
     for (const Model& model : layout.models) largest = std::max(largest, model.count);
-    a.geometry = Array<float>(device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
+    a.geometry = Array<float>(
+        device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
     if (a.proxy == Proxy::triangles)
-        a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
+        a.indices = Array<std::uint32_t>(
+            device, std::span<const std::uint32_t>(triangle_indices(a.mesh, largest)), "proxy indices");
 
     const std::uint64_t alignment = impl_of(device).scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
@@ -219,8 +243,10 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
         }
         const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(impl_of(device), n);
         a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR,
-                                                     sizes.accelerationStructureSize, "bottom level of " + model.name));
-        scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) / alignment * alignment;
+                                                     sizes.accelerationStructureSize,
+                                                     "bottom level of " + model.name));
+        scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) /
+                         alignment * alignment;
     }
 
     a.tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
@@ -228,10 +254,10 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes =
-        a.tlas_input.sizes(impl_of(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
-    a.tlas =
-        std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR, sizes.accelerationStructureSize, "top level");
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(
+        impl_of(device), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+    a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
+                                         sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
     a.scratch_address = (impl_of(a.scratch).address + alignment - 1) / alignment * alignment;
@@ -239,7 +265,8 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
 
 HardwareAccel::~HardwareAccel() = default;
 
-void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                                       const SurfelRange& range) {
     run(stream, proxies, range.count,
         {.records = scene.records().address(),
          .vertices = geometry.address_as<float, shared::ProxyVertices>(),
@@ -252,7 +279,8 @@ void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene,
          .n_surfels = range.count});
 }
 
-void HardwareAccel::Impl::measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const SurfelRange& range) {
+void HardwareAccel::Impl::measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                                        const SurfelRange& range) {
     run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
         {.records = scene.records().address(),
          .models = scene.models().address(),
@@ -265,23 +293,26 @@ void HardwareAccel::Impl::measure_radii(Stream& stream, const DeviceScene& scene
          .n_surfels = range.count});
 }
 
-void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges,
-                           bool refit) {
+void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                           const std::vector<SurfelRange>& ranges, bool refit) {
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    if (a.reach.size() && n == scene.size()) stream.fill(a.reach);   // else that of the others is in it
+    if (a.reach.size() && n == scene.size()) stream.fill(a.reach);  // else that of the others is in it
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
-    if (n == scene.size()) stream.fill(a.radii);   // else the radii of the other models stay
+    if (n == scene.size()) stream.fill(a.radii);  // else the radii of the other models stay
     for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
-        const auto is_in = [&](const SurfelRange& range) { return range.holds(scene.layout().models[i].first); };
+        const auto is_in = [&](const SurfelRange& range) {
+            return range.holds(scene.layout().models[i].first);
+        };
         if (!a.blas[i] || std::ranges::none_of(ranges, is_in)) continue;
         a.blas_input[i].prepare(*a.blas[i], refit, a.scratch_address + a.blas_scratch[i]);
         inputs.push_back(a.blas_input[i]);
     }
-    if (!inputs.empty()) record_builds(impl_of(stream), refit ? "accel/refit" : "accel/build", std::move(inputs));
+    if (!inputs.empty())
+        record_builds(impl_of(stream), refit ? "accel/refit" : "accel/build", std::move(inputs));
     move(stream, scene);
 }
 
@@ -296,15 +327,16 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 void HardwareAccel::fill(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();   // of bits that grow as the float does
+    // of bits that grow as the float does
+    addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
-    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();   // likewise
+    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // likewise
     addresses.n_moving = a.n_moving;
 }
 
 std::uint64_t HardwareAccel::memory_bytes() const {
-    std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() + impl_->scratch.size_bytes() +
-                          impl_->tlas->storage->size_bytes();
+    std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() +
+                          impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();
     for (const auto& structure : impl_->blas)
         if (structure) bytes += structure->storage->size_bytes();
     return bytes;

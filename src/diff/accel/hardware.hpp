@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The driver's acceleration structures over proxies (M3): what ray query searches. One bottom level a model, one instance a placed
-// model. Needs a device opened for ray query.
+// The driver's acceleration structures over proxies (M3): what ray query searches. One
+// bottom level a model, one instance a placed model. Needs a device opened for ray query.
 #pragma once
 
 #include <cstdint>
@@ -19,9 +19,11 @@ public:
     HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
     ~HardwareAccel();
 
-    /// Records proxies, a build or refit of bottom levels, and the top level. A refit needs a build before.
+    /// Records proxies, a build or refit of bottom levels, and the top level. A refit
+    /// needs a build before.
     /// @param ranges  the models of which: the surfels of others have not changed
-    void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options, const std::vector<SurfelRange>& ranges, bool refit);
+    void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                const std::vector<SurfelRange>& ranges, bool refit);
     /// Records the top level alone.
     void move(Stream& stream, const DeviceScene& scene);
 

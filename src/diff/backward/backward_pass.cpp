@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/backward/trace: second cast, sums of its hits, then the chain rule once a surfel (Eq. 9, M7, M8).
+// Binding of diff/backward/trace: second cast, sums of its hits, then the chain rule once
+// a surfel (Eq. 9, M7, M8).
 #include <relidar/diff/backward.hpp>
 
 #include <fmt/format.h>
@@ -7,26 +8,30 @@
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
 
+#include "base/assert.hpp"
 #include "diff/backward/hit_gather.hpp"
 #include "diff/backward/pose_gradients.hpp"
-#include "base/assert.hpp"
-#include "gpu/stream.hpp"
 #include "diff/traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
-/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them; with 16 they are about equal, and need no memory. A
-/// device without float atomics has compare-and-swap loops instead, which wait for each other where many rays meet one surfel.
+/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them;
+/// with 16 they are about equal, and need no memory. A device without float atomics has
+/// compare-and-swap loops instead, which wait for each other where many rays meet one
+/// surfel.
 bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
     if (reduction != Reduction::automatic) return reduction == Reduction::gather;
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// An atomic instruction of a GPU costs by the cache sectors it touches, one of a CPU by the lane: docs/performance.md. Lanes exchange
-/// their hits in loops that they leave at different times, which is right by the specification only where they are said to reconverge.
+/// An atomic instruction of a GPU costs by the cache sectors it touches, one of a CPU by
+/// the lane: docs/performance.md. Lanes exchange their hits in loops that they leave at
+/// different times, which is right by the specification only where they are said to
+/// reconverge.
 bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
     return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
 }
@@ -38,22 +43,27 @@ struct BackwardPass::Impl {
     TraceOptions options;
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
-    std::unique_ptr<HitGather> gather;   ///< null: atomics
-    Array<std::uint32_t, shared::PassCapCount> pass_cap;   ///< the forward pass reports; here it only must not be null
+    std::unique_ptr<HitGather> gather;  ///< null: atomics
+    /// the forward pass reports; here it only must not be null
+    Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
-    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& options,
-                                           const BackwardOptions& backward) {
+    static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy,
+                                           const TraceOptions& options, const BackwardOptions& backward) {
         std::vector<Constant> all = trace_constants(device, proxy, options, m);
         const bool gathered = gathers(device, backward.reduction, m.sh_direction);
         all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = exchanges_rows(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // a subgroup each: lavapipe takes a barrier of a subgroup for one of the workgroup
-        if (exchanged) all.push_back({ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});
+        // a subgroup each: lavapipe takes a barrier of a subgroup for one of the
+        // workgroup
+        if (exchanged)
+            all.push_back(
+                {ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});
         return all;
     }
 
-    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o, const BackwardOptions& backward)
+    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o,
+         const BackwardOptions& backward)
         : model(m),
           options(o),
           trace(device, "diff/backward/trace", accumulating_variant(device, traversal_variant(device)),
@@ -68,14 +78,17 @@ struct BackwardPass::Impl {
 BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
                            const BackwardOptions& backward) {
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
-        throw UsageError(fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}", backward.hits_per_ray,
-                                     kMostHitsPerRay));
+        throw UsageError(
+            fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}",
+                        backward.hits_per_ray, kMostHitsPerRay));
     impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
 }
 
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
-const Array<std::uint32_t>* BackwardPass::most_hits() const { return impl_->gather ? &impl_->gather->most_hits() : nullptr; }
+const Array<std::uint32_t>* BackwardPass::most_hits() const {
+    return impl_->gather ? &impl_->gather->most_hits() : nullptr;
+}
 std::uint64_t BackwardPass::hit_capacity() const { return impl_->gather ? impl_->gather->capacity() : 0; }
 
 void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
@@ -84,12 +97,13 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     impl_->gather->reserve(n_hits);
 }
 
-void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch, const glm::vec3& view_origin_m,
-                       Gradients& gradients) {
+void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
+                       const glm::vec3& view_origin_m, Gradients& gradients) {
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
-    const bool wants_poses = gradients.poses.size() > 0, lists = scene.lists_touched() && !gradients.zero_untouched;
+    const bool wants_poses = gradients.poses.size() > 0,
+               lists = scene.lists_touched() && !gradients.zero_untouched;
     shared::BackwardParams params{};
     params.scene = trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
@@ -104,7 +118,8 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         params.n_kept = batch.kept->per_ray;
     }
     if (impl_->options.wants_geometry()) {
-        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.geometry ? batch.geometry->gradient.size() : 0);
+        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays),
+                          batch.geometry ? batch.geometry->gradient.size() : 0);
         params.geometry = batch.geometry->rendered.address();
         params.d_geometry = batch.geometry->gradient.address();
     }

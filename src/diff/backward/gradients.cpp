@@ -4,7 +4,8 @@
 
 namespace relidar {
 
-Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted, std::uint32_t n_rays)
+Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted,
+                     std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.parameters().parameters()),
       records(device, 16 * std::size_t(scene.gradient_rows()), "record gradient"),
       touched(device, scene.size(), "touched surfels") {

@@ -21,18 +21,20 @@ std::vector<Constant> constants(const ImageModel& model, const TraceOptions& opt
 
 }  // namespace
 
-HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray, const TraceOptions& options)
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
+                     const TraceOptions& options)
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
       gather_(device, "diff/backward/gather", accumulating_variant(device), constants(model, options)),
-      heads_kernel_(device, "diff/backward/gather_heads", accumulating_variant(device), constants(model, options)),
+      heads_kernel_(device, "diff/backward/gather_heads", accumulating_variant(device),
+                    constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
 
 void HitGather::reserve(std::uint64_t n_hits) {
-    constexpr std::uint64_t kMost = 1ull << 31;   // slots have 32 bits
+    constexpr std::uint64_t kMost = 1ull << 31;  // slots have 32 bits
     const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();
@@ -42,7 +44,8 @@ void HitGather::reserve(std::uint64_t n_hits) {
         slots_[set] = {device_, capacity, "sorted hits"};
     }
     hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
-    parts_ = {device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1), "sums of hit records"};
+    parts_ = {device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1),
+              "sums of hit records"};
 }
 
 void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
@@ -56,7 +59,8 @@ void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
     const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                              .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                              .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address().as<shared::ScanPrefix>(), n_rays_, n_hits_.address().as<shared::ScanTotal>());
+    prefix_sum_.run(stream, hits, first_hit_.address().as<shared::ScanPrefix>(), n_rays_,
+                    n_hits_.address().as<shared::ScanTotal>());
 }
 
 void HitGather::fill(shared::BackwardParams& params) const {
@@ -68,10 +72,12 @@ void HitGather::fill(shared::BackwardParams& params) const {
 
 void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int i) {
-        return SortSet{.keys = rows_[i].address().as<shared::SortKeys>(), .order = slots_[i].address().as<shared::SortOrder>()};
+        return SortSet{.keys = rows_[i].address().as<shared::SortKeys>(),
+                       .order = slots_[i].address().as<shared::SortOrder>()};
     };
-    const SortSet sorted = sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
-                                      n_hits_.address().as<shared::SortCount>());
+    const SortSet sorted =
+        sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
+                   n_hits_.address().as<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
                                       .hits = hits_.address(),

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/backward/pose_blocks, diff/backward/poses and diff/backward/sensor_pose.
+// Binding of diff/backward/pose_blocks, diff/backward/poses and
+// diff/backward/sensor_pose.
 #include "diff/backward/pose_gradients.hpp"
 
 #include <algorithm>
@@ -10,12 +11,14 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;    // of a workgroup
-constexpr std::uint32_t kBlock = 1024;    // surfels of a workgroup: of a million both halves of the sum take 16 steps a thread, and a tree
+constexpr std::uint32_t kThreads = 64;  // of a workgroup
+// surfels of a workgroup: of a million both halves of the sum take 16 steps a thread, and
+// a tree
+constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {
     std::vector<shared::PoseBlock> blocks;
-    std::vector<std::uint32_t> first;   ///< [instances + 1]
+    std::vector<std::uint32_t> first;  ///< [instances + 1]
 };
 
 BlockTable block_table(const DeviceScene& scene) {
@@ -24,10 +27,12 @@ BlockTable block_table(const DeviceScene& scene) {
     std::vector<bool> viewed(layout.models.size(), false);
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const std::uint32_t model = layout.instances[i].model;
-        const std::uint32_t n = layout.models[model].count, first = layout.models[model].first, first_row = scene.first_gradient_row(i);
+        const std::uint32_t n = layout.models[model].count, first = layout.models[model].first,
+                            first_row = scene.first_gradient_row(i);
         table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
         for (std::uint32_t k = 0; k < n; k += kBlock)
-            table.blocks.push_back({first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
+            table.blocks.push_back(
+                {first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
         viewed[model] = true;
     }
     table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
@@ -49,8 +54,8 @@ PoseGradients::PoseGradients(Device& device)
       poses_(device, "diff/backward/poses", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
       sensor_(device, "diff/backward/sensor_pose") {}
 
-void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model, const glm::vec3& view_origin_m,
-                        Gradients& gradients) {
+void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
+                        const glm::vec3& view_origin_m, Gradients& gradients) {
     const Gradients::PoseSums& sums = *gradients.pose_sums;
     const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()),
                n_blocks = static_cast<std::uint32_t>(sums.blocks.size());

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/densify/observe, classify, spawn, reset_opacity and jitter, and the order of a densification: classify, read the counts
-// back, make room, hand out copies, move every array, give the new surfels their values.
+// Bindings of diff/densify/observe, classify, spawn, reset_opacity and jitter, and the
+// order of a densification: classify, read the counts back, make room, hand out copies,
+// move every array, give the new surfels their values.
 #include <relidar/diff/densify.hpp>
 
 #include <cmath>
@@ -35,8 +36,9 @@ struct Rules {
 /// What each use of random numbers is mixed with.
 enum class Draw : std::uint64_t { classify = 1, phase = 2, noise = 3 };
 
-constexpr double kResetOverAlphaMin = 2.5;   // what is reset stays visible, or it would never learn again
-constexpr double kFaintOpacity = 0.005;      // of 3D Gaussian Splatting as Markov Chain Monte Carlo, a little above its alpha_min
+constexpr double kResetOverAlphaMin = 2.5;  // what is reset stays visible, or it would never learn again
+// of 3D Gaussian Splatting as Markov Chain Monte Carlo, a little above its alpha_min
+constexpr double kFaintOpacity = 0.005;
 
 }  // namespace
 
@@ -48,30 +50,43 @@ struct Densifier::Impl {
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
-    Array<std::uint32_t, shared::DensifyCounters> counters;   ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    Array<std::uint32_t, shared::DensifyCounters> counters;  ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
     Kernel<shared::ObserveParams> observe;
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
     Kernel<shared::ResetOpacityParams> reset_opacity;
     Kernel<shared::JitterParams> jitter;
-    std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();   ///< surfels, once it has been met
+    /// surfels, once it has been met
+    std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();
 
-    Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames, std::uint64_t random_seed)
-        : device(d), options(o), min_opacity(std::max(float(o.min_opacity), alpha_min)),
+    Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames,
+         std::uint64_t random_seed)
+        : device(d),
+          options(o),
+          min_opacity(std::max(float(o.min_opacity), alpha_min)),
           reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
-          faint_opacity(std::max(kFaintOpacity, double(alpha_min))), seed(random_seed),
+          faint_opacity(std::max(kFaintOpacity, double(alpha_min))),
+          seed(random_seed),
           arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.parameters()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
-          observe(d, "diff/densify/observe"), classify(d, "diff/densify/classify"), spawn(d, "diff/densify/spawn"),
-          reset_opacity(d, "diff/densify/reset_opacity"), jitter(d, "diff/densify/jitter") {
-        for (std::size_t model = 0; model < scene.models.size(); ++model) extents_m.push_back(model_extent(scene, model));
+          observe(d, "diff/densify/observe"),
+          classify(d, "diff/densify/classify"),
+          spawn(d, "diff/densify/spawn"),
+          reset_opacity(d, "diff/densify/reset_opacity"),
+          jitter(d, "diff/densify/jitter") {
+        for (std::size_t model = 0; model < scene.models.size(); ++model)
+            extents_m.push_back(model_extent(scene, model));
     }
 
-    std::uint64_t random(Draw draw, int step) const { return hash64(hash64(seed, std::uint64_t(draw)), std::uint64_t(step)); }
+    std::uint64_t random(Draw draw, int step) const {
+        return hash64(hash64(seed, std::uint64_t(draw)), std::uint64_t(step));
+    }
     Rules rules_at(int step) const;
     std::vector<ModelCounts> counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step);
-    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why);
-    DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes);
+    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes,
+                            std::string& why);
+    DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step,
+                        double others_bytes);
 };
 
 Rules Densifier::Impl::rules_at(int step) const {
@@ -82,7 +97,8 @@ Rules Densifier::Impl::rules_at(int step) const {
     return rules;
 }
 
-std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step) {
+std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules,
+                                                 int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
@@ -107,20 +123,25 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
     stream.finish();
     const std::vector<std::uint32_t> values = counters.download();
     std::vector<ModelCounts> result(extents.size());
-    for (std::size_t i = 0; i < values.size(); ++i) result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
+    for (std::size_t i = 0; i < values.size(); ++i)
+        result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
     return result;
 }
 
-/// @return the largest size tried, at most `wanted`, for which there is memory; the arrays then have room for it
-std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted, double others_bytes, std::string& why) {
+/// @return the largest size tried, at most `wanted`, for which there is memory; the
+/// arrays then have room for it
+std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted,
+                                         double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);   // parameters, moments and records
+    // parameters, moments and records
+    const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);
     const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
-        why = missing_memory(device, others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        why = missing_memory(device,
+                             others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
         if (!why.empty() || !grows) return why.empty();
         try {
             const std::uint32_t n = static_cast<std::uint32_t>(capacity);
@@ -133,20 +154,26 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
         }
         return why.empty();
     };
-    for (std::uint32_t growth = wanted > before ? wanted - before : 0; growth > 0; growth = growth >= 16 ? growth / 2 : 0) {
+    for (std::uint32_t growth = wanted > before ? wanted - before : 0; growth > 0;
+         growth = growth >= 16 ? growth / 2 : 0) {
         const std::uint32_t target = before + growth;
         const double generous =
-            std::min(1.5 * double(arrays.capacity()), double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
+            std::min(1.5 * double(arrays.capacity()),
+                     double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
         const bool there = target <= arrays.capacity();
-        if (fits(target, there ? target : std::max(double(target), generous)) || (!there && fits(target, target))) return target;
+        if (fits(target, there ? target : std::max(double(target), generous)) ||
+            (!there && fits(target, target)))
+            return target;
     }
     return std::min(wanted, before);
 }
 
-DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step, double others_bytes) {
+DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules,
+                                     int step, double others_bytes) {
     const std::uint32_t before = scene.size();
     const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
-    GrowthPlan plan = limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
+    GrowthPlan plan =
+        limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
     std::string why;
     const std::uint32_t room = make_room(scene, adam, plan.size(), others_bytes, why);
     std::string note;
@@ -180,10 +207,11 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     return report;
 }
 
-Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min, std::uint32_t n_frames,
-                     std::uint64_t seed)
-    : impl_(options.strategy == DensifyStrategy::none ? nullptr
-                                                      : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
+Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min,
+                     std::uint32_t n_frames, std::uint64_t seed)
+    : impl_(options.strategy == DensifyStrategy::none
+                ? nullptr
+                : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
 Densifier::~Densifier() = default;
 bool Densifier::is_active() const { return impl_ != nullptr; }
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
@@ -196,15 +224,15 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
     RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
     relidar::run(stream, impl_->observe, scene.size(),
-        {.d_mean = batch.gradients->mean.address(),
-         .touched = batch.touched->address(),
-         .gradient_sum = s.gradient_sum.address(),
-         .n_seen = s.n_seen.address(),
-         .frames = s.frames.address(),
-         .n_surfels = scene.size(),
-         .n_words = s.n_words,
-         .frame = batch.frame,
-         .whole_frame = batch.whole_frame ? 1u : 0u});
+                 {.d_mean = batch.gradients->mean.address(),
+                  .touched = batch.touched->address(),
+                  .gradient_sum = s.gradient_sum.address(),
+                  .n_seen = s.n_seen.address(),
+                  .frames = s.frames.address(),
+                  .n_surfels = scene.size(),
+                  .n_words = s.n_words,
+                  .frame = batch.frame,
+                  .whole_frame = batch.whole_frame ? 1u : 0u});
 }
 
 bool Densifier::due(int step) const {
@@ -227,7 +255,8 @@ void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int s
                       .faint_opacity = static_cast<float>(impl_->faint_opacity),
                       .n_surfels = scene.size(),
                       .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
-    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0)
+    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until ||
+        step % o.opacity_reset_every != 0)
         return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
                  {.opacity_logit = scene.parameters().opacity_logit.address(),

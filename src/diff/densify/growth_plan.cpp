@@ -10,7 +10,8 @@ std::uint32_t GrowthPlan::allotted_before(std::uint64_t weight) const {
     return total_weight == 0 ? 0u : static_cast<std::uint32_t>((weight * n_new + phase) / total_weight);
 }
 
-std::vector<Model> GrowthPlan::ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const {
+std::vector<Model> GrowthPlan::ranges(std::vector<Model> models,
+                                      const std::vector<ModelCounts>& counts) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
@@ -23,7 +24,8 @@ std::vector<Model> GrowthPlan::ranges(std::vector<Model> models, const std::vect
     return models;
 }
 
-GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options, std::uint32_t before, std::uint64_t random) {
+GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
+                       std::uint32_t before, std::uint64_t random) {
     GrowthPlan plan;
     for (const ModelCounts& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
@@ -31,7 +33,7 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
     }
     if (plan.total_weight == 0) return plan;
     plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
-    plan.n_new = plan.total_weight;   // each growing surfel has weight 1
+    plan.n_new = plan.total_weight;  // each growing surfel has weight 1
     if (options.strategy == DensifyStrategy::mcmc)
         plan.n_new = before - plan.survivors + static_cast<std::uint32_t>(options.growth * before);
     return limited_to(plan, static_cast<std::uint32_t>(options.max_surfels));

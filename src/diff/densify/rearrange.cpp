@@ -11,7 +11,10 @@
 namespace relidar {
 
 Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of)
-    : device_(device), prefix_sum_(device), allot_(device, "diff/densify/allot"), move_(device, "diff/densify/move") {
+    : device_(device),
+      prefix_sum_(device),
+      allot_(device, "diff/densify/allot"),
+      move_(device, "diff/densify/move") {
     spare_.primitive = of.primitive, spare_.bends = of.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve(n_surfels);
@@ -29,23 +32,28 @@ void Rearrangement::reserve(std::uint32_t n) {
     statistics.n_seen.reserve(device_, n, "seen batches");
     statistics.frames.reserve(device_, n_words, "seen frames");
     spare_frames_.reserve(device_, n_words, "spare seen frames");
-    for (Array<std::uint32_t>* array : std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
+    for (Array<std::uint32_t>* array :
+         std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
         array->reserve(device_, n, "densification");
 }
 
 std::uint32_t Rearrangement::capacity() const {
-    const std::size_t n =
-        std::min({action.size(), weight.size(), starts.size(), n_rows.size(), statistics.gradient_sum.size(), statistics.n_seen.size()});
-    const std::size_t n_frames = std::min(statistics.frames.size(), spare_frames_.size()) / statistics.n_words;
+    const std::size_t n = std::min({action.size(), weight.size(), starts.size(), n_rows.size(),
+                                    statistics.gradient_sum.size(), statistics.n_seen.size()});
+    const std::size_t n_frames =
+        std::min(statistics.frames.size(), spare_frames_.size()) / statistics.n_words;
     return std::min(spare_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
 }
 
-std::size_t Rearrangement::bytes_per_surfel() const { return 4 * (floats_per_surfel(spare_.parameters()) + 6 + 2 * statistics.n_words); }
+std::size_t Rearrangement::bytes_per_surfel() const {
+    return 4 * (floats_per_surfel(spare_.parameters()) + 6 + 2 * statistics.n_words);
+}
 
 void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
     RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
     before_ = before;
-    prefix_sum_.run(stream, {.address = weight.address().as<shared::ScanCounts>()}, starts.address().as<shared::ScanPrefix>(), before);
+    prefix_sum_.run(stream, {.address = weight.address().as<shared::ScanCounts>()},
+                    starts.address().as<shared::ScanPrefix>(), before);
     run(stream, allot_, before,
         {.weight = weight.address(),
          .cumulative = starts.address().as<shared::WeightsBefore>(),
@@ -55,11 +63,13 @@ void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t 
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
-    prefix_sum_.run(stream, {.address = n_rows.address().as<shared::ScanCounts>()}, starts.address().as<shared::ScanPrefix>(), before);
+    prefix_sum_.run(stream, {.address = n_rows.address().as<shared::ScanCounts>()},
+                    starts.address().as<shared::ScanPrefix>(), before);
 }
 
 template <class T>
-void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool fresh) {
+void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride,
+                              bool fresh) {
     run(stream, move_, before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
          .to = spare.template address_as<std::uint32_t, shared::NewRows>(),

@@ -1,30 +1,43 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass once more, counting: builds of its own, so that the counters cost nothing where they are not asked for.
+// The forward pass once more, counting: builds of its own, so that the counters cost
+// nothing where they are not asked for.
 #include "diff/forward/count_visits.hpp"
 
 #include "diff/forward/hit_lists.hpp"
-#include "gpu/stream.hpp"
 #include "diff/traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
-std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-                                        const ImageModel& model, const TraceOptions& options) {
+std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel,
+                                        const RayBatch& batch, const ImageModel& model,
+                                        const TraceOptions& options) {
     if (device.traversal() != Traversal::software || tests_every_surfel(device)) return std::nullopt;
     std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
-    const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"), constants);
+    const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
+                                              constants);
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
-    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
-    const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u}, "visits");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
+                                                              "pass cap count");
+    const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u},
+                                                             "visits");
     shared::TraceScene traced = trace_scene(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    shared::ForwardParams params = {.scene = traced, .lists = {}, .rendered = rendered.address(), .kept = {}, .n_overfull = {},
-                                    .geometry = {}, .n_kept = 0, .kept_in_lists = 0, .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
+    shared::ForwardParams params = {.scene = traced,
+                                    .lists = {},
+                                    .rendered = rendered.address(),
+                                    .kept = {},
+                                    .n_overfull = {},
+                                    .geometry = {},
+                                    .n_kept = 0,
+                                    .kept_in_lists = 0,
+                                    .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitLists> lists;
     if (appends_hits(device, options)) {
-        lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);   // what lists come to
+        // what lists come to
+        lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
         lists->run(stream, batch, params);
     }
     run(stream, trace, trace_threads(batch), params);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/forward/trace: rays in, rendered rays out (Eq. 2-4); behind the lists of hit_lists.cpp, where there are any.
+// Binding of diff/forward/trace: rays in, rendered rays out (Eq. 2-4); behind the lists
+// of hit_lists.cpp, where there are any.
 #include <relidar/diff/forward.hpp>
 
 #include <fmt/format.h>
@@ -8,8 +9,8 @@
 
 #include "base/assert.hpp"
 #include "diff/forward/hit_lists.hpp"
-#include "gpu/stream.hpp"
 #include "diff/traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -19,15 +20,18 @@ struct ForwardPass::Impl {
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
     Array<std::uint32_t, shared::OverfullCount> n_overfull;
-    std::optional<HitLists> lists;   ///< where rays append their hits
+    std::optional<HitLists> lists;  ///< where rays append their hits
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
           options(o),
-          trace(device, "diff/forward/trace", traversal_variant(device), trace_constants(device, proxy, o, m)),
+          trace(device, "diff/forward/trace", traversal_variant(device),
+                trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
           n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
-        if (appends_hits(device, o)) lists.emplace(device, traversal_variant(device), trace_constants(device, proxy, o, m), o.list_room);
+        if (appends_hits(device, o))
+            lists.emplace(device, traversal_variant(device), trace_constants(device, proxy, o, m),
+                          o.list_room);
     }
 };
 
@@ -35,7 +39,8 @@ ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, c
     if (options.chunk < 1 || options.chunk > 64)
         throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
     if (options.list_room < 1 || options.list_room > RELIDAR_MOST_ROOM)
-        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}", options.list_room, RELIDAR_MOST_ROOM));
+        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}", options.list_room,
+                                     RELIDAR_MOST_ROOM));
     impl_ = std::make_unique<Impl>(device, model, proxy, options);
 }
 
@@ -49,8 +54,9 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
-    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);   // whole rows
-    RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0, geometry ? geometry->rendered.size() : 0);
+    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);  // whole rows
+    RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0,
+                      geometry ? geometry->rendered.size() : 0);
     shared::ForwardParams params = {
         .scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
         .lists = {},
@@ -74,7 +80,8 @@ std::uint32_t ForwardPass::take_pass_cap_count() {
     return count;
 }
 
-Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::vector<shared::RenderedGeometry>& geometry) {
+Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
+                       const std::vector<shared::RenderedGeometry>& geometry) {
     Rendering r;
     for (const shared::RenderedRay& ray : rays) {
         r.depth.push_back(ray.depth);
@@ -85,7 +92,8 @@ Rendering to_rendering(const std::vector<shared::RenderedRay>& rays, const std::
         r.transmittance.push_back(ray.transmittance);
         r.median_depth.push_back(ray.median_depth);
         r.hits.push_back(ray.n_hits);
-        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : static_cast<std::int32_t>(ray.instance));
+        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1
+                                                                 : static_cast<std::int32_t>(ray.instance));
     }
     for (const shared::RenderedGeometry& of_ray : geometry) {
         r.normal.push_back(of_ray.normal);

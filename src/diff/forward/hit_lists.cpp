@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/forward/append, diff/forward/sort_hits and diff/forward/blend, and how much room lists have.
+// Bindings of diff/forward/append, diff/forward/sort_hits and diff/forward/blend, and how
+// much room lists have.
 #include "diff/forward/hit_lists.hpp"
 
 #include <algorithm>
@@ -11,9 +12,10 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kMostLists = std::size_t(1) << 24;   // threads that sort them are counted in 32 bits
+constexpr std::size_t kMostLists = std::size_t(1) << 24;  // threads that sort them are counted in 32 bits
 
-/// What all lists may take: an eighth of the device's memory; where it is not known, as much as a small GPU's.
+/// What all lists may take: an eighth of the device's memory; where it is not known, as
+/// much as a small GPU's.
 std::size_t most_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
@@ -21,8 +23,10 @@ std::size_t most_bytes(const Device& device) {
 
 Kernel<shared::SortHitsParams> sort_kernel(Device& device) {
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
-    return {device, KernelName<shared::SortHitsParams>("diff/forward/sort_hits"),
-            {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}}, Subgroups::full};
+    return {device,
+            KernelName<shared::SortHitsParams>("diff/forward/sort_hits"),
+            {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
+            Subgroups::full};
 }
 
 std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists * room * sizeof(shared::Hit); }
@@ -30,17 +34,20 @@ std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists *
 }  // namespace
 
 std::uint32_t most_list_room(const Device& device) {
-    return std::min<std::uint32_t>(RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
+    return std::min<std::uint32_t>(
+        RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
 }
 
-HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room)
+HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants,
+                   int room)
     : device_(device),
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
       sort_(sort_kernel(device)),
       most_room_(most_list_room(device)),
       room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
-      n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than their lists have room for"),
+      n_overflows_(device, std::vector<std::uint32_t>{0u},
+                   "rays with more hits than their lists have room for"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {}
 
 /// As many lists, with as much of the room as there is memory for; without any, none.
@@ -52,41 +59,46 @@ void HitLists::make_hits(std::size_t n_lists) {
         try {
             hits_ = Array<shared::Hit>(device_, n_lists * room_, "lists of hits");
             break;
-        } catch (const DeviceError&) {   // no memory for so many
+        } catch (const DeviceError&) {  // no memory for so many
         }
     }
     hits_room_ = room_;
     if (room_ < wanted) grows_ = false;
 }
 
-/// Whether any ray had more hits than its list has room for: the whole device may wait for the few that
-/// diff/forward/trace renders then. Looked
-/// at so late that it costs no wait: the stream has waited for that submission, to record into its slot again.
+/// Whether any ray had more hits than its list has room for: the whole device may wait
+/// for the few that diff/forward/trace renders then. Looked at so late that it costs no
+/// wait: the stream has waited for that submission, to record into its slot again.
 bool HitLists::wants_more_room(Stream& stream) {
-    if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots) return false;
+    if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
+        return false;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait(stream), sizeof count);
     const std::uint32_t n_overflows = count - std::exchange(overflows_before_, count);
     return grows_ && room_ < most_room_ && n_overflows > 0;
 }
 
-/// Finds memory for lists: that of the hits which are kept for the backward pass, where a list's room is no more than that.
+/// Finds memory for lists: that of the hits which are kept for the backward pass, where a
+/// list's room is no more than that.
 shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
     if (wants_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
-        stream.fill(n_overflows_);   // those of shorter lists
+        stream.fill(n_overflows_);  // those of shorter lists
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
     const bool own_fit = hits_room_ == room_ && hits_.size() >= n * room_;
-    if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();   // nobody may be writing lists that go
+    // nobody may be writing lists that go
+    if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
-    else if (!own_fit) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));   // as many as there ever were
+    // as many as there ever were
+    else if (!own_fit) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
     try {
-        if (lengths_.size() < n) lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
-    } catch (const DeviceError&) {   // no memory for lists
+        if (lengths_.size() < n)
+            lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
+    } catch (const DeviceError&) {  // no memory for lists
         return {};
     }
     const std::uint32_t room = in_kept ? kept->per_ray : room_;
@@ -102,13 +114,15 @@ void HitLists::count_overflows(Stream& stream) {
     counted_until_ = impl_of(stream).last_ticket + 1;
 }
 
-void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params, const KeptHits* kept) {
+void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
+                   const KeptHits* kept) {
     const std::size_t n = trace_threads(batch);
     const shared::HitLists lists = make_room(stream, n, kept);
     if (lists.room == 0) return;
     params.lists = lists;
-    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;   // lists without memory of their own
-    relidar::run(stream, append_, n, {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
+    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without memory of their own
+    relidar::run(stream, append_, n,
+                 {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     count_overflows(stream);
     relidar::run(stream, sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
     relidar::run(stream, blend_, n, params);

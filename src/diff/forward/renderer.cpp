@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The composition of activation, acceleration structure and forward pass, and the arrays of what rays render.
+// The composition of activation, acceleration structure and forward pass, and the arrays
+// of what rays render.
 #include <relidar/diff/forward.hpp>
 
 #include <algorithm>
@@ -25,15 +26,21 @@ struct Renderer::Impl {
     ForwardPass forward;
     bool placed = false;
     glm::vec3 view_origin_m{0.0f};
-    Array<DeviceRay> host_rays;   ///< of forward()
+    Array<DeviceRay> host_rays;  ///< of forward()
     Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
     std::optional<RayGeometry> geometry;
     RenderedBatch batch;
 
     Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
-        : device(d), options(o), model(m), highest_sh_degree(m.sh_degree), stream(o.stream ? *o.stream : own_stream.emplace(d, true)),
-          scene(d, s), accel(std::in_place, d, scene, o.accel), forward(d, m, accel->proxy(), o.trace) {
+        : device(d),
+          options(o),
+          model(m),
+          highest_sh_degree(m.sh_degree),
+          stream(o.stream ? *o.stream : own_stream.emplace(d, true)),
+          scene(d, s),
+          accel(std::in_place, d, scene, o.accel),
+          forward(d, m, accel->proxy(), o.trace) {
         make_room(o.n_rays);
     }
 
@@ -45,20 +52,21 @@ struct Renderer::Impl {
     }
 
     void make_kept_hits(std::size_t n_threads) {
-        kept.reset();   // before others are there: nobody reads them any more
+        kept.reset();  // before others are there: nobody reads them any more
         if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
         batch.kept = kept ? &*kept : nullptr;
     }
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options)
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
+                   const RendererOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
 Renderer::~Renderer() = default;
 
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
-    r.scene.place(r.stream, placed);                        // Eq. 4-5
+    r.scene.place(r.stream, placed);  // Eq. 4-5
     r.scene.activate(r.stream, r.model, view_origin_m);
     r.accel->update(r.stream, r.scene);
     r.placed = true;
@@ -70,7 +78,8 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
     r.view_origin_m = view_origin_m;
     const bool bends = r.scene.bends_otherwise(placed);
     r.scene.place(r.stream, placed);
-    if (bends || r.model.sh_direction == ShDirection::surfel) r.scene.activate(r.stream, r.model, view_origin_m);
+    if (bends || r.model.sh_direction == ShDirection::surfel)
+        r.scene.activate(r.stream, r.model, view_origin_m);
     if (bends) r.accel->bend(r.stream, r.scene);
     else r.accel->move(r.stream, r.scene);
 }
@@ -82,17 +91,19 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.stream.finish();
         r.make_room(rays.n_rays);
     }
-    if (r.kept && !r.kept->hold(rays)) {   // tiles of an image are whole
+    if (r.kept && !r.kept->hold(rays)) {  // tiles of an image are whole
         r.stream.finish();
         r.make_kept_hits(trace_threads(rays));
     }
     r.batch.rays = rays;
-    r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr, r.batch.geometry);   // Eq. 2-4
+    // Eq. 2-4
+    r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr,
+                  r.batch.geometry);
 }
 
 Rendering Renderer::forward(const WorldRays& rays) {
     Impl& r = *impl_;
-    r.stream.finish();   // nothing may still read the rays before
+    r.stream.finish();  // nothing may still read the rays before
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
     record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
@@ -104,7 +115,8 @@ void Renderer::check_passes() {
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(
-            fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal stack, expected every ray to end",
+            fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal "
+                        "stack, expected every ray to end",
                         r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
 }
 
@@ -125,7 +137,8 @@ bool Renderer::keep_hits(std::uint32_t per_ray) {
     Impl& r = *impl_;
     r.stream.finish();
     const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
-    const std::size_t n_threads = std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
+    const std::size_t n_threads =
+        std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
     try {
         r.make_kept_hits(n_threads);
         return true;
@@ -143,8 +156,8 @@ void Renderer::set_sh_degree(int degree) {
 
 void Renderer::upload(const Surfels& surfels) {
     if (surfels.size() != impl_->scene.size())
-        throw DataError(
-            fmt::format("uploading surfels: found {}, expected {}, as many as the scene has", surfels.size(), impl_->scene.size()));
+        throw DataError(fmt::format("uploading surfels: found {}, expected {}, as many as the scene has",
+                                    surfels.size(), impl_->scene.size()));
     impl_->stream.finish();
     impl_->scene.parameters().upload(surfels);
 }

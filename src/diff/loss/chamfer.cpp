@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp (Eq. 11).
+// Binding of diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and
+// chamfer_vjp (Eq. 11).
 #include <relidar/diff/loss.hpp>
 
 #include <relidar/diff/traversal.hpp>
 
 #include "base/assert.hpp"
-#include "gpu/stream.hpp"
 #include "diff/loss/losses.hpp"
 #include "diff/shared/loss.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -15,7 +16,7 @@ namespace {
 
 /// Points, tiles of points and groups of tiles, each as a rectangle of rows and columns.
 struct Levels {
-    glm::uvec2 tile{4, 8};   ///< points of a tile, tiles of a group
+    glm::uvec2 tile{4, 8};  ///< points of a tile, tiles of a group
     glm::uvec2 points, tiles, groups;
 
     explicit Levels(const TargetBatch& batch) {
@@ -64,7 +65,7 @@ struct ChamferLoss::Impl {
     Kernel<shared::ChamferBoxesParams> boxes;
     Kernel<shared::ChamferNearestParams> nearest;
     Kernel<shared::ChamferParams> chamfer, vjp;
-    std::uint32_t n_rays = 0;   ///< of the last batch
+    std::uint32_t n_rays = 0;  ///< of the last batch
 
     Impl(Device& device, const LossWeights& w, std::size_t n)
         : weights(w),
@@ -104,7 +105,8 @@ struct ChamferLoss::Impl {
                       .tile_rows = l.tile.x,
                       .tile_columns = l.tile.y});
     }
-    void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found, const Levels& l) const {
+    void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found,
+                const Levels& l) const {
         relidar::run(stream, nearest, n_rays,
                      {.queries = from.points.address().as<shared::QueryPoints>(),
                       .cloud = to.pointers(),
@@ -132,13 +134,15 @@ struct ChamferLoss::Impl {
     }
 };
 
-ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays) : impl_(new Impl(device, weights, n_rays)) {}
+ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
+    : impl_(new Impl(device, weights, n_rays)) {}
 ChamferLoss::~ChamferLoss() = default;
 std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
     return std::make_unique<ChamferLoss>(device, weights, n_rays);
 }
 
-void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch, const TermRow& terms) {
+void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch,
+                          const TermRow& terms) {
     Impl& c = *impl_;
     const RayBatch& rays = batch_rendered.rays;
     const Array<shared::RenderedRay>& rendered = *batch_rendered.rendered;
@@ -165,27 +169,29 @@ void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, c
                   .ray_stride = batch.stride,
                   .normalised_depth = normalised});
     c.search(stream, levels);
-    const shared::ChamferParams chamfer{.rays = rays.rays->address(),
-                                        .rendered = rendered.address(),
-                                        .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
-                                        .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
-                                        .nearest_measured = c.nearest_measured.address(),
-                                        .nearest_simulated = c.nearest_simulated.address(),
-                                        .counts = c.counts.address(),
-                                        .d_found = c.d_found.address(),
-                                        .upstream = upstream.address(),
-                                        .terms = terms.address(),
-                                        .weight = c.weights.chamfer,
-                                        .n_rays = batch.n_rays,
-                                        .first_ray = batch.first,
-                                        .ray_stride = batch.stride,
-                                        .normalised_depth = normalised};
+    const shared::ChamferParams chamfer{
+        .rays = rays.rays->address(),
+        .rendered = rendered.address(),
+        .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
+        .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
+        .nearest_measured = c.nearest_measured.address(),
+        .nearest_simulated = c.nearest_simulated.address(),
+        .counts = c.counts.address(),
+        .d_found = c.d_found.address(),
+        .upstream = upstream.address(),
+        .terms = terms.address(),
+        .weight = c.weights.chamfer,
+        .n_rays = batch.n_rays,
+        .first_ray = batch.first,
+        .ray_stride = batch.stride,
+        .normalised_depth = normalised};
     relidar::run(stream, c.chamfer, batch.n_rays, chamfer);
     relidar::run(stream, c.vjp, batch.n_rays, chamfer);
 }
 
 std::array<std::vector<std::uint32_t>, 2> ChamferLoss::nearest() const {
-    std::array<std::vector<std::uint32_t>, 2> result{impl_->nearest_measured.download(), impl_->nearest_simulated.download()};
+    std::array<std::vector<std::uint32_t>, 2> result{impl_->nearest_measured.download(),
+                                                     impl_->nearest_simulated.download()};
     for (std::vector<std::uint32_t>& indices : result) indices.resize(impl_->n_rays);
     return result;
 }

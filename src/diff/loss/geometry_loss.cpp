@@ -7,8 +7,8 @@
 #include <relidar/diff/traversal.hpp>
 
 #include "base/assert.hpp"
-#include "gpu/stream.hpp"
 #include "diff/shared/geometry_loss.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -28,7 +28,8 @@ std::unique_ptr<Loss> make_geometry_loss(Device& device, const LossWeights& weig
     return std::make_unique<GeometryLoss>(device, weights, n_rays);
 }
 
-void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch, const TermRow& terms) {
+void GeometryLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch,
+                           const TermRow& terms) {
     const LossWeights& w = impl_->weights;
     RayGeometry& geometry = *rendered.geometry;
     const bool with_normals = w.normal > 0.0f;

@@ -7,9 +7,9 @@
 #include <relidar/diff/traversal.hpp>
 
 #include "base/assert.hpp"
-#include "gpu/stream.hpp"
 #include "diff/loss/losses.hpp"
 #include "diff/shared/loss.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -17,7 +17,7 @@ struct ImageLoss::Impl {
     LossWeights weights;
     Kernel<shared::ImageLossParams> kernel;
     Kernel<shared::SsimParams> ssim, ssim_vjp;
-    Array<float, shared::SsimStatistics> statistics;   ///< of structural similarity
+    Array<float, shared::SsimStatistics> statistics;  ///< of structural similarity
 };
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
@@ -25,17 +25,20 @@ ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n
                      {device, "diff/loss/image_loss", accumulating_variant(device)},
                      {device, "diff/loss/ssim", accumulating_variant(device)},
                      {device, "diff/loss/ssim_vjp"},
-                     {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0, "structural similarity"}}) {}
+                     {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0,
+                      "structural similarity"}}) {}
 ImageLoss::~ImageLoss() = default;
 std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
     return std::make_unique<ImageLoss>(device, weights, n_rays);
 }
 
-void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch, const TermRow& terms) {
+void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
+                        const TermRow& terms) {
     const Array<shared::RenderedRay>& rendered = *rays.rendered;
     Array<shared::RayGradient>& upstream = *rays.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
-    RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1, batch.targets->size());
+    RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1,
+                      batch.targets->size());
     const LossWeights& w = impl_->weights;
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)),
                 per_ray = static_cast<float>(1.0 / std::max(batch.n_known, 1.0));

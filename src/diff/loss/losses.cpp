@@ -23,19 +23,22 @@ static_assert(are_in_order(), "the places of loss terms count up from 0");
 void Loss::compare(Stream&, const RenderedBatch&, const TargetBatch&, const TermRow&) {}
 void Loss::regularise(Stream&, const DeviceScene&, const SurfelGradients&, const TermRow&) {}
 
-std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
+std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
+                                               std::uint32_t n_rays) {
     struct Term {
         float weight;
         LossMaker* maker;
     };
     const Term terms[] = {
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) {weights.setting, make_##maker##_loss},
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
+    {weights.setting, make_##maker##_loss},
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
-    std::vector<LossMaker*> makers{make_image_loss};   // outputs gradients to which the others add
+    std::vector<LossMaker*> makers{make_image_loss};  // outputs gradients to which the others add
     for (const Term& term : terms)
-        if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end()) makers.push_back(term.maker);
+        if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())
+            makers.push_back(term.maker);
     std::vector<std::unique_ptr<Loss>> losses;
     for (LossMaker* make : makers) losses.push_back(make(device, weights, n_rays));
     return losses;

@@ -6,15 +6,17 @@
 
 #include <relidar/scene/device_scene.hpp>
 
-#include "gpu/stream.hpp"
 #include "diff/loss/losses.hpp"
 #include "diff/shared/loss.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
 namespace {
 
-bool has_box(const Model& m) { return m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f; }
+bool has_box(const Model& m) {
+    return m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f;
+}
 
 }  // namespace
 
@@ -30,11 +32,12 @@ std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weight
     return std::make_unique<SurfelLoss>(device, weights);
 }
 
-void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients, const TermRow& terms) {
+void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
+                            const TermRow& terms) {
     const LossWeights& w = impl_->weights;
     const std::vector<Model>& models = scene.layout().models;
     double n_boxed = 0.0;
-    std::uint32_t first = scene.size(), end = 0;   // of what has a box
+    std::uint32_t first = scene.size(), end = 0;  // of what has a box
     for (const Model& m : models) {
         if (!has_box(m)) continue;
         n_boxed += m.count;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/matmul and diff/network/softmax. Shares are [n, heads, taker, giver].
+// Binding of diff/network/matmul and diff/network/softmax. Shares are [n, heads, taker,
+// giver].
 #include "diff/network/attention.hpp"
 
 #include <cmath>
@@ -9,7 +10,7 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kAttentionThreads = 64;   // of a workgroup
+constexpr std::uint32_t kAttentionThreads = 64;  // of a workgroup
 
 std::vector<Constant> attention_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};
@@ -18,14 +19,24 @@ std::vector<Constant> attention_constants(std::uint32_t lanes) {
 /// Channels by pixels, of each head; transposed: pixels by channels.
 shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
-    return {.values = slice.view.values, .first = slice.view.first * pixels, .batch = slice.view.channels * pixels,
-            .head = slice.channels / heads * pixels, .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
+    return {.values = slice.view.values,
+            .first = slice.view.first * pixels,
+            .batch = slice.view.channels * pixels,
+            .head = slice.channels / heads * pixels,
+            .row = transposed ? 1 : pixels,
+            .column = transposed ? pixels : 1,
+            .unused = 0};
 }
 
 shared::MatrixView of_shares(const Tensor& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(grid.pixels());
-    return {.values = shares.values.address(), .first = 0, .batch = heads * pixels * pixels, .head = pixels * pixels,
-            .row = transposed ? 1 : pixels, .column = transposed ? pixels : 1, .unused = 0};
+    return {.values = shares.values.address(),
+            .first = 0,
+            .batch = heads * pixels * pixels,
+            .head = pixels * pixels,
+            .row = transposed ? 1 : pixels,
+            .column = transposed ? pixels : 1,
+            .unused = 0};
 }
 
 }  // namespace
@@ -46,7 +57,8 @@ AttentionState Attention::make_state(Device& device, const Grid& grid, bool with
 void Attention::multiply(Stream& stream, shared::MatmulParams params, const Grid& grid) const {
     params.n_batch = grid.n;
     params.n_heads = heads_;
-    const std::uint32_t jobs = params.n_batch * params.n_heads * tiles(params.columns, lanes_) * tiles(params.rows, RELIDAR_MATMUL_ROWS);
+    const std::uint32_t jobs = params.n_batch * params.n_heads * tiles(params.columns, lanes_) *
+                               tiles(params.rows, RELIDAR_MATMUL_ROWS);
     run(stream, matmul_, std::size_t(tiles(jobs, kAttentionThreads / lanes_)) * kAttentionThreads, params);
 }
 
@@ -54,14 +66,18 @@ void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& g
     const auto pixels = std::uint32_t(grid.pixels()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_, std::size_t(tiles(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
         {.values = state.share.values.address().as<shared::SoftmaxValues>(),
-         .d_values = (derive ? state.d_share.values.address() : Address<float>()).as<shared::SoftmaxGradients>(), .n_rows = rows,
+         .d_values =
+             (derive ? state.d_share.values.address() : Address<float>()).as<shared::SoftmaxGradients>(),
+         .n_rows = rows,
          .n = pixels});
 }
 
 void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to) {
-    const std::uint32_t channels = to.channels, size = channels / heads_, pixels = std::uint32_t(to.grid.pixels());
+    const std::uint32_t channels = to.channels, size = channels / heads_,
+                        pixels = std::uint32_t(to.grid.pixels());
     RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
-    const Slice query = qkv.part(0, channels), key = qkv.part(channels, channels), value = qkv.part(2 * channels, channels);
+    const Slice query = qkv.part(0, channels), key = qkv.part(channels, channels),
+                value = qkv.part(2 * channels, channels);
     const Grid& grid = to.grid;
     multiply(stream,
              {.a = of_heads(query, heads_, true),
@@ -88,29 +104,42 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
              grid);
 }
 
-void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv) {
-    const std::uint32_t channels = d_to.channels, size = channels / heads_, pixels = std::uint32_t(d_to.grid.pixels());
-    const Slice query = qkv.part(0, channels), key = qkv.part(channels, channels), value = qkv.part(2 * channels, channels);
-    const Slice d_query = d_qkv.part(0, channels), d_key = d_qkv.part(channels, channels), d_value = d_qkv.part(2 * channels, channels);
+void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to,
+                    const Slice& d_qkv) {
+    const std::uint32_t channels = d_to.channels, size = channels / heads_,
+                        pixels = std::uint32_t(d_to.grid.pixels());
+    const Slice query = qkv.part(0, channels), key = qkv.part(channels, channels),
+                value = qkv.part(2 * channels, channels);
+    const Slice d_query = d_qkv.part(0, channels), d_key = d_qkv.part(channels, channels),
+                d_value = d_qkv.part(2 * channels, channels);
     const Grid& grid = d_to.grid;
     const float scale = 1.0f / std::sqrt(float(size));
-    const auto product = [&](const shared::MatrixView& a, const shared::MatrixView& b, const shared::MatrixView& c, std::uint32_t rows,
-                             std::uint32_t inner, float factor) {
+    const auto product = [&](const shared::MatrixView& a, const shared::MatrixView& b,
+                             const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
+                             float factor) {
         multiply(stream,
-                 {.a = a, .b = b, .c = c, .n_batch = 0, .n_heads = 0, .rows = rows, .inner = inner, .columns = pixels, .scale = factor},
+                 {.a = a,
+                  .b = b,
+                  .c = c,
+                  .n_batch = 0,
+                  .n_heads = 0,
+                  .rows = rows,
+                  .inner = inner,
+                  .columns = pixels,
+                  .scale = factor},
                  grid);
     };
     // d_value = d_to shares
-    product(of_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false), of_heads(d_value, heads_, false), size, pixels,
-            1.0f);
+    product(of_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false),
+            of_heads(d_value, heads_, false), size, pixels, 1.0f);
     // d_share = d_to^T value, through the softmax
-    product(of_heads(d_to, heads_, true), of_heads(value, heads_, false), of_shares(state.d_share, grid, heads_, false), pixels, size,
-            1.0f);
+    product(of_heads(d_to, heads_, true), of_heads(value, heads_, false),
+            of_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);
-    product(of_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true), of_heads(d_query, heads_, false), size, pixels,
-            scale);
-    product(of_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false), of_heads(d_key, heads_, false), size, pixels,
-            scale);
+    product(of_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true),
+            of_heads(d_query, heads_, false), size, pixels, scale);
+    product(of_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false),
+            of_heads(d_key, heads_, false), size, pixels, scale);
 }
 
 }  // namespace relidar::refine

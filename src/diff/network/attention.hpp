@@ -2,15 +2,15 @@
 // Multi-head self-attention (Vaswani et al.) among the pixels of small images.
 #pragma once
 
-#include "gpu/stream.hpp"
 #include "diff/network/tensor.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar::refine {
 
 /// What a pass keeps for the way back.
 struct AttentionState {
-    Tensor share;     ///< [n, heads, pixels, pixels] softmax of the scores: what a pixel (row) takes from each
-    Tensor d_share;   ///< the same shape, scratch of the way back
+    Tensor share;    ///< [n, heads, pixels, pixels] softmax of the scores: what a pixel (row) takes from each
+    Tensor d_share;  ///< the same shape, scratch of the way back
 };
 
 class Attention {
@@ -20,7 +20,8 @@ public:
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
     /// to[h] = V softmax(K^T Q / sqrt(channels of a head))  for each head h.
-    /// @param qkv [n, 3 channels, rows, columns] query, key and value of each pixel @param to [n, channels, rows, columns]
+    /// @param qkv [n, 3 channels, rows, columns] query, key and value of each pixel
+    /// @param to [n, channels, rows, columns]
     void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to);
     void vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv);
 

@@ -14,9 +14,10 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kConvThreads = 64;       // of a workgroup
-constexpr std::uint32_t kLinesOfPart = 8;        // rows of an image that a subgroup of diff/network/conv_weights sums
-constexpr std::size_t kMostPartial = 1 << 24;    // floats
+constexpr std::uint32_t kConvThreads = 64;  // of a workgroup
+// rows of an image that a subgroup of diff/network/conv_weights sums
+constexpr std::uint32_t kLinesOfPart = 8;
+constexpr std::size_t kMostPartial = 1 << 24;  // floats
 
 std::uint32_t inputs_of_subgroup(std::uint32_t taps) { return taps == 1 ? RELIDAR_CONV_IN : 1; }
 
@@ -31,7 +32,8 @@ std::uint32_t checked_taps(const Device& device, std::uint32_t taps) {
     const DeviceInfo& info = device.info();
     const std::string missing = missing_for_networks(device);
     if (!missing.empty())
-        throw DeviceError(fmt::format("making the ray-drop network on {}: missing {}; set refine.enabled=false", info.name, missing));
+        throw DeviceError(fmt::format(
+            "making the ray-drop network on {}: missing {}; set refine.enabled=false", info.name, missing));
     return taps;
 }
 
@@ -39,7 +41,8 @@ std::uint32_t lanes_of(const Device& device) { return std::uint32_t(device.info(
 std::uint32_t pixels_of_lane(const Device& device) { return coalesces(device) ? 8 : 4; }
 
 Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps) {
-    return {device, "diff/network/conv",
+    return {device,
+            "diff/network/conv",
             {{ConstantId::TAPS, taps},
              {ConstantId::PIXELS, pixels_of_lane(device)},
              {ConstantId::LANES, lanes_of(device)},
@@ -49,8 +52,12 @@ Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t taps) {
 }
 
 Kernel<shared::ConvWeightsParams> make_conv_weights(Device& device, std::uint32_t taps) {
-    return {device, "diff/network/conv_weights",
-            {{ConstantId::TAPS, taps}, {ConstantId::LANES, lanes_of(device)}, {ConstantId::WORKGROUP_SIZE, kConvThreads}}, Subgroups::full};
+    return {device,
+            "diff/network/conv_weights",
+            {{ConstantId::TAPS, taps},
+             {ConstantId::LANES, lanes_of(device)},
+             {ConstantId::WORKGROUP_SIZE, kConvThreads}},
+            Subgroups::full};
 }
 
 }  // namespace
@@ -66,29 +73,50 @@ Conv::Conv(Device& device, std::uint32_t taps)
 std::size_t Conv::conv_threads(const shared::ConvParams& params) const {
     const std::size_t lines = std::size_t(params.n_images) * params.rows;
     const std::uint32_t segments = std::uint32_t(lines) * tiles(params.columns, lanes_ * pixels_);
-    return std::size_t(tiles(segments, kConvThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) * kConvThreads;
+    return std::size_t(tiles(segments, kConvThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) *
+           kConvThreads;
 }
 
 std::size_t Conv::weights_threads(const shared::ConvWeightsParams& params) const {
-    const std::uint32_t subgroups =
-        params.n_parts * tiles(params.n_in, inputs_of_subgroup(taps_)) * tiles(params.n_out, RELIDAR_CONV_OUT);
+    const std::uint32_t subgroups = params.n_parts * tiles(params.n_in, inputs_of_subgroup(taps_)) *
+                                    tiles(params.n_out, RELIDAR_CONV_OUT);
     return std::size_t(tiles(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
-void Conv::run_conv(Stream& stream, const shared::ConvParams& params) const { run(stream, conv_, conv_threads(params), params); }
-
-void Conv::forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to, bool accumulate) {
-    RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
-    run_conv(stream, {.from = from.view, .to = to.view, .weights = weights, .bias = bias, .n_images = from.grid.n,
-                      .rows = from.grid.rows, .columns = from.grid.columns, .n_in = from.channels, .n_out = to.channels,
-                      .transposed = 0, .accumulate = accumulate ? 1u : 0u});
+void Conv::run_conv(Stream& stream, const shared::ConvParams& params) const {
+    run(stream, conv_, conv_threads(params), params);
 }
 
-void Conv::input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from, bool accumulate) {
+void Conv::forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to,
+                   bool accumulate) {
+    RELIDAR_ASSERT_EQ(from.grid.all_pixels(), to.grid.all_pixels());
+    run_conv(stream, {.from = from.view,
+                      .to = to.view,
+                      .weights = weights,
+                      .bias = bias,
+                      .n_images = from.grid.n,
+                      .rows = from.grid.rows,
+                      .columns = from.grid.columns,
+                      .n_in = from.channels,
+                      .n_out = to.channels,
+                      .transposed = 0,
+                      .accumulate = accumulate ? 1u : 0u});
+}
+
+void Conv::input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
+                     bool accumulate) {
     RELIDAR_ASSERT_EQ(d_from.grid.all_pixels(), d_to.grid.all_pixels());
-    run_conv(stream, {.from = d_to.view, .to = d_from.view, .weights = weights, .bias = {}, .n_images = d_to.grid.n,
-                      .rows = d_to.grid.rows, .columns = d_to.grid.columns, .n_in = d_to.channels, .n_out = d_from.channels,
-                      .transposed = 1, .accumulate = accumulate ? 1u : 0u});
+    run_conv(stream, {.from = d_to.view,
+                      .to = d_from.view,
+                      .weights = weights,
+                      .bias = {},
+                      .n_images = d_to.grid.n,
+                      .rows = d_to.grid.rows,
+                      .columns = d_to.grid.columns,
+                      .n_in = d_to.channels,
+                      .n_out = d_from.channels,
+                      .transposed = 1,
+                      .accumulate = accumulate ? 1u : 0u});
 }
 
 std::size_t Conv::partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const {
@@ -100,12 +128,20 @@ void Conv::weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Wei
     RELIDAR_ASSERT_EQ(from.grid.all_pixels(), d_to.grid.all_pixels());
     const std::uint32_t n = from.channels * d_to.channels * taps_, n_parts = parts_of(from.grid, n);
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
-    const shared::ConvWeightsParams params{
-        .from = from.view, .d_to = d_to.view, .partial = partial_.address(), .n_images = from.grid.n, .rows = from.grid.rows,
-        .columns = from.grid.columns, .n_in = from.channels, .n_out = d_to.channels, .n_parts = n_parts};
+    const shared::ConvWeightsParams params{.from = from.view,
+                                           .d_to = d_to.view,
+                                           .partial = partial_.address(),
+                                           .n_images = from.grid.n,
+                                           .rows = from.grid.rows,
+                                           .columns = from.grid.columns,
+                                           .n_in = from.channels,
+                                           .n_out = d_to.channels,
+                                           .n_parts = n_parts};
     run(stream, conv_weights_, weights_threads(params), params);
     run(stream, sum_parts_, n,
-        {.partial = partial_.address(), .sum = d_weights.as<shared::SumOfParts>(), .n_parts = n_parts,
+        {.partial = partial_.address(),
+         .sum = d_weights.as<shared::SumOfParts>(),
+         .n_parts = n_parts,
          .n = n});
 }
 

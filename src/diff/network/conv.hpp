@@ -4,8 +4,8 @@
 
 #include <cstdint>
 
-#include "gpu/stream.hpp"
 #include "diff/network/tensor.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar::refine {
 
@@ -18,16 +18,21 @@ public:
     /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what the device lacks
     Conv(Device& device, std::uint32_t taps);
 
-    /// to = bias + weights * from. @param weights [to.channels, from.channels, taps] @param bias [to.channels], or nowhere
+    /// to = bias + weights * from. @param weights [to.channels, from.channels, taps]
+    /// @param bias [to.channels], or nowhere
     /// @param accumulate adds to what `to` holds
-    void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to, bool accumulate = false);
+    void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to,
+                 bool accumulate = false);
     /// dL/d(from), from dL/d(to). @param accumulate adds to what d_from holds
-    void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from, bool accumulate = false);
+    void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
+                   bool accumulate = false);
     /// dL/d(weights) [to.channels, from.channels, taps]. Summed in a fixed order.
     void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
     /// Floats that weights_vjp needs for its partial sums.
     std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
-    void reserve(Device& device, std::size_t floats) { partial_.reserve(device, floats, "partial sums of weights"); }
+    void reserve(Device& device, std::size_t floats) {
+        partial_.reserve(device, floats, "partial sums of weights");
+    }
 
     std::uint32_t taps() const { return taps_; }
 

@@ -11,7 +11,8 @@ namespace relidar::refine {
 namespace {
 
 template <class Joined, class Values>
-Joined joined(Device& device, std::span<const DropImage> images, const Values& values, const std::string& what) {
+Joined joined(Device& device, std::span<const DropImage> images, const Values& values,
+              const std::string& what) {
     std::size_t n = 0;
     for (const DropImage& image : images) n += values(image).size();
     Joined all(device, n, what);
@@ -60,12 +61,15 @@ DropInputs::DropInputs(Device& device, const DropNetwork& network)
 
 void DropInputs::keep(Device& device, std::span<const DropImage> images) {
     samples_ = joined<decltype(samples_)>(
-        device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; }, "scans to refine");
+        device, images, [](const DropImage& image) -> const std::vector<float>& { return image.channels; },
+        "scans to refine");
     targets_ = joined<decltype(targets_)>(
-        device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; }, "measured drops");
+        device, images, [](const DropImage& image) -> const std::vector<float>& { return image.dropped; },
+        "measured drops");
     known_.clear();
     for (const DropImage& image : images)
-        known_.push_back(std::size_t(std::count_if(image.dropped.begin(), image.dropped.end(), [](float x) { return x >= 0.0f; })));
+        known_.push_back(std::size_t(
+            std::count_if(image.dropped.begin(), image.dropped.end(), [](float x) { return x >= 0.0f; })));
 }
 
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images) {
@@ -78,14 +82,16 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, const Tens
     make(stream, chosen, params, images);
 }
 
-void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples, const Tensor& images) {
+void DropInputs::make(Stream& stream, std::span<const Chosen> chosen,
+                      Address<float, shared::DropSamples> samples, const Tensor& images) {
     shared::DropInputsParams params{};
     params.samples = samples;
     make(stream, chosen, params, images);
 }
 
 /// @param params  which samples and targets
-void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params, const Tensor& images) {
+void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params,
+                      const Tensor& images) {
     std::vector<std::uint32_t> samples, turns;
     for (const Chosen& c : chosen) {
         samples.push_back(c.sample);

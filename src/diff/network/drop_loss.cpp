@@ -7,7 +7,7 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kLossThreads = 64;   // of a workgroup
+constexpr std::uint32_t kLossThreads = 64;  // of a workgroup
 constexpr std::size_t kPixelsOfPart = 2048;
 
 }  // namespace
@@ -22,8 +22,14 @@ DropLoss::DropLoss(Device& device, std::size_t n_pixels)
 void DropLoss::run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known) {
     const std::uint32_t of_workgroup = kLossThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
-                 {.logit = arrays.logit, .start = arrays.start, .target = arrays.target, .d_logit = arrays.d_logit,
-                  .probability = arrays.probability, .partial = partial_.address(), .n = std::uint32_t(n), .n_parts = n_parts_,
+                 {.logit = arrays.logit,
+                  .start = arrays.start,
+                  .target = arrays.target,
+                  .d_logit = arrays.d_logit,
+                  .probability = arrays.probability,
+                  .partial = partial_.address(),
+                  .n = std::uint32_t(n),
+                  .n_parts = n_parts_,
                   .weight = 1.0f / float(std::max<std::size_t>(known, 1))});
 }
 

@@ -30,10 +30,13 @@ struct Known {
 
 const Known& find_known(const std::string& name) {
     static const Known networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
-                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},   // docs/method.md
+                                     // docs/method.md
+                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
                                      {"pixel", 16, {1}, 0, 1, true, 1, {}}};
-    const auto found = std::find_if(std::begin(networks), std::end(networks), [&](const Known& known) { return name == known.name; });
-    if (found == std::end(networks)) throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
+    const auto found = std::find_if(std::begin(networks), std::end(networks),
+                                    [&](const Known& known) { return name == known.name; });
+    if (found == std::end(networks))
+        throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
     return *found;
 }
 
@@ -47,7 +50,9 @@ std::vector<std::string> drop_channel_names(const RefineOptions& options) {
     return names;
 }
 
-std::size_t count_parameters(const RefineOptions& options) { return refine::UnetPlan(refine::shape_of(options)).n_parameters; }
+std::size_t count_parameters(const RefineOptions& options) {
+    return refine::UnetPlan(refine::shape_of(options)).n_parameters;
+}
 
 namespace refine {
 
@@ -56,49 +61,63 @@ DropNetwork shape_of(const RefineOptions& options) {
     const int width = options.width > 0 ? options.width : int(known.width);
     const int levels = options.levels >= 0 ? options.levels : int(known.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
-        throw UsageError(fmt::format("refine: a network of {} channels and {} levels, expected at most {} and {}", width, levels,
-                                     kMostWidth, kMostLevels));
+        throw UsageError(
+            fmt::format("refine: a network of {} channels and {} levels, expected at most {} and {}", width,
+                        levels, kMostWidth, kMostLevels));
     DropNetwork network;
     network.inputs = drop_channel_names(options);
     for (int l = 0; l <= levels; ++l)
-        network.widths.push_back(std::uint32_t(width) * known.factors[std::min(std::size_t(l), known.factors.size() - 1)]);
+        network.widths.push_back(std::uint32_t(width) *
+                                 known.factors[std::min(std::size_t(l), known.factors.size() - 1)]);
     network.heads = levels > 0 ? known.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        throw UsageError(fmt::format("refine: a network of width {}, expected one whose smallest images ({} channels) {} heads can share",
-                                     width, network.widths.back(), network.heads));
+        throw UsageError(
+            fmt::format("refine: a network of width {}, expected one whose smallest images ({} channels) {} "
+                        "heads can share",
+                        width, network.widths.back(), network.heads));
     network.taps = known.taps;
     network.residual = known.residual;
     return network;
 }
 
-int batch_of(const RefineOptions& options) { return options.batch > 0 ? options.batch : find_known(options.network).batch; }
+int batch_of(const RefineOptions& options) {
+    return options.batch > 0 ? options.batch : find_known(options.network).batch;
+}
 
-Regularisation regularisation_of(const RefineOptions& options) { return find_known(options.network).in_training; }
+Regularisation regularisation_of(const RefineOptions& options) {
+    return find_known(options.network).in_training;
+}
 
 std::uint32_t logit_channel(const DropNetwork& network) {
-    return std::uint32_t(std::find(network.inputs.begin(), network.inputs.end(), "drop_logit") - network.inputs.begin());
+    return std::uint32_t(std::find(network.inputs.begin(), network.inputs.end(), "drop_logit") -
+                         network.inputs.begin());
 }
 
 std::uint32_t fixed_channels(const DropNetwork& network) {
-    return std::uint32_t(std::count_if(network.inputs.begin(), network.inputs.end(), [](const std::string& name) {
-        return name == "elevation" || name.starts_with("origin");
-    }));
+    return std::uint32_t(std::count_if(
+        network.inputs.begin(), network.inputs.end(),
+        [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
 void check_image(const DropNetwork& network, const DropImage& image, const std::string& what) {
     const int side = network.smallest_side();
     if (image.rows < side || image.columns < side)
-        throw DataError(fmt::format("{}: an image of {} x {} pixels, expected at least {} x {} for a network of {} levels", what,
-                                    image.rows, image.columns, side, side, network.widths.size() - 1));
-    const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns), n = pixels * network.inputs.size();
+        throw DataError(fmt::format(
+            "{}: an image of {} x {} pixels, expected at least {} x {} for a network of {} levels", what,
+            image.rows, image.columns, side, side, network.widths.size() - 1));
+    const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns),
+                      n = pixels * network.inputs.size();
     if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
-        throw DataError(fmt::format("{}: {} values of channels and {} of drops, expected {} and {} for {} x {} pixels", what,
-                                    image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns));
-    const auto bad = std::find_if(image.channels.begin(), image.channels.end(), [](float x) { return !std::isfinite(x); });
+        throw DataError(fmt::format(
+            "{}: {} values of channels and {} of drops, expected {} and {} for {} x {} pixels", what,
+            image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns));
+    const auto bad =
+        std::find_if(image.channels.begin(), image.channels.end(), [](float x) { return !std::isfinite(x); });
     if (bad != image.channels.end()) {
         const auto at = std::size_t(bad - image.channels.begin());
-        throw DataError(fmt::format("{}: {} of row {} and column {} is {}, expected a finite number", what, network.inputs[at / pixels],
-                                    at % pixels / std::size_t(image.columns), at % std::size_t(image.columns), *bad));
+        throw DataError(fmt::format("{}: {} of row {} and column {} is {}, expected a finite number", what,
+                                    network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
+                                    at % std::size_t(image.columns), *bad));
     }
 }
 

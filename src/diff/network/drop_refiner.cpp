@@ -20,11 +20,13 @@ namespace {
 
 const DropNetwork& checked(const DropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
-        throw DataError("a ray-drop network: found no channels or inputs, expected those it was trained with");
+        throw DataError(
+            "a ray-drop network: found no channels or inputs, expected those it was trained with");
     const refine::UnetPlan plan(network);
     const auto check = [](const char* what, std::size_t found, std::size_t expected) {
         if (found != expected)
-            throw DataError(fmt::format("a ray-drop network: found {} {}, expected {} for its channels", found, what, expected));
+            throw DataError(fmt::format("a ray-drop network: found {} {}, expected {} for its channels",
+                                        found, what, expected));
     };
     check("parameters", network.parameters.size(), plan.n_parameters);
     check("running moments", network.running.size(), plan.n_running);
@@ -54,7 +56,8 @@ struct ShapedNetwork {
     std::optional<refine::DropLoss> loss = {};
     Array<float, shared::DropProbabilities> probability = {};
 
-    ShapedNetwork(Device& device, const DropNetwork& network) : inputs(device, network), unet(device, network) {}
+    ShapedNetwork(Device& device, const DropNetwork& network)
+        : inputs(device, network), unet(device, network) {}
 
     void reserve(Device& device, const refine::Grid& of_image) {
         grid = of_image;
@@ -67,21 +70,25 @@ struct ShapedNetwork {
 }  // namespace
 
 struct DropPass::Impl {
-    static constexpr std::size_t kShapes = 2;   // kept: a rig's large sensor and its small ones are rendered by turns
+    // kept: a rig's large sensor and its small ones are rendered by turns
+    static constexpr std::size_t kShapes = 2;
 
     Device& device;
     DropNetwork network;
-    std::list<ShapedNetwork> shaped;   ///< the one used last first
+    std::list<ShapedNetwork> shaped;  ///< the one used last first
 
-    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)) { shaped.emplace_front(device, network); }
+    Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)) {
+        shaped.emplace_front(device, network);
+    }
 
     ShapedNetwork& network_for(Stream& stream, const refine::Grid& image) {
         auto place = std::ranges::find(shaped, image, &ShapedNetwork::grid);
         const bool is_new = place == shaped.end();
         if (is_new) place = std::ranges::find(shaped, refine::Grid{}, &ShapedNetwork::grid);
-        if (place == shaped.end() && shaped.size() < kShapes) place = shaped.emplace(shaped.end(), device, network);
+        if (place == shaped.end() && shaped.size() < kShapes)
+            place = shaped.emplace(shaped.end(), device, network);
         if (place == shaped.end()) {
-            stream.finish();   // what is there may be in use
+            stream.finish();  // what is there may be in use
             --place;
         }
         shaped.splice(shaped.begin(), shaped, place);
@@ -95,11 +102,12 @@ DropPass::~DropPass() = default;
 
 const DropNetwork& DropPass::network() const { return impl_->network; }
 
-const Array<float, shared::DropProbabilities>& DropPass::run(Stream& stream, int rows, int columns,
-                                                             const Array<float, shared::DropSamples>& channels) {
+const Array<float, shared::DropProbabilities>& DropPass::run(
+    Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& channels) {
     Impl& r = *impl_;
     if (const int side = r.network.smallest_side(); rows < side || columns < side)
-        throw DataError(fmt::format("refining ray-drop: found {} x {} pixels, expected at least {} of each", rows, columns, side));
+        throw DataError(fmt::format("refining ray-drop: found {} x {} pixels, expected at least {} of each",
+                                    rows, columns, side));
     const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
     ShapedNetwork& shaped = r.network_for(stream, grid);
@@ -108,7 +116,8 @@ const Array<float, shared::DropProbabilities>& DropPass::run(Stream& stream, int
     shaped.unet.evaluate(stream);
     shaped.loss->run(stream, grid.pixels(),
                      {.logit = shaped.unet.logit().values.address().as<shared::DropLogits>(),
-                      .start = r.network.residual ? shaped.inputs.start().address() : Address<float, shared::StartLogits>(),
+                      .start = r.network.residual ? shaped.inputs.start().address()
+                                                  : Address<float, shared::StartLogits>(),
                       .probability = shaped.probability.address()},
                      0);
     return shaped.probability;

@@ -14,25 +14,29 @@
 namespace relidar::refine {
 namespace {
 
-constexpr double kLastRate = 0.01;          // share of the first
-constexpr std::uint32_t kKeysOfStep = 64;   // for the layers
+constexpr double kLastRate = 0.01;         // share of the first
+constexpr std::uint32_t kKeysOfStep = 64;  // for the layers
 
 void check_images(const DropNetwork& network, const std::vector<DropImage>& images) {
-    if (images.empty()) throw DataError("training the ray-drop network: found no images, expected at least one");
+    if (images.empty())
+        throw DataError("training the ray-drop network: found no images, expected at least one");
     double drops = 0.0;
     for (std::size_t i = 0; i < images.size(); ++i) {
         const DropImage& image = images[i];
         check_image(network, image, fmt::format("training the ray-drop network, image {}", i));
         if (image.rows != images[0].rows || image.columns != images[0].columns)
-            throw DataError(fmt::format("training the ray-drop network: image {} has {} x {} pixels, expected {} x {} as the first", i,
-                                        image.rows, image.columns, images[0].rows, images[0].columns));
+            throw DataError(fmt::format(
+                "training the ray-drop network: image {} has {} x {} pixels, expected {} x {} as the first",
+                i, image.rows, image.columns, images[0].rows, images[0].columns));
         if (image.dropped.empty())
-            throw DataError(fmt::format("training the ray-drop network: nothing was measured for image {}, expected drops", i));
+            throw DataError(fmt::format(
+                "training the ray-drop network: nothing was measured for image {}, expected drops", i));
         for (const float dropped : image.dropped) drops += dropped > 0.5f;
     }
     if (drops == 0.0)
         throw DataError(
-            "training the ray-drop network: found no dropped ray in any frame, expected some: a log of points alone, whose rays are "
+            "training the ray-drop network: found no dropped ray in any frame, expected some: a log of "
+            "points alone, whose rays are "
             "not known, has none");
 }
 
@@ -47,7 +51,7 @@ DropNetwork start(const std::vector<DropImage>& images, const RefineOptions& opt
 }  // namespace
 
 struct DropTraining::Impl {
-    const DropNetwork network;   ///< its shape, normalisation and start
+    const DropNetwork network;  ///< its shape, normalisation and start
     const RefineOptions options;
     const std::size_t n_images, batch;
     const Grid grid;
@@ -57,7 +61,8 @@ struct DropTraining::Impl {
     ArrayAdam adam;
     Stream stream;
 
-    Impl(Device& device, const std::vector<DropImage>& images, const RefineOptions& o, std::uint64_t seed, bool timing)
+    Impl(Device& device, const std::vector<DropImage>& images, const RefineOptions& o, std::uint64_t seed,
+         bool timing)
         : network(start(images, o, seed)),
           options(o),
           n_images(images.size()),
@@ -70,13 +75,13 @@ struct DropTraining::Impl {
           stream(device, timing) {
         inputs.keep(device, images);
         unet.reserve(device, grid, true);
-        stream.fill(unet.gradients());   // what lies between groups has none
+        stream.fill(unet.gradients());  // what lies between groups has none
         stream.finish();
     }
 };
 
-DropTraining::DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
-                           bool timing)
+DropTraining::DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
+                           std::uint64_t seed, bool timing)
     : impl_(std::make_unique<Impl>(device, images, options, seed, timing)) {}
 DropTraining::~DropTraining() = default;
 
@@ -90,15 +95,16 @@ DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int ste
     for (const DropInputs::Chosen& c : chosen) known += t.inputs.known(c.sample);
     t.inputs.make(t.stream, chosen, t.unet.inputs());
     t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
-    t.loss.run(t.stream, t.grid.all_pixels(),
-              {.logit = t.unet.logit().values.address().as<shared::DropLogits>(),
-               .start = t.network.residual ? t.inputs.start().address() : Address<float, shared::StartLogits>(),
-               .target = t.inputs.target().address(),
-               .d_logit = t.unet.d_logit().values.address().as<shared::DropLogitGradients>()},
-              known);
+    t.loss.run(
+        t.stream, t.grid.all_pixels(),
+        {.logit = t.unet.logit().values.address().as<shared::DropLogits>(),
+         .start = t.network.residual ? t.inputs.start().address() : Address<float, shared::StartLogits>(),
+         .target = t.inputs.target().address(),
+         .d_logit = t.unet.d_logit().values.address().as<shared::DropLogitGradients>()},
+        known);
     t.unet.backward(t.stream);
     t.adam.step(t.stream, t.unet.parameters(), t.unet.gradients(),
-               exponential_schedule(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
+                exponential_schedule(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
     t.stream.finish();
     return t.loss.score(known);
 }
@@ -122,7 +128,8 @@ RefineState DropTraining::state() const {
 void DropTraining::restore(const RefineState& state) {
     const auto check = [](const char* name, std::size_t found, std::size_t expected) {
         if (found != expected)
-            throw DataError(fmt::format("resuming the ray-drop network: {}: found {} numbers, expected {}", name, found, expected));
+            throw DataError(fmt::format("resuming the ray-drop network: {}: found {} numbers, expected {}",
+                                        name, found, expected));
     };
     const DropNetwork& n = impl_->network;
     check("parameters", state.parameters.size(), n.parameters.size());

@@ -17,14 +17,15 @@ namespace relidar::refine {
 class DropTraining {
 public:
     /// @throws DataError as train_drop_network
-    DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
-                 bool timing = false);
+    DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
+                 std::uint64_t seed, bool timing = false);
     ~DropTraining();
 
-    std::size_t batch() const;            ///< images a step
-    std::size_t steps_of_epoch() const;   ///< the rest of an epoch's images is another one's turn
+    std::size_t batch() const;           ///< images a step
+    std::size_t steps_of_epoch() const;  ///< the rest of an epoch's images is another one's turn
 
-    /// One step on a batch. @param step  counts from 1 @return what the network scored before it
+    /// One step on a batch. @param step  counts from 1 @return what the network scored
+    /// before it
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
     /// Parameters and moments; the rest of a state is the caller's.

@@ -14,7 +14,8 @@ namespace {
 std::vector<DropImage> noise(const RefineOptions& options, int rows, int columns) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     std::mt19937 random(1);
-    const DropImage empty{rows, columns, std::vector<float>(drop_channel_names(options).size() * n), std::vector<float>(n)};
+    const DropImage empty{rows, columns, std::vector<float>(drop_channel_names(options).size() * n),
+                          std::vector<float>(n)};
     std::vector<DropImage> images(std::size_t(refine::batch_of(options)), empty);
     for (DropImage& image : images) {
         for (float& x : image.channels) x = float(random() % 1024) / 512.0f - 1.0f;
@@ -66,7 +67,8 @@ void MeasuredDropNetwork::step() { impl_->training.step(impl_->chosen, ++impl_->
 void MeasuredDropNetwork::infer() { impl_->refiner.refine(impl_->images[0]); }
 double MeasuredDropNetwork::operations() const {
     const DropImage& image = impl_->images[0];
-    return operations_of(impl_->refiner.network(), {1, std::uint32_t(image.rows), std::uint32_t(image.columns)});
+    return operations_of(impl_->refiner.network(),
+                         {1, std::uint32_t(image.rows), std::uint32_t(image.columns)});
 }
 const KernelTimes& MeasuredDropNetwork::times() const { return impl_->training.times(); }
 

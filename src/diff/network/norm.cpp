@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/channel_sums, diff/network/norm_finish, diff/network/norm, diff/network/norm_vjp.
+// Binding of diff/network/channel_sums, diff/network/norm_finish, diff/network/norm,
+// diff/network/norm_vjp.
 #include "diff/network/norm.hpp"
 
 #include <algorithm>
@@ -9,18 +10,23 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kNormThreads = 64;   // of a workgroup
+constexpr std::uint32_t kNormThreads = 64;  // of a workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
 /// Parts of all images whose sums are taken by themselves: a part lies in one image.
-std::uint32_t norm_parts(const Grid& grid) { return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64)); }
+std::uint32_t norm_parts(const Grid& grid) {
+    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
+}
 /// Threads that make each pixel of a slice.
 std::size_t threads_of(const Slice& slice) {
     constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
-    return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) * kNormThreads;
+    return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) *
+           kNormThreads;
 }
 
-std::vector<Constant> in_subgroups(std::uint32_t lanes) { return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kNormThreads}}; }
+std::vector<Constant> in_subgroups(std::uint32_t lanes) {
+    return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kNormThreads}};
+}
 
 }  // namespace
 
@@ -42,7 +48,8 @@ void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
 }
 
-void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, bool training) const {
+void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+                  bool training) const {
     run(stream, finish_, from.channels,
         {.partial = partial_.address(),
          .beta_gamma = weights.beta_gamma,
@@ -58,51 +65,98 @@ void Norm::finish(Stream& stream, const Slice& from, const NormWeights& weights,
          .epsilon = kEpsilon});
 }
 
-void Norm::apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to, bool training) const {
+void Norm::apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to,
+                 bool training) const {
     RELIDAR_ASSERT_EQ(from.channels * from.grid.all_pixels(), to.channels * to.grid.all_pixels());
     run(stream, norm_, threads_of(from),
-        {.from = from.view, .to = to.view, .scale_shift = state.scale_shift.address(), .n_images = from.grid.n,
-         .n_pixels = std::uint32_t(from.grid.pixels()), .n_channels = from.channels, .dropout_key = state.dropout_key,
+        {.from = from.view,
+         .to = to.view,
+         .scale_shift = state.scale_shift.address(),
+         .n_images = from.grid.n,
+         .n_pixels = std::uint32_t(from.grid.pixels()),
+         .n_channels = from.channels,
+         .dropout_key = state.dropout_key,
          .dropout = training ? state.dropout : 0.0f});
 }
 
-void Norm::forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to) {
-    run_sums(stream, {.from = from.view, .d_to = from.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
-                      .kind = shared::kSums_moments, .n_images = from.grid.n, .n_pixels = std::uint32_t(from.grid.pixels()),
-                      .n_channels = from.channels, .n_parts = norm_parts(from.grid), .dropout_key = 0, .dropout = 0.0f});
+void Norm::forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+                   const Slice& to) {
+    run_sums(stream, {.from = from.view,
+                      .d_to = from.view,
+                      .partial = partial_.address(),
+                      .scale_shift = {},
+                      .moments = {},
+                      .kind = shared::kSums_moments,
+                      .n_images = from.grid.n,
+                      .n_pixels = std::uint32_t(from.grid.pixels()),
+                      .n_channels = from.channels,
+                      .n_parts = norm_parts(from.grid),
+                      .dropout_key = 0,
+                      .dropout = 0.0f});
     finish(stream, from, weights, state, true);
     apply(stream, from, state, to, true);
 }
 
-void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to) {
+void Norm::evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+                    const Slice& to) {
     finish(stream, from, weights, state, false);
     apply(stream, from, state, to, false);
 }
 
-void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
-               const NormGradient& gradient, bool accumulate) {
+void Norm::vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
+               const Slice& d_from, const NormGradient& gradient, bool accumulate) {
     const auto n_pixels = std::uint32_t(from.grid.pixels()), n_parts = norm_parts(from.grid);
-    run_sums(stream, {.from = from.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = state.scale_shift.address(),
-                      .moments = state.moments.address(), .kind = shared::kSums_norm_vjp, .n_images = from.grid.n, .n_pixels = n_pixels,
-                      .n_channels = from.channels, .n_parts = n_parts, .dropout_key = state.dropout_key, .dropout = state.dropout});
+    run_sums(stream, {.from = from.view,
+                      .d_to = d_to.view,
+                      .partial = partial_.address(),
+                      .scale_shift = state.scale_shift.address(),
+                      .moments = state.moments.address(),
+                      .kind = shared::kSums_norm_vjp,
+                      .n_images = from.grid.n,
+                      .n_pixels = n_pixels,
+                      .n_channels = from.channels,
+                      .n_parts = n_parts,
+                      .dropout_key = state.dropout_key,
+                      .dropout = state.dropout});
     run(stream, sum_parts_, 2 * from.channels,
-        {.partial = partial_.address(), .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first), .n_parts = n_parts,
+        {.partial = partial_.address(),
+         .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
+         .n_parts = n_parts,
          .n = 2 * from.channels});
     run(stream, norm_vjp_, threads_of(from),
-        {.from = from.view, .d_to = d_to.view, .d_from = d_from.view,
+        {.from = from.view,
+         .d_to = d_to.view,
+         .d_from = d_from.view,
          .d_beta_gamma = gradient.all.address_as<glm::vec2, shared::BetaGamma>(gradient.first),
-         .scale_shift = state.scale_shift.address(), .moments = state.moments.address(), .n_images = from.grid.n, .n_pixels = n_pixels,
-         .n_channels = from.channels, .dropout_key = state.dropout_key, .dropout = state.dropout,
+         .scale_shift = state.scale_shift.address(),
+         .moments = state.moments.address(),
+         .n_images = from.grid.n,
+         .n_pixels = n_pixels,
+         .n_channels = from.channels,
+         .dropout_key = state.dropout_key,
+         .dropout = state.dropout,
          .accumulate = accumulate ? 1u : 0u});
 }
 
 void Norm::bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias) {
     const std::uint32_t n_parts = norm_parts(d_to.grid);
-    run_sums(stream, {.from = d_to.view, .d_to = d_to.view, .partial = partial_.address(), .scale_shift = {}, .moments = {},
-                      .kind = shared::kSums_plain, .n_images = d_to.grid.n, .n_pixels = std::uint32_t(d_to.grid.pixels()),
-                      .n_channels = d_to.channels, .n_parts = n_parts, .dropout_key = 0, .dropout = 0.0f});
+    run_sums(stream, {.from = d_to.view,
+                      .d_to = d_to.view,
+                      .partial = partial_.address(),
+                      .scale_shift = {},
+                      .moments = {},
+                      .kind = shared::kSums_plain,
+                      .n_images = d_to.grid.n,
+                      .n_pixels = std::uint32_t(d_to.grid.pixels()),
+                      .n_channels = d_to.channels,
+                      .n_parts = n_parts,
+                      .dropout_key = 0,
+                      .dropout = 0.0f});
     run(stream, sum_parts_, d_to.channels,
-        {.partial = partial_.address(), .sum = d_bias.as<shared::SumOfParts>(), .n_parts = n_parts, .n = d_to.channels});
+        {.partial = partial_.address(),
+         .sum = d_bias.as<shared::SumOfParts>(),
+         .n_parts = n_parts,
+         .n = d_to.channels});
 }
 
 }  // namespace relidar::refine

@@ -2,15 +2,16 @@
 // Batch normalisation, ReLU and dropout as one layer; sums over the pixels of channels.
 #pragma once
 
-#include "gpu/stream.hpp"
 #include "diff/network/tensor.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar::refine {
 
 /// Parameters of a normalisation.
 struct NormWeights {
-    Address<glm::vec2, shared::BetaGamma> beta_gamma;     ///< [channels]
-    Address<glm::vec2, shared::RunningMoments> running;   ///< [channels] mean and variance of the batches seen, for evaluation
+    Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels]
+    /// [channels] mean and variance of the batches seen, for evaluation
+    Address<glm::vec2, shared::RunningMoments> running;
 };
 
 /// Where the derivatives by beta and gamma go: [channels, 2] from `first` on.
@@ -21,8 +22,8 @@ struct NormGradient {
 
 /// What a pass of one layer keeps for the way back.
 struct NormState {
-    Array<glm::vec2, shared::NormMoments> moments;       ///< [channels]
-    Array<glm::vec2, shared::ScaleShift> scale_shift;    ///< [channels]
+    Array<glm::vec2, shared::NormMoments> moments;     ///< [channels]
+    Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels]
     std::uint32_t dropout_key = 0;
     float dropout = 0.0f;
 
@@ -36,14 +37,17 @@ class Norm {
 public:
     explicit Norm(Device& device);
 
-    /// to = dropout(relu(gamma x^ + beta)), x^ normalised by the moments of the batch, which join the running ones.
-    void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
+    /// to = dropout(relu(gamma x^ + beta)), x^ normalised by the moments of the batch,
+    /// which join the running ones.
+    void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+                 const Slice& to);
     /// The same by the running moments, nothing dropped.
-    void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, const Slice& to);
+    void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+                  const Slice& to);
     /// dL/d(from), and dL/d(beta, gamma), from dL/d(to) of forward().
     /// @param accumulate adds to what d_from holds
-    void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to, const Slice& d_from,
-             const NormGradient& gradient, bool accumulate = false);
+    void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
+             const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
     /// Sum of each channel over all images [channels]: derivative by a bias.
     void bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
     /// Makes room for images of so many channels and pixels.
@@ -59,8 +63,10 @@ private:
     Array<float, shared::PartSums> partial_;
 
     void run_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    void apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to, bool training) const;
-    void finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state, bool training) const;
+    void apply(Stream& stream, const Slice& from, const NormState& state, const Slice& to,
+               bool training) const;
+    void finish(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
+                bool training) const;
 };
 
 }  // namespace relidar::refine

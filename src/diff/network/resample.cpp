@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/pool, diff/network/pool_vjp, diff/network/upsample and diff/network/upsample_vjp.
+// Binding of diff/network/pool, diff/network/pool_vjp, diff/network/upsample and
+// diff/network/upsample_vjp.
 #include "diff/network/resample.hpp"
 
 #include "base/assert.hpp"
@@ -10,8 +11,15 @@ namespace {
 shared::ResampleParams between(const Slice& from, const Slice& to, const Grid& large, const Grid& small) {
     RELIDAR_ASSERT_EQ(from.channels, to.channels);
     RELIDAR_ASSERT_EQ(large.n, small.n);
-    return {.from = from.view, .to = to.view, .pooled = from.view, .n_images = large.n, .n_channels = from.channels, .rows = large.rows,
-            .columns = large.columns, .small_rows = small.rows, .small_columns = small.columns};
+    return {.from = from.view,
+            .to = to.view,
+            .pooled = from.view,
+            .n_images = large.n,
+            .n_channels = from.channels,
+            .rows = large.rows,
+            .columns = large.columns,
+            .small_rows = small.rows,
+            .small_columns = small.columns};
 }
 
 std::size_t values_of(const Slice& slice) { return slice.channels * slice.grid.all_pixels(); }

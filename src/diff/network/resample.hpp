@@ -2,8 +2,8 @@
 // Images made smaller and larger again.
 #pragma once
 
-#include "gpu/stream.hpp"
 #include "diff/network/tensor.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar::refine {
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images on the device: [n, channels, rows, columns], columns fastest. Columns are a ring.
+// Images on the device: [n, channels, rows, columns], columns fastest. Columns are a
+// ring.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +18,7 @@ namespace relidar::refine {
 struct Grid {
     std::uint32_t n = 0, rows = 0, columns = 0;
 
-    std::size_t pixels() const { return std::size_t(rows) * columns; }   ///< of an image
+    std::size_t pixels() const { return std::size_t(rows) * columns; }  ///< of an image
     std::size_t all_pixels() const { return n * pixels(); }
     friend bool operator==(const Grid&, const Grid&) = default;
 };

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of the ray-drop network: images in a new order each epoch, turned by random columns, cross-entropy (Eq. 13), Adam.
+// Training of the ray-drop network: images in a new order each epoch, turned by random
+// columns, cross-entropy (Eq. 13), Adam.
 #include <chrono>
 #include <cmath>
 #include <numeric>
@@ -15,25 +16,28 @@
 namespace relidar {
 namespace {
 
-/// Sample and turn of each image of an epoch, by a generator of its own, so that no epoch depends on how another one was drawn.
-std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed, int epoch) {
+/// Sample and turn of each image of an epoch, by a generator of its own, so that no epoch
+/// depends on how another one was drawn.
+std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed,
+                                                   int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<refine::DropInputs::Chosen> chosen(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t j = random() % (i + 1);   // Fisher and Yates, inside out
+        const std::size_t j = random() % (i + 1);  // Fisher and Yates, inside out
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
-    for (refine::DropInputs::Chosen& c : chosen) c.turn = turn ? std::uint32_t(random() % std::uint64_t(columns)) : 0;
+    for (refine::DropInputs::Chosen& c : chosen)
+        c.turn = turn ? std::uint32_t(random() % std::uint64_t(columns)) : 0;
     return chosen;
 }
 
 /// Where a training stands between two steps.
 struct Course {
-    const std::size_t batch, n_steps;        ///< images of a step, steps of an epoch
+    const std::size_t batch, n_steps;  ///< images of a step, steps of an epoch
     RefineProgress told;
-    double entropy, accuracy;                ///< sums over the steps of the epoch
-    const double before_s;                   ///< that earlier sessions took
+    double entropy, accuracy;  ///< sums over the steps of the epoch
+    const double before_s;     ///< that earlier sessions took
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
 
     Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
@@ -46,7 +50,8 @@ struct Course {
         told.n_epochs = options.epochs;
         told.n_steps = options.epochs * int(n_steps);
         if (told.step < 0 || told.step > told.n_steps)
-            throw DataError(fmt::format("resuming the ray-drop network: found step {}, expected at most {}", told.step, told.n_steps));
+            throw DataError(fmt::format("resuming the ray-drop network: found step {}, expected at most {}",
+                                        told.step, told.n_steps));
     }
 
     /// The next step: begins an epoch where one is over. @return its place in the epoch
@@ -63,11 +68,13 @@ struct Course {
         told.epoch = epoch() + 1;
         told.entropy = entropy / double(k + 1);
         told.accuracy = accuracy / double(k + 1);
-        told.seconds = before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        told.seconds =
+            before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
-            throw DataError(fmt::format(
-                "training the ray-drop network: the loss is {} in step {}, expected a number; try a smaller refine.rate", score.entropy,
-                told.step));
+            throw DataError(
+                fmt::format("training the ray-drop network: the loss is {} in step {}, expected a number; "
+                            "try a smaller refine.rate",
+                            score.entropy, told.step));
     }
     RefineState put_into(RefineState state) const {
         state.step = told.step;
@@ -80,7 +87,8 @@ struct Course {
 
 }  // namespace
 
-DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed,
+DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images,
+                               const RefineOptions& options, std::uint64_t seed,
                                const RefineCallback& progress, const RefineState* start) {
     refine::DropTraining training(device, images, options, seed);
     Course course(training, options, start ? *start : RefineState{});
@@ -90,7 +98,8 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
     while (course.told.step < course.told.n_steps) {
         const std::size_t k = course.advance();
         if (k == 0 || order.empty())
-            order = draw_epoch(images.size(), images[0].columns, refine::regularisation_of(options).turns, seed, course.epoch());
+            order = draw_epoch(images.size(), images[0].columns, refine::regularisation_of(options).turns,
+                               seed, course.epoch());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add(training.step(chosen, course.told.step, course.told.n_steps), k);
         if (progress && !progress(course.told, state)) break;

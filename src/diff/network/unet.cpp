@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Passes of the network. On the way down a block writes into the part of the larger image that the way up will join, so nothing is copied;
-// on the way back the gradient of that part waits there for the one from below.
+// Passes of the network. On the way down a block writes into the part of the larger image
+// that the way up will join, so nothing is copied; on the way back the gradient of that
+// part waits there for the one from below.
 #include "diff/network/unet.hpp"
 
 #include <algorithm>
@@ -45,23 +46,25 @@ void Unet::reserve_level(Device& device, std::size_t level, const Grid& grid) {
     if (level > 0) {
         tensors(l.pooled, l.d_pooled, widths_[level - 1], grid);
         tensors(l.down_between, l.d_down_between, widths_[level], grid);
-        for (std::size_t k = 0; k < 2; ++k) reserve_block(device, plan_.down[2 * level - 2 + k], grid, down_states_[2 * level - 2 + k]);
+        for (std::size_t k = 0; k < 2; ++k)
+            reserve_block(device, plan_.down[2 * level - 2 + k], grid, down_states_[2 * level - 2 + k]);
     }
-    if (2 * level >= plan_.up.size()) {   // the smallest size
+    if (2 * level >= plan_.up.size()) {  // the smallest size
         tensors(l.up, l.d_up, widths_[level], grid);
         return;
     }
     tensors(l.joined, l.d_joined, joined_channels(widths_, level), grid);
     tensors(l.up_between, l.d_up_between, joined_channels(widths_, level), grid);
     tensors(l.up, l.d_up, up_channels(widths_, level), grid);
-    for (std::size_t k = 0; k < 2; ++k) reserve_block(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
+    for (std::size_t k = 0; k < 2; ++k)
+        reserve_block(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
 }
 
 void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
-    levels_.clear();   // before the new ones are made: memory for both may not be there
+    levels_.clear();  // before the new ones are made: memory for both may not be there
     levels_.resize(widths_.size());
     down_states_.resize(plan_.down.size());
     up_states_.resize(plan_.up.size());
@@ -70,13 +73,15 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (with_gradients) d_logit_ = Tensor(device, 1, grid, "gradient of drop logits");
     if (with_gradients) gradients_.reserve(device, parameters_.size(), "gradients of the network");
     Grid at = grid;
-    for (std::size_t level = 0; level < levels_.size(); ++level, at = pooled(at)) reserve_level(device, level, at);
+    for (std::size_t level = 0; level < levels_.size(); ++level, at = pooled(at))
+        reserve_level(device, level, at);
     for (const ConvLayer* layer : {&plan_.head, &plan_.tail})
         conv1_.reserve(device, conv1_.partial_floats(grid, layer->n_in, layer->n_out));
     norm_.reserve(device, 1, grid);
     norm_.reserve(device, widths_[0], grid);
     if (attention_) reserve_attention(device);
-    if (with_gradients) scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, "gradient of activations");
+    if (with_gradients)
+        scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, "gradient of activations");
 }
 
 void Unet::reserve_attention(Device& device) {
@@ -94,7 +99,8 @@ void Unet::reserve_attention(Device& device) {
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to, Mode mode) {
+void Unet::run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from,
+                     const Slice& to, Mode mode) {
     const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
                                    running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
     if (mode == Mode::train) norm_.forward(stream, from, norm_weights, state.norm, state.active.all());
@@ -118,17 +124,21 @@ void Unet::run(Stream& stream, Mode mode) {
         const Slice pooled = levels_[l].pooled.all(), between = levels_[l].down_between.all();
         resample_.pool(stream, skip(l - 1), pooled);
         run_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], pooled, between, mode);
-        run_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, l < n_levels ? skip(l) : levels_[l].up.all(), mode);
+        run_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between,
+                  l < n_levels ? skip(l) : levels_[l].up.all(), mode);
     }
     if (attention_) attend(stream, mode);
     for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
         const Level& level = levels_[l];
         if (const std::uint32_t below = below_channels(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
-            resample_.upsample(stream, smallest && attention_ ? mixed_.all() : levels_[l + 1].up.all(), level.joined.all().part(0, below));
+            resample_.upsample(stream, smallest && attention_ ? mixed_.all() : levels_[l + 1].up.all(),
+                               level.joined.all().part(0, below));
         }
-        run_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), level.up_between.all(), mode);
-        run_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], level.up_between.all(), level.up.all(), mode);
+        run_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), level.up_between.all(),
+                  mode);
+        run_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], level.up_between.all(), level.up.all(),
+                  mode);
     }
     conv1_.forward(stream, levels_[0].up.all(), weights(plan_.tail.weights), bias(*plan_.tail.bias),
                    logit_.all());
@@ -147,12 +157,13 @@ void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout) {
 void Unet::evaluate(Stream& stream) { run(stream, Mode::evaluate); }
 
 void Unet::conv_vjp(Stream& stream, const ConvLayer& layer, const Slice& from, const Slice& d_to) {
-    conv_of(layer).weights_vjp(stream, from, d_to, gradients_.address_as<float, shared::ConvWeights>(layer.weights));
+    conv_of(layer).weights_vjp(stream, from, d_to,
+                               gradients_.address_as<float, shared::ConvWeights>(layer.weights));
     if (layer.bias) norm_.bias_vjp(stream, d_to, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& d_to, const Slice& d_from,
-                     bool accumulate) {
+void Unet::block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from,
+                     const Slice& d_to, const Slice& d_from, bool accumulate) {
     const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, from.grid};
     conv_vjp(stream, block.conv, state.active.all(), d_to);
     conv_of(block.conv).input_vjp(stream, d_to, weights(block.conv.weights), d_active);
@@ -177,7 +188,8 @@ void Unet::backward(Stream& stream) {
         const Level& level = levels_[l];
         const Slice between = level.up_between.all(), d_between = level.d_up_between.all();
         block_vjp(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between, level.d_up.all(), d_between);
-        block_vjp(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), d_between, level.d_joined.all());
+        block_vjp(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.all(), d_between,
+                  level.d_joined.all());
         if (const std::uint32_t below = below_channels(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
             resample_.upsample_vjp(stream, level.d_joined.all().part(0, below),
@@ -188,9 +200,10 @@ void Unet::backward(Stream& stream) {
     for (std::size_t l = n_levels; l > 0; --l) {
         const Level& level = levels_[l];
         const Slice d_to = l < n_levels ? d_skip(l) : level.d_up.all(), between = level.down_between.all();
-        block_vjp(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to, level.d_down_between.all());
-        block_vjp(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled.all(), level.d_down_between.all(),
-                  level.d_pooled.all());
+        block_vjp(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
+                  level.d_down_between.all());
+        block_vjp(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled.all(),
+                  level.d_down_between.all(), level.d_pooled.all());
         resample_.pool_vjp(stream, skip(l - 1), level.d_pooled.all(), d_skip(l - 1));
     }
     conv_vjp(stream, plan_.head, inputs_.all(), d_skip(0));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ray-drop network: a U-Net (Ronneberger et al.) of [normalise, ReLU, dropout, convolution] twice a level, attention at the smallest
-// size, and skips to the way up. Its parameters, and passes over images of one size.
+// The ray-drop network: a U-Net (Ronneberger et al.) of [normalise, ReLU, dropout,
+// convolution] twice a level, attention at the smallest size, and skips to the way up.
+// Its parameters, and passes over images of one size.
 #pragma once
 
 #include <optional>
@@ -30,21 +31,23 @@ struct Block {
 
 /// Where everything lies.
 struct UnetPlan {
-    ConvLayer head, tail;                ///< inputs to full-size channels, these to a logit
-    std::vector<Block> down, up;         ///< two a level; up from the smallest
-    std::optional<Block> query;          ///< attention: query, key, value
-    ConvLayer project;                   ///< and back
+    ConvLayer head, tail;         ///< inputs to full-size channels, these to a logit
+    std::vector<Block> down, up;  ///< two a level; up from the smallest
+    std::optional<Block> query;   ///< attention: query, key, value
+    ConvLayer project;            ///< and back
     std::size_t n_parameters = 0, n_running = 0;
 
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// Channels at a level: what its way up ends with, what comes from the smaller images, and both what comes and the skip.
+/// Channels at a level: what its way up ends with, what comes from the smaller images,
+/// and both what comes and the skip.
 std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
-/// Parameters as they start: Kaiming's uniform, norms at 1 and 0, the last convolution at 0, so that a residual network starts as nothing.
+/// Parameters as they start: Kaiming's uniform, norms at 1 and 0, the last convolution at
+/// 0, so that a residual network starts as nothing.
 void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed);
 
 /// A network on a device.
@@ -61,15 +64,16 @@ public:
     /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit().
     void backward(Stream& stream);
 
-    /// Takes other values, as many as there are. Nothing on the device may still use those it has.
+    /// Takes other values, as many as there are. Nothing on the device may still use
+    /// those it has.
     void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
         parameters_.upload(parameters);
         running_.upload(running);
     }
 
-    const Tensor& inputs() const { return inputs_; }         ///< to be filled
+    const Tensor& inputs() const { return inputs_; }  ///< to be filled
     const Tensor& logit() const { return logit_; }
-    const Tensor& d_logit() const { return d_logit_; }       ///< to be filled
+    const Tensor& d_logit() const { return d_logit_; }  ///< to be filled
     const Array<float>& parameters() const { return parameters_; }
     const Array<float>& gradients() const { return gradients_; }
     const Array<float>& running() const { return running_; }
@@ -82,7 +86,8 @@ private:
     };
     /// Images of one size: [from below, skip], between the blocks of either way.
     struct Level {
-        Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled, d_pooled;
+        Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
+            d_pooled;
     };
     enum class Mode { train, evaluate };
 
@@ -100,20 +105,25 @@ private:
     BlockState query_state_;
     std::vector<Level> levels_;
     std::vector<BlockState> down_states_, up_states_;
-    std::size_t most_active_ = 0;   ///< values behind a norm, of the largest block
-    Tensor scratch_;                ///< their gradients
+    std::size_t most_active_ = 0;  ///< values behind a norm, of the largest block
+    Tensor scratch_;               ///< their gradients
 
-    Conv::Weights weights(std::size_t first) const { return parameters_.address_as<float, shared::ConvWeights>(first); }
-    Conv::Bias bias(std::size_t first) const { return parameters_.address_as<float, shared::ConvBias>(first); }
+    Conv::Weights weights(std::size_t first) const {
+        return parameters_.address_as<float, shared::ConvWeights>(first);
+    }
+    Conv::Bias bias(std::size_t first) const {
+        return parameters_.address_as<float, shared::ConvBias>(first);
+    }
     Conv& conv_of(const ConvLayer& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
     void reserve_level(Device& device, std::size_t level, const Grid& grid);
     void reserve_attention(Device& device);
     void reserve_block(Device& device, const Block& block, const Grid& grid, BlockState& state);
-    void run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to, Mode mode);
-    void block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& d_to, const Slice& d_from,
-                   bool accumulate = false);
+    void run_block(Stream& stream, const Block& block, BlockState& state, const Slice& from, const Slice& to,
+                   Mode mode);
+    void block_vjp(Stream& stream, const Block& block, BlockState& state, const Slice& from,
+                   const Slice& d_to, const Slice& d_from, bool accumulate = false);
     void conv_vjp(Stream& stream, const ConvLayer& layer, const Slice& from, const Slice& d_to);
     void run(Stream& stream, Mode mode);
     void attend(Stream& stream, Mode mode);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the parameters of a network lie, and what they start as. The order is that of the declaration in UnetPlan's constructor; each group
-// begins at a multiple of four floats, as arrays on the device do.
+// Where the parameters of a network lie, and what they start as. The order is that of the
+// declaration in UnetPlan's constructor; each group begins at a multiple of four floats,
+// as arrays on the device do.
 #include <cmath>
 #include <random>
 
@@ -79,7 +80,7 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) 
     };
     draw_conv(plan.head);
     for (const Block& block : plan.down) draw_block(block);
-    if (plan.query) draw_block(*plan.query);   // what it adds starts at nothing: `project` stays 0
+    if (plan.query) draw_block(*plan.query);  // what it adds starts at nothing: `project` stays 0
     for (const Block& block : plan.up) draw_block(block);
     if (!network.residual) draw_conv(plan.tail);
 }

@@ -10,8 +10,8 @@
 #include <relidar/scene/device_scene.hpp>
 
 #include "base/assert.hpp"
-#include "gpu/stream.hpp"
 #include "diff/shared/optimizer.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
@@ -22,7 +22,7 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 
 namespace {
 
-constexpr std::uint32_t kStreamingThreads = 128;   // of a workgroup: with 32 a GPU could not fill itself
+constexpr std::uint32_t kStreamingThreads = 128;  // of a workgroup: with 32 a GPU could not fill itself
 
 std::vector<Constant> adam_constants(bool per_float) {
     return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
@@ -36,7 +36,7 @@ struct Adam::Impl {
     SurfelArrays moment1, moment2;
     Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
-    std::optional<TouchedList> list;   ///< where it steps nothing else
+    std::optional<TouchedList> list;  ///< where it steps nothing else
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
         : options(o),
@@ -54,7 +54,7 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
-    stream.finish();   // here, not in the first step: a resumed run puts its moments in between
+    stream.finish();  // here, not in the first step: a resumed run puts its moments in between
 }
 Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
@@ -65,8 +65,9 @@ void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale)
     impl_->max_log_scale = {device, std::span<const float>(max_log_scale), "bounds of scales"};
 }
 
-void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Array<std::uint32_t, shared::TouchedSurfels>* touched,
-                const LearningRates& rates, int step, int sh_degree) {
+void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
+                const Array<std::uint32_t, shared::TouchedSurfels>* touched, const LearningRates& rates,
+                int step, int sh_degree) {
     Impl& a = *impl_;
     const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
@@ -77,11 +78,12 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
     const bool listed = a.list && touched;
     if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
-    const Concurrent groups(stream);   // none of them reads what another writes
+    const Concurrent groups(stream);  // none of them reads what another writes
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;   // of all but the first float of a block
+        // of all but the first float of a block
+        const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
@@ -90,11 +92,14 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g, const Ar
              .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
              .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
-             .touched = touched && !listed ? touched->address(first) : Address<std::uint32_t, shared::TouchedSurfels>{},
+             .touched = touched && !listed ? touched->address(first)
+                                           : Address<std::uint32_t, shared::TouchedSurfels>{},
              .rows = listed ? a.list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
              .n_listed = listed ? a.list->count() : Address<std::uint32_t, shared::TouchedCount>{},
-             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first) : Address<float, shared::ScaleBounds>{},
-             .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{}).as<shared::ModelRates>(),
+             .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
+                                                                  : Address<float, shared::ScaleBounds>{},
+             .model_scale = (by_model ? impl_of(stream).values(rates.mean_factors) : Address<float>{})
+                                .as<shared::ModelRates>(),
              .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
@@ -127,7 +132,8 @@ struct ArrayAdam::Impl {
           kernel(device, "diff/optimizer/adam", adam_constants(true)) {}
 };
 
-ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options) : impl_(new Impl(device, n, options)) {
+ArrayAdam::ArrayAdam(Device& device, std::size_t n, const AdamOptions& options)
+    : impl_(new Impl(device, n, options)) {
     Stream stream(device);
     stream.fill(impl_->moment1);
     stream.fill(impl_->moment2);
@@ -137,7 +143,8 @@ ArrayAdam::~ArrayAdam() = default;
 Array<float>& ArrayAdam::moment1() { return impl_->moment1; }
 Array<float>& ArrayAdam::moment2() { return impl_->moment2; }
 
-void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate, int step) {
+void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate,
+                     int step) {
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
     RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());

@@ -14,7 +14,9 @@ namespace relidar {
 namespace {
 
 /// Rays that a renderer has room for.
-std::uint32_t room(const Renderer& renderer) { return static_cast<std::uint32_t>(renderer.rendered().rendered->size()); }
+std::uint32_t room(const Renderer& renderer) {
+    return static_cast<std::uint32_t>(renderer.rendered().rendered->size());
+}
 
 struct Lane {
     const char* name;
@@ -34,22 +36,24 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
     for (const auto& [name, values, at] : lanes) {
         if (values.empty()) continue;
         if (values.size() != n_rays)
-            throw DataError(
-                fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none", name, values.size(), n_rays));
+            throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none",
+                                        name, values.size(), n_rays));
         for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
     }
     return result;
 }
 
 /// An array's values, or none where it was not asked for.
-std::vector<float> values_of(const Array<float>& array, std::size_t n) { return array.size() ? array.download(n) : std::vector<float>{}; }
+std::vector<float> values_of(const Array<float>& array, std::size_t n) {
+    return array.size() ? array.download(n) : std::vector<float>{};
+}
 
 }  // namespace
 
 struct DifferentiableRenderer::Impl {
     GradientOptions options;
     BackwardPass backward;
-    std::optional<Gradients> gradients;   ///< none while surfels are added or removed
+    std::optional<Gradients> gradients;  ///< none while surfels are added or removed
     Array<shared::RayGradient> upstream;
 
     void make_gradients(Renderer& renderer) {
@@ -58,7 +62,8 @@ struct DifferentiableRenderer::Impl {
     }
 };
 
-DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& options,
+DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
+                                               const RendererOptions& options,
                                                const GradientOptions& gradients)
     : Renderer(device, scene, model, options),
       impl_(new Impl{gradients,
@@ -73,7 +78,7 @@ DifferentiableRenderer::~DifferentiableRenderer() = default;
 RenderedBatch DifferentiableRenderer::batch() {
     Device& device = stream().device();
     const std::size_t n_rays = room(*this);
-    if (impl_->upstream.size() < n_rays) {   // the renderer has made room for more rays
+    if (impl_->upstream.size() < n_rays) {  // the renderer has made room for more rays
         stream().finish();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
@@ -85,13 +90,14 @@ RenderedBatch DifferentiableRenderer::batch() {
 
 void DifferentiableRenderer::record_backward() {
     impl_->backward.set_sh_degree(model().sh_degree);
-    impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);   // Eq. 9
+    impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);  // Eq. 9
 }
 
 HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_rendered) {
     const RenderedBatch last = batch();
     const std::size_t n_rays = last.rays.n_rays;
-    if (last.rays.rays == nullptr) throw UsageError("gradients of a rendering: found none, expected forward() first");
+    if (last.rays.rays == nullptr)
+        throw UsageError("gradients of a rendering: found none, expected forward() first");
     stream().finish();
     impl_->upstream.upload(ray_gradients(d_rendered, n_rays));
     if (last.geometry) stream().fill(last.geometry->gradient);

@@ -6,21 +6,24 @@
 
 #include <relidar/base/error.hpp>
 
-#include "gpu/stream.hpp"
 #include "diff/traversal/trace_scene.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits) {
+CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
+                           std::uint32_t max_hits) {
     Stream stream(device);
     DeviceScene on_device(device, *placed.scene);
     on_device.set_poses(placed.world_from_instance);
     Accel accel(device, on_device, placed.accel);
-    const Kernel<shared::CollectHitsParams> kernel(device, "diff/traversal/collect_hits", traversal_variant(device),
-                                                   trace_constants(device, accel.proxy(), placed.trace, placed.model));
+    const Kernel<shared::CollectHitsParams> kernel(
+        device, "diff/traversal/collect_hits", traversal_variant(device),
+        trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
-    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
+                                                              "pass cap count");
     const Array<std::uint32_t, shared::HitCounts> counts(device, n, "hit counts");
     const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits, "hit instances");
     const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits, "hit surfels");
@@ -28,8 +31,8 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
     run(stream, kernel, n,
-        {.scene = trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)}, placed.model, placed.trace,
-                              pass_cap.address()),
+        {.scene = trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)},
+                              placed.model, placed.trace, pass_cap.address()),
          .counts = counts.address(),
          .t = t.address(),
          .instance = instance.address(),
@@ -37,9 +40,10 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
          .max_hits = max_hits});
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
-        throw DeviceError(fmt::format(
-            "collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal stack, expected every ray to end", n,
-            capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(
+            fmt::format("collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal "
+                        "stack, expected every ray to end",
+                        n, capped, RELIDAR_MAX_PASSES));
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 

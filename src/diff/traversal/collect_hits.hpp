@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract made visible for its conformance tests (shaders/diff/traversal/README.md).
+// The traversal contract made visible for its conformance tests
+// (shaders/diff/traversal/README.md).
 #pragma once
 
 #include <cstdint>
@@ -14,10 +15,10 @@ namespace relidar {
 /// Ordered hits of each ray, all of them: for tests of the traversal contract.
 struct CollectedHits {
     std::uint32_t max_hits = 0;
-    std::vector<std::uint32_t> counts;     ///< [n_rays] may exceed max_hits
-    std::vector<float> t;                  ///< [n_rays, max_hits] metres
-    std::vector<std::uint32_t> instance;   ///< [n_rays, max_hits]
-    std::vector<std::uint32_t> surfel;     ///< [n_rays, max_hits]
+    std::vector<std::uint32_t> counts;    ///< [n_rays] may exceed max_hits
+    std::vector<float> t;                 ///< [n_rays, max_hits] metres
+    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits]
+    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits]
 };
 
 /// A scene with its instances placed, and how it is traced.
@@ -29,7 +30,9 @@ struct PlacedScene {
     TraceOptions trace;
 };
 
-/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray reaches the cap of passes
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays, std::uint32_t max_hits);
+/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray
+/// reaches the cap of passes
+CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
+                           std::uint32_t max_hits);
 
 }  // namespace relidar

@@ -9,7 +9,8 @@ namespace relidar {
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
     std::vector<DeviceRay> result;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        result.push_back({rays.origin[i], rays.direction[i], rays.time_s.empty() ? RELIDAR_NO_TIME : rays.time_s[i]});
+        result.push_back(
+            {rays.origin[i], rays.direction[i], rays.time_s.empty() ? RELIDAR_NO_TIME : rays.time_s[i]});
     return result;
 }
 

@@ -1,19 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// The host side of shaders/diff/traversal: fills the part of the parameters that all tracing kernels share, names their variants.
-// Infrastructure of forward and backward alike, so neither reaches into the other.
+// The host side of shaders/diff/traversal: fills the part of the parameters that all
+// tracing kernels share, names their variants. Infrastructure of forward and backward
+// alike, so neither reaches into the other.
 #pragma once
 
 #include <relidar/diff/accel.hpp>
 #include <relidar/diff/traversal.hpp>
 #include <relidar/scene/device_scene.hpp>
 
-#include "gpu/kernel.hpp"
 #include "diff/shared/trace.h"
+#include "gpu/kernel.hpp"
 
 namespace relidar {
 
 /// What a kernel searches, without the rays.
-inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel, const ImageModel& model) {
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
+                                      const ImageModel& model) {
     return {.tlas = accel.tlas,
             .proxy_reach = accel.proxy_reach,
             .moving = accel.moving,
@@ -40,8 +42,9 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
             .columns = 0};
 }
 
-inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch, const ImageModel& model,
-                                      const TraceOptions& options, Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
+inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
+                                      const ImageModel& model, const TraceOptions& options,
+                                      Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
     shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;
@@ -62,8 +65,10 @@ inline KernelVariant traversal_variant(const Device& device) {
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
-/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree together. Measured: 1.2 times as fast on lavapipe
-/// (docs/platform.md). On a GPU lanes are free to part; on a CPU they are those of one vector, and load surfels for each other.
+/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree
+/// together. Measured: 1.2 times as fast on lavapipe (docs/platform.md). On a GPU lanes
+/// are free to part; on a CPU they are those of one vector, and load surfels for each
+/// other.
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
@@ -71,7 +76,8 @@ inline std::uint32_t walks_together(const Device& device, const TraceOptions& op
 }
 
 /// Specialisation constants of the tracing kernels (shaders/diff/traversal).
-inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options, const ImageModel& model) {
+inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options,
+                                             const ImageModel& model) {
     return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
             {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
             {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},

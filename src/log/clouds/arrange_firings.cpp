@@ -12,27 +12,32 @@ namespace {
 constexpr int kTicks = 1 << 16;  // of a turn: 0.0055 degrees
 
 /// Azimuth of the head at each firing from the first number to the last.
-std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
-                                    double step_rad) {
+std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<int>& numbers,
+                                    const SpinningSensor& sensor, double step_rad) {
     std::map<int, std::complex<double>> sums;  // of points about an even turn
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[numbers[i]] +=
-            std::polar(1.0, head_azimuth(sensor.beams[points.ring[i]], glm::dvec3(points.point_m[i])) - numbers[i] * step_rad);
+            std::polar(1.0, head_azimuth(sensor.beams[points.ring[i]], glm::dvec3(points.point_m[i])) -
+                                numbers[i] * step_rad);
     std::map<int, double> heads;
     for (auto at = sums.begin(); at != sums.end(); ++at) {
         const auto next = std::next(at) == sums.end() ? at : std::next(at);
-        const double uneven = std::arg(at->second), change = std::remainder(std::arg(next->second) - uneven, 2.0 * kPi);
+        const double uneven = std::arg(at->second),
+                     change = std::remainder(std::arg(next->second) - uneven, 2.0 * kPi);
         const int first = at->first, gap = std::max(next->first - first, 1);
-        for (int n = first; n < first + gap; ++n) heads[n] = std::remainder(uneven + change * (n - first) / gap + n * step_rad, 2.0 * kPi);
+        for (int n = first; n < first + gap; ++n)
+            heads[n] = std::remainder(uneven + change * (n - first) / gap + n * step_rad, 2.0 * kPi);
     }
     return heads;
 }
 
 }  // namespace
 
-Sweep arrange_firings(ScanPoints& points, const std::vector<int>& numbers, const SpinningSensor& sensor, double step_rad) {
+Sweep arrange_firings(ScanPoints& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
+                      double step_rad) {
     std::vector<std::pair<double, int>> by_azimuth;
-    for (const auto& [number, head] : head_azimuths(points, numbers, sensor, step_rad)) by_azimuth.emplace_back(-head, number);
+    for (const auto& [number, head] : head_azimuths(points, numbers, sensor, step_rad))
+        by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
     Sweep sweep{{kTicks, 0.0}, {}};
     std::map<int, std::uint32_t> place;

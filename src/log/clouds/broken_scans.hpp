@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a log that cannot be read: the first one ends the reading, or (dataset.skip_broken) each is left out with a note.
+// Scans of a log that cannot be read: the first one ends the reading, or
+// (dataset.skip_broken) each is left out with a note.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +18,8 @@ class BrokenScans {
 public:
     explicit BrokenScans(bool skip) : skip_(skip) {}
 
-    /// Does a step of reading scan i, on any thread. A scan that an earlier step found broken is passed over.
+    /// Does a step of reading scan i, on any thread. A scan that an earlier step found
+    /// broken is passed over.
     /// @throws DataError of the step, where broken scans are not left out
     template <class Step>
     void attempt(std::size_t i, const Step& step) {
@@ -33,10 +35,12 @@ public:
     bool has(std::size_t i) const;
     std::size_t size() const { return reasons_.size(); }
 
-    /// A note for each. @param n  scans there are @throws DataError where all of them are broken
+    /// A note for each. @param n  scans there are @throws DataError where all of them are
+    /// broken
     void tell(Sequence& sequence, std::size_t n) const;
-    /// Where scans are counted as the frames of the sequence: tells, and takes those frames out, with the poses of moments that no
-    /// other frame has. @throws DataError as tell()
+    /// Where scans are counted as the frames of the sequence: tells, and takes those
+    /// frames out, with the poses of moments that no other frame has. @throws DataError
+    /// as tell()
     void leave_out(Sequence& sequence) const;
 
 private:

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What every log has to be, whoever read it. One line names the frame or box, the field, what was found and what was expected.
+// What every log has to be, whoever read it. One line names the frame or box, the field,
+// what was found and what was expected.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -15,12 +16,15 @@
 namespace relidar {
 namespace {
 
-constexpr double kUnit = 1e-3;             // a direction's or quaternion's length may differ from 1 by this
-constexpr double kLeastStep_s = 1e-3;      // between frames that are not of one time: poses closer than this have no velocity
+constexpr double kUnit = 1e-3;  // a direction's or quaternion's length may differ from 1 by this
+// between frames that are not of one time: poses closer than this have no velocity
+constexpr double kLeastStep_s = 1e-3;
 constexpr double kLongestOffset_s = 10.0;  // of a firing from its frame's time
 constexpr double kFarthest_m = 1e6;        // of anything from the world's origin, and of a return
 constexpr double kBoxReach_m =
-    1e5;  // of a box from the vehicle: farther than the longest log, nearer than the origin of a map's coordinates
+    // of a box from the vehicle: farther than the longest log, nearer than the origin of
+    // a map's coordinates
+    1e5;
 constexpr double kLargestOrigin_m = 1000.0;  // of a ray from its sensor
 constexpr double kWidestBeam_rad = 6.3;      // full angle
 
@@ -28,14 +32,14 @@ constexpr double kWidestBeam_rad = 6.3;      // full angle
     throw DataError(fmt::format("{}: {}, expected {}", where, found, expected));
 }
 
-bool is_finite(const glm::dvec3& v) {
-    return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
-}
+bool is_finite(const glm::dvec3& v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
 
 void check_pose(const Pose& pose, const std::string& where) {
-    const double largest = std::max({std::abs(pose.translation.x), std::abs(pose.translation.y), std::abs(pose.translation.z)});
+    const double largest =
+        std::max({std::abs(pose.translation.x), std::abs(pose.translation.y), std::abs(pose.translation.z)});
     if (!is_finite(pose.translation) || largest > kFarthest_m)
-        fail(where, fmt::format("position ({}, {}, {})", pose.translation.x, pose.translation.y, pose.translation.z),
+        fail(where,
+             fmt::format("position ({}, {}, {})", pose.translation.x, pose.translation.y, pose.translation.z),
              fmt::format("metres within {} of the recentred world's origin", kFarthest_m));
     if (!(std::abs(glm::length(pose.rotation) - 1.0) <= kUnit))
         fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "1");
@@ -44,12 +48,13 @@ void check_pose(const Pose& pose, const std::string& where) {
 /// Times that rise, with a pose each.
 void check_track(const PoseTrack& track, const std::string& where) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
-        fail(where, fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "at least one, and one a time");
+        fail(where, fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
+             "at least one, and one a time");
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double before = k == 0 ? -INFINITY : track.time_s[k - 1];
         if (!std::isfinite(track.time_s[k]) || !(track.time_s[k] > before))
-            fail(fmt::format("{}, pose {}", where, k), fmt::format("time {} s after {} s", track.time_s[k], before),
-                 "finite times that rise");
+            fail(fmt::format("{}, pose {}", where, k),
+                 fmt::format("time {} s after {} s", track.time_s[k], before), "finite times that rise");
         check_pose(track.pose[k], fmt::format("{}, pose {}", where, k));
     }
 }
@@ -66,7 +71,8 @@ void check_lidars(const Sequence& sequence) {
             fail(where, fmt::format("{} beams x {} columns", sensor.beams.size(), sensor.columns),
                  "some of both, or none where it does not spin");
         if (!(sensor.period_s >= 0.0 && sensor.period_s < kLongestOffset_s))
-            fail(where, fmt::format("a period of {} s", sensor.period_s), fmt::format("0 to {} s", kLongestOffset_s));
+            fail(where, fmt::format("a period of {} s", sensor.period_s),
+                 fmt::format("0 to {} s", kLongestOffset_s));
         if (!sensor.beams.empty()) make_rays(sensor);
     }
 }
@@ -80,32 +86,39 @@ void check_frame_times(const Sequence& sequence) {
         const Frame& frame = sequence.frames[i];
         const std::string where = fmt::format("{}: frame {}", sequence.name, frame.index);
         if (frame.lidar < 0 || std::size_t(frame.lidar) >= sequence.lidars.size())
-            fail(where, fmt::format("LiDAR {}", frame.lidar), fmt::format("0 to {}", sequence.lidars.size() - 1));
+            fail(where, fmt::format("LiDAR {}", frame.lidar),
+                 fmt::format("0 to {}", sequence.lidars.size() - 1));
         if (!numbers.insert({frame.lidar, frame.index}).second)
             fail(where, "another frame of this number before it", "one a number and LiDAR");
         if (i > 0) {
             const Frame& before = sequence.frames[i - 1];
             const double step_s = frame.time_s - before.time_s;
             if (!(step_s >= kLeastStep_s) && !(step_s == 0.0 && frame.lidar > before.lidar))
-                fail(where, fmt::format("time {} s after {} s of frame {}", frame.time_s, before.time_s, before.index),
+                fail(where,
+                     fmt::format("time {} s after {} s of frame {}", frame.time_s, before.time_s,
+                                 before.index),
                      fmt::format("at least {} s more, or the same time and a later LiDAR", kLeastStep_s));
             pose += step_s != 0.0;
         }
         if (pose >= times.size() || times[pose] != frame.time_s)
-            fail(where, fmt::format("no pose of the vehicle at {} s", frame.time_s), "one for each time of frames");
+            fail(where, fmt::format("no pose of the vehicle at {} s", frame.time_s),
+                 "one for each time of frames");
     }
     if (pose + 1 != times.size())
-        fail(sequence.name, fmt::format("{} poses of the vehicle", times.size()), fmt::format("{}, one for each time of frames", pose + 1));
+        fail(sequence.name, fmt::format("{} poses of the vehicle", times.size()),
+             fmt::format("{}, one for each time of frames", pose + 1));
 }
 
 void check_sizes(const Scan& scan, const std::string& where) {
     const RayTable& rays = scan.rays;
     if (rays.rows < 0 || rays.columns < 0 || std::size_t(rays.rows) * std::size_t(rays.columns) > kMaxRays)
-        fail(where, fmt::format("{} rows x {} columns", rays.rows, rays.columns), fmt::format("at most {} rays", kMaxRays));
+        fail(where, fmt::format("{} rows x {} columns", rays.rows, rays.columns),
+             fmt::format("at most {} rays", kMaxRays));
     const std::size_t n = std::size_t(rays.rows) * std::size_t(rays.columns);
     const auto check = [&](const char* field, std::size_t size) {
         if (size != n)
-            fail(fmt::format("{}, {}", where, field), fmt::format("{} entries", size), fmt::format("{} x {}", rays.rows, rays.columns));
+            fail(fmt::format("{}, {}", where, field), fmt::format("{} entries", size),
+                 fmt::format("{} x {}", rays.rows, rays.columns));
     };
     check("rays.origin", rays.origin.size());
     check("rays.direction", rays.direction.size());
@@ -141,16 +154,20 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& where)
             fail(ray("rays.time_offset_s"), fmt::format("{}", scan.rays.time_offset_s[i]),
                  fmt::format("seconds within {} of the frame's time", kLongestOffset_s));
         if (n_beams > 0 && scan.rays.channel[i] >= n_beams)
-            fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]), fmt::format("one of {} beams", n_beams));
+            fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]),
+                 fmt::format("one of {} beams", n_beams));
         if (const double angle = scan.rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
-            fail(ray("divergence"), fmt::format("{}", angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
+            fail(ray("divergence"), fmt::format("{}", angle),
+                 fmt::format("radians in [0, {}]", kWidestBeam_rad));
         if (const char* field = wrong_return(scan.range_m[i], scan.intensity[i]))
             fail(ray(field), fmt::format("range {} m, intensity {}", scan.range_m[i], scan.intensity[i]),
                  "metres and 0..1, both 0 where dropped");
         for (const SecondReturn& f : scan.second_returns)
-            if (wrong_return(f.range_m[i], f.intensity[i]) || (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
+            if (wrong_return(f.range_m[i], f.intensity[i]) ||
+                (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
-                     fmt::format("range {} m, intensity {} behind a return at {} m", f.range_m[i], f.intensity[i], scan.range_m[i]),
+                     fmt::format("range {} m, intensity {} behind a return at {} m", f.range_m[i],
+                                 f.intensity[i], scan.range_m[i]),
                      "metres and 0..1, both 0 where there is none or the ray was dropped");
     }
 }
@@ -159,14 +176,17 @@ void check_boxes(const Sequence& sequence) {
     std::set<std::string> ids;
     for (const BoxTrack& box : sequence.boxes) {
         const std::string where = fmt::format("{}: box '{}'", sequence.name, box.id);
-        if (box.id.empty() || !ids.insert(box.id).second) fail(where, "an empty id or one that was there before", "unique ids");
+        if (box.id.empty() || !ids.insert(box.id).second)
+            fail(where, "an empty id or one that was there before", "unique ids");
         if (!is_finite(box.size_m) || !(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
-            fail(where, fmt::format("a size of {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z), "all above 0");
+            fail(where, fmt::format("a size of {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
+                 "all above 0");
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             if (!sequence.world_from_vehicle.covers(t_s)) continue;  // labelled where there are no frames
-            const double away_m = glm::distance(box.world_from_box.pose[k].translation, sequence.world_from_vehicle.at(t_s).translation);
+            const double away_m = glm::distance(box.world_from_box.pose[k].translation,
+                                                sequence.world_from_vehicle.at(t_s).translation);
             if (away_m > kBoxReach_m)
                 fail(fmt::format("{}, pose {}", where, k), fmt::format("{:.0f} m from the vehicle", away_m),
                      fmt::format("at most {} m: boxes and poses of one world", kBoxReach_m));
@@ -186,22 +206,27 @@ void check_gaps(Sequence& sequence) {
     constexpr double kGap_s = 1.0, kJump_s = 60.0, kUsualSteps = 10.0;
     std::vector<Gap> steps;
     for (std::size_t i = 1; i < sequence.frames.size(); ++i)
-        if (const Gap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.step_s() > 0.0) steps.push_back(step);
+        if (const Gap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.step_s() > 0.0)
+            steps.push_back(step);
     if (steps.empty()) return;
     std::vector<Gap> sorted = steps;
     std::ranges::sort(sorted, {}, &Gap::step_s);
     const double usual_s = sorted[(sorted.size() - 1) / 2].step_s();
-    std::erase_if(steps, [&](const Gap& gap) { return gap.step_s() <= std::max(kGap_s, kUsualSteps * usual_s); });
+    std::erase_if(steps,
+                  [&](const Gap& gap) { return gap.step_s() <= std::max(kGap_s, kUsualSteps * usual_s); });
     if (steps.empty()) return;
     const Gap longest = *std::ranges::max_element(steps, {}, &Gap::step_s);
     const int before = longest.before->index, after = longest.after->index;
     if (longest.step_s() > kJump_s)
         fail(fmt::format("{}: frame {}", sequence.name, after),
-             fmt::format("time {} s, {:.1f} s after frame {}", longest.after->time_s, longest.step_s(), before),
-             fmt::format("at most {} s, usual is {:.3g} s: read one side of the jump by --frames", kJump_s, usual_s));
-    sequence.notes.push_back(fmt::format("{} gap{} in the times of frames, the longest of {:.1f} s between frames {} and {} "
-                                         "(usual is {:.3g} s): poses inside are interpolated",
-                                         steps.size(), steps.size() > 1 ? "s" : "", longest.step_s(), before, after, usual_s));
+             fmt::format("time {} s, {:.1f} s after frame {}", longest.after->time_s, longest.step_s(),
+                         before),
+             fmt::format("at most {} s, usual is {:.3g} s: read one side of the jump by --frames", kJump_s,
+                         usual_s));
+    sequence.notes.push_back(
+        fmt::format("{} gap{} in the times of frames, the longest of {:.1f} s between frames {} and {} "
+                    "(usual is {:.3g} s): poses inside are interpolated",
+                    steps.size(), steps.size() > 1 ? "s" : "", longest.step_s(), before, after, usual_s));
 }
 
 void check_sequence(const Sequence& sequence) {
@@ -210,7 +235,8 @@ void check_sequence(const Sequence& sequence) {
     check_frame_times(sequence);
     run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(i)];
-        check_scan(frame.scan, sequence.lidar_of(frame).sensor.beams.size(), fmt::format("{}: frame {}", sequence.name, frame.index));
+        check_scan(frame.scan, sequence.lidar_of(frame).sensor.beams.size(),
+                   fmt::format("{}: frame {}", sequence.name, frame.index));
     });
     check_boxes(sequence);
 }

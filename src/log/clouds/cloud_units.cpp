@@ -24,13 +24,15 @@ struct TimeRange {
 };
 
 /// First and last time of each cloud that has any.
-std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s) {
+std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
+                                 const std::vector<double>& stamps_s) {
     std::vector<TimeRange> ranges;
     for (std::size_t c = 0; c < clouds.size(); ++c) {
         TimeRange range{INFINITY, -INFINITY, stamps_s[c]};
         if (const auto* times = times_of(clouds[c]))
             for (const double t : *times)
-                if (std::isfinite(t)) range.first = std::min(range.first, t), range.last = std::max(range.last, t);
+                if (std::isfinite(t))
+                    range.first = std::min(range.first, t), range.last = std::max(range.last, t);
         if (range.first <= range.last) ranges.push_back(range);
     }
     return ranges;
@@ -39,8 +41,13 @@ std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds, 
 TimeZero zero_of(const std::vector<TimeRange>& ranges, double unit_s) {
     const auto all = [&](auto test) { return std::ranges::all_of(ranges, test); };
     const auto is_near = [&](double a, double b) { return std::abs(a - b) <= kBesideStamp_s; };
-    if (all([&](const TimeRange& r) { return is_near(r.first * unit_s, 0.0) && is_near(r.last * unit_s, 0.0); })) return TimeZero::stamp;
-    if (all([&](const TimeRange& r) { return is_near(r.first * unit_s, r.stamp_s) && is_near(r.last * unit_s, r.stamp_s); }))
+    if (all([&](const TimeRange& r) {
+            return is_near(r.first * unit_s, 0.0) && is_near(r.last * unit_s, 0.0);
+        }))
+        return TimeZero::stamp;
+    if (all([&](const TimeRange& r) {
+            return is_near(r.first * unit_s, r.stamp_s) && is_near(r.last * unit_s, r.stamp_s);
+        }))
         return TimeZero::epoch;
     return TimeZero::own_clock;
 }
@@ -57,24 +64,29 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
         units.zero = zero_of(ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
-        units.about = fmt::format("times of points in {}, {}, {:.1f} ms from the first to the last", unit.name,
-                                  units.zero == TimeZero::stamp   ? "from the stamp"
-                                  : units.zero == TimeZero::epoch ? "of the clock of the stamps"
-                                                                  : "of a clock of the sensor's own, whose first is taken for the stamp",
-                                  1e3 * span * unit.seconds);
+        units.about =
+            fmt::format("times of points in {}, {}, {:.1f} ms from the first to the last", unit.name,
+                        units.zero == TimeZero::stamp ? "from the stamp"
+                        : units.zero == TimeZero::epoch
+                            ? "of the clock of the stamps"
+                            : "of a clock of the sensor's own, whose first is taken for the stamp",
+                        1e3 * span * unit.seconds);
         return;
     }
-    units.about =
-        units.is_deskewed
-            ? "all points of a cloud have one time: taken as motion-compensated to the stamp"
-            : fmt::format("times of points span {:.4g} in clouds {:.3g} s apart, which no unit makes a sweep: not used", span, step_s);
+    units.about = units.is_deskewed
+                      ? "all points of a cloud have one time: taken as motion-compensated to the stamp"
+                      : fmt::format(
+                            "times of points span {:.4g} in clouds {:.3g} s apart, which no unit makes a "
+                            "sweep: not used",
+                            span, step_s);
 }
 
 void find_intensity(CloudUnits& units, const std::vector<folder::PointTable>& clouds) {
     std::vector<double> values;
     for (const folder::PointTable& cloud : clouds)
         if (const auto* intensity = cloud.find({"intensity", "reflectivity"}))
-            std::ranges::copy_if(*intensity, std::back_inserter(values), [](double v) { return std::isfinite(v); });
+            std::ranges::copy_if(*intensity, std::back_inserter(values),
+                                 [](double v) { return std::isfinite(v); });
     if (values.empty()) return;
     const double brightest = std::ranges::max(values);
     units.intensity_max = brightest <= 1.0 ? 1.0 : 255.0;
@@ -82,8 +94,9 @@ void find_intensity(CloudUnits& units, const std::vector<folder::PointTable>& cl
     const auto at = values.begin() + std::ptrdiff_t(0.995 * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     units.intensity_max = std::max(*at, 1.0);
-    units.about += fmt::format("{}intensities up to {:.4g}: {:.4g}, above which 0.5 % of the points are, counts as 1",
-                               units.about.empty() ? "" : "; ", brightest, units.intensity_max);
+    units.about +=
+        fmt::format("{}intensities up to {:.4g}: {:.4g}, above which 0.5 % of the points are, counts as 1",
+                    units.about.empty() ? "" : "; ", brightest, units.intensity_max);
 }
 
 }  // namespace
@@ -92,7 +105,8 @@ const std::vector<double>* times_of(const folder::PointTable& cloud) {
     return cloud.find({"time", "t", "timestamp", "time_stamp", "offset_time"});
 }
 
-CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s, double step_s) {
+CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
+                      double step_s) {
     CloudUnits units;
     find_time_unit(units, ranges_of(clouds, stamps_s), step_s);
     find_intensity(units, clouds);

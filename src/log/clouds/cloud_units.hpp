@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// What numbers of a topic's points mean, as some of its clouds show it: drivers do not say.
+// What numbers of a topic's points mean, as some of its clouds show it: drivers do not
+// say.
 #pragma once
 
 #include <string>
 #include <vector>
 
-#include "log/readers/bag/survey.hpp"
 #include "log/clouds/folder_head.hpp"
+#include "log/readers/bag/survey.hpp"
 
 namespace relidar::bag {
 
@@ -26,8 +27,10 @@ struct CloudUnits {
     std::string about;  ///< in words
 };
 
-/// @param clouds  a few of the topic's, with their stamps @param step_s  from one cloud to the next
-CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s, double step_s);
+/// @param clouds  a few of the topic's, with their stamps @param step_s  from one cloud
+/// to the next
+CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
+                      double step_s);
 
 /// Values of the field that holds times, nullptr where there is none.
 const std::vector<double>* times_of(const folder::PointTable& cloud);

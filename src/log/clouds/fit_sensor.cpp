@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// A spinning LiDAR from its own points: elevation of each ring, columns from the steps of the azimuth, phases of rings from
+// A spinning LiDAR from its own points: elevation of each ring, columns from the steps of
+// the azimuth, phases of rings from
 //   S_r(N) = sum of exp(i N azimuth) over the points of ring r,
-// whose length is the number of points where N is the number of columns, and whose phase is N times the ring's azimuth offset.
+// whose length is the number of points where N is the number of columns, and whose phase
+// is N times the ring's azimuth offset.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -23,9 +25,7 @@ constexpr double kCoherent = 0.5;  // of |S_r| by the number of points: below it
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 
-double azimuth_of(const glm::vec3& p) {
-    return std::atan2(double(p.y), double(p.x));
-}
+double azimuth_of(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
 
 double middle_of(std::vector<double>& values, double share) {
     const auto at = values.begin() + std::ptrdiff_t(share * double(values.size() - 1));
@@ -57,7 +57,8 @@ std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& 
     for (std::size_t r = 0; r < n_rings; ++r) {
         if (seen[r].empty()) continue;
         const auto half = seen[r].begin() + std::ptrdiff_t(seen[r].size() / 2);
-        std::nth_element(seen[r].begin(), half, seen[r].end(), [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
+        std::nth_element(seen[r].begin(), half, seen[r].end(),
+                         [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
         std::vector<double> far;
         for (auto s = half; s != seen[r].end(); ++s) far.push_back(s->elevation_rad);
         elevations[r] = middle_of(far, 0.5);
@@ -65,8 +66,9 @@ std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& 
     return elevations;
 }
 
-/// Columns of a sweep by the steps between neighbouring azimuths of a ring. Where many rays were dropped most steps are several columns
-/// wide: the lower quartile still is one.
+/// Columns of a sweep by the steps between neighbouring azimuths of a ring. Where many
+/// rays were dropped most steps are several columns wide: the lower quartile still is
+/// one.
 int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const std::vector<std::size_t>& ring : rings) {
@@ -74,11 +76,15 @@ int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
         for (const std::size_t i : ring) azimuths.push_back(azimuth_of(scan.point_m[i]));
         std::sort(azimuths.begin(), azimuths.end());
         for (std::size_t i = 1; i < azimuths.size(); ++i)
-            if (const double step = azimuths[i] - azimuths[i - 1]; step > kLeastStep_rad && step < kLargestStep_rad) steps.push_back(step);
+            if (const double step = azimuths[i] - azimuths[i - 1];
+                step > kLeastStep_rad && step < kLargestStep_rad)
+                steps.push_back(step);
     }
     if (steps.size() < kFewestSteps)
-        throw DataError(fmt::format("fitting a spinning LiDAR to {} points in {} rings: {} steps of the azimuth, expected at least {}",
-                                    scan.size(), rings.size(), steps.size(), kFewestSteps));
+        throw DataError(
+            fmt::format("fitting a spinning LiDAR to {} points in {} rings: {} steps of the azimuth, "
+                        "expected at least {}",
+                        scan.size(), rings.size(), steps.size(), kFewestSteps));
     return int(std::lround(2.0 * kPi / middle_of(steps, 0.25)));
 }
 
@@ -104,26 +110,30 @@ Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
     double best = kCoherent * double(scan.size());
     for (int columns = about - reach; columns <= about + reach; ++columns) {
         const std::vector<std::complex<double>> sums = phases_of(scan, rings, columns);
-        const double length = std::accumulate(sums.begin(), sums.end(), 0.0, [](double l, const auto& s) { return l + std::abs(s); });
+        const double length = std::accumulate(sums.begin(), sums.end(), 0.0,
+                                              [](double l, const auto& s) { return l + std::abs(s); });
         if (columns < 1 || length <= best) continue;
         best = length;
         lattice.columns = columns;
-        const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
+        const std::complex<double> common =
+            std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
         for (std::size_t r = 0; r < rings.size(); ++r)
             lattice.offset_rad[r] = sums[r] == 0.0 ? 0.0 : std::arg(sums[r] * std::conj(common)) / columns;
     }
     return lattice;
 }
 
-/// Turning rate of the head in radians a second, counter-clockwise above 0, by how the azimuths of a ring follow each other in time;
-/// nothing without times.
+/// Turning rate of the head in radians a second, counter-clockwise above 0, by how the
+/// azimuths of a ring follow each other in time; nothing without times.
 std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
     for (std::vector<std::size_t> ring : rings) {
-        std::sort(ring.begin(), ring.end(), [&](auto a, auto b) { return scan.time_offset_s[a] < scan.time_offset_s[b]; });
+        std::sort(ring.begin(), ring.end(),
+                  [&](auto a, auto b) { return scan.time_offset_s[a] < scan.time_offset_s[b]; });
         for (std::size_t k = 1; k < ring.size(); ++k) {
-            const double step = std::remainder(azimuth_of(scan.point_m[ring[k]]) - azimuth_of(scan.point_m[ring[k - 1]]), 2.0 * kPi);
+            const double step = std::remainder(
+                azimuth_of(scan.point_m[ring[k]]) - azimuth_of(scan.point_m[ring[k - 1]]), 2.0 * kPi);
             if (std::abs(step) > kLargestStep_rad) continue;
             turned += step;
             passed_s += double(scan.time_offset_s[ring[k]]) - double(scan.time_offset_s[ring[k - 1]]);
@@ -141,13 +151,15 @@ FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
     for (const ScanPoints& scan : scans) {
         if (scan.ring.size() != scan.size())
             throw UsageError(
-                fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point", scan.ring.size(), scan.size()));
+                fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point",
+                            scan.ring.size(), scan.size()));
         for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
         if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
     if (n_rings == 0) throw UsageError("fitting a spinning LiDAR: no point, expected a few scans");
     if (n_rings > kMostRings)
-        throw DataError(fmt::format("fitting a spinning LiDAR: a point of ring {}, expected less than {}", n_rings - 1, kMostRings));
+        throw DataError(fmt::format("fitting a spinning LiDAR: a point of ring {}, expected less than {}",
+                                    n_rings - 1, kMostRings));
     const Rings rings = rings_of(*fullest, n_rings);
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);
@@ -155,12 +167,14 @@ FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
     std::vector<std::size_t> order;  // rings from the highest down
     for (std::size_t r = 0; r < n_rings; ++r)
         if (elevations[r]) order.push_back(r);
-    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return *elevations[a] > *elevations[b]; });
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return *elevations[a] > *elevations[b]; });
     FittedSensor fitted{{}, std::vector<std::uint16_t>(n_rings, kNoBeam)};
     SpinningSensor& sensor = fitted.sensor;
     for (const std::size_t r : order) {
         fitted.beam_of_ring[r] = std::uint16_t(sensor.beams.size());
-        sensor.beams.push_back({.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
+        sensor.beams.push_back(
+            {.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
     }
     const std::optional<double> rate = turning_rate(*fullest, rings);
     sensor.columns = lattice.columns;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// sequence.json. Members that it does not know are refused, so that a slip of the pen is no silent default.
+// sequence.json. Members that it does not know are refused, so that a slip of the pen is
+// no silent default.
 #include "log/clouds/folder_head.hpp"
 
 #include <algorithm>
@@ -28,11 +29,10 @@ constexpr double kLargestBeam_m = 100.0;  // of where a beam starts
 constexpr std::int64_t kMostColumns = 1000000, kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // of a point
 
-double radians(double degrees) {
-    return degrees * kPi / 180.0;
-}
+double radians(double degrees) { return degrees * kPi / 180.0; }
 
-std::string text_or(const JsonField& field, const std::string& key, const std::string& usual, std::size_t most = kLongestName) {
+std::string text_or(const JsonField& field, const std::string& key, const std::string& usual,
+                    std::size_t most = kLongestName) {
     return field.has(key) ? field.at(key).text(most) : usual;
 }
 
@@ -47,7 +47,8 @@ bool flag_or(const JsonField& field, const std::string& key, bool usual) {
 std::vector<std::string> texts_or_none(const JsonField& field, const std::string& key) {
     std::vector<std::string> texts;
     if (!field.has(key)) return texts;
-    for (std::size_t i = 0; i < field.at(key).size(); ++i) texts.push_back(field.at(key).at(i).text(kLongestText));
+    for (std::size_t i = 0; i < field.at(key).size(); ++i)
+        texts.push_back(field.at(key).at(i).text(kLongestText));
     return texts;
 }
 
@@ -55,8 +56,9 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
 std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
-        field.fail(fmt::format("found \"{}\"{}", excerpt(field.text()), did_you_mean(field.text(), words, "\"")),
-                   fmt::format("expected one of: {}", fmt::join(words, ", ")));
+        field.fail(
+            fmt::format("found \"{}\"{}", excerpt(field.text()), did_you_mean(field.text(), words, "\"")),
+            fmt::format("expected one of: {}", fmt::join(words, ", ")));
     return std::size_t(at - words.begin());
 }
 
@@ -65,13 +67,16 @@ glm::dquat quaternion(const JsonField& field) {
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
-    return rotation;  // as written: check_sequence allows what normalising would only move in the last digit
+    // as written: check_sequence allows what normalising would only move in the last
+    // digit
+    return rotation;
 }
 
 Pose mounting(const JsonField& field, const std::string& where) {
     if (field.is_array()) {
         const auto m = field.numbers<16>();
-        return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
+        return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                          {m[3], m[7], m[11]}, where);
     }
     field.check_members({"translation", "quaternion"});
     const auto t = field.at("translation").numbers<3>();
@@ -79,7 +84,8 @@ Pose mounting(const JsonField& field, const std::string& where) {
 }
 
 Beam read_beam(const JsonField& field) {
-    field.check_members({"elevation_deg", "azimuth_offset_deg", "origin_offset_m", "origin_up_m", "origin_left_m"});
+    field.check_members(
+        {"elevation_deg", "azimuth_offset_deg", "origin_offset_m", "origin_up_m", "origin_left_m"});
     return {.elevation_rad = radians(field.at("elevation_deg").number(-90.0, 90.0)),
             .azimuth_offset_rad = radians(number_or(field, "azimuth_offset_deg", 0.0, -360.0, 360.0)),
             .origin_offset_m = number_or(field, "origin_offset_m", 0.0, -kLargestBeam_m, kLargestBeam_m),
@@ -93,21 +99,25 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
     if (sensor.beams.empty() || sensor.beams.size() >= kNoBeam)
         beams.fail(fmt::format("found {} beams", sensor.beams.size()), "expected 1 to 65534");
     if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
-        beams.fail("found the lowest beam first", "expected the highest (\"ring_0\": \"lowest\" says that scans count from below)");
+        beams.fail("found the lowest beam first",
+                   "expected the highest (\"ring_0\": \"lowest\" says that scans count from below)");
     sensor.columns = int(field.at("columns").integer(1, kMostColumns));
-    sensor.first_azimuth_rad = radians(number_or(field, "first_azimuth_deg", 180.0 - 180.0 / sensor.columns, -360.0, 360.0));
+    sensor.first_azimuth_rad =
+        radians(number_or(field, "first_azimuth_deg", 180.0 - 180.0 / sensor.columns, -360.0, 360.0));
 }
 
 /// A sensor by name or file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
-    const double max_range_m = lidar.sensor.max_range_m;   // of a file that gives none
+    const double max_range_m = lidar.sensor.max_range_m;  // of a file that gives none
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const SensorModel model =
-        find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name, {}, max_range_m);
+        find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name,
+                    {}, max_range_m);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning && spins)
-        field.fail(fmt::format("found {}, which does not spin", excerpt(name)), "expected a spinning sensor, or \"spins\": false");
+        field.fail(fmt::format("found {}, which does not spin", excerpt(name)),
+                   "expected a spinning sensor, or \"spins\": false");
     if (spinning) {
         lidar.sensor = *spinning;
     } else {
@@ -119,8 +129,8 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
 }
 
 SpinningSensor read_sensor(const JsonField& field, double max_range_m) {
-    field.check_members(
-        {"name", "beams", "columns", "period_s", "clockwise", "first_azimuth_deg", "min_range_m", "max_range_m", "divergence_rad"});
+    field.check_members({"name", "beams", "columns", "period_s", "clockwise", "first_azimuth_deg",
+                         "min_range_m", "max_range_m", "divergence_rad"});
     SpinningSensor sensor;
     sensor.name = text_or(field, "name", "");
     sensor.period_s = number_or(field, "period_s", 0.0, 0.0, 9.999);  // 0: from the times of frames
@@ -132,31 +142,35 @@ SpinningSensor read_sensor(const JsonField& field, double max_range_m) {
     return sensor;
 }
 
-HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::path& folder, double max_range_m) {
+HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::path& folder,
+                     double max_range_m) {
     field.check_members({"name", "vehicle_from_sensor", "sensor", "scans", "spins", "ring_0"});
     HeadLidar lidar;
     lidar.lidar.name = text_or(field, "name", "");
     lidar.lidar.sensor.max_range_m = max_range_m;
     if (field.has("vehicle_from_sensor"))
         lidar.lidar.vehicle_from_sensor =
-            mounting(field.at("vehicle_from_sensor"), fmt::format("{}: LiDAR '{}', vehicle_from_sensor", file, excerpt(lidar.lidar.name)));
+            mounting(field.at("vehicle_from_sensor"),
+                     fmt::format("{}: LiDAR '{}', vehicle_from_sensor", file, excerpt(lidar.lidar.name)));
     lidar.spins = flag_or(field, "spins", true);
     if (field.has("sensor") && field.at("sensor").is_text())
         name_sensor(field.at("sensor"), folder, lidar.spins, lidar.lidar);
-    else if (field.has("sensor"))
-        lidar.lidar.sensor = read_sensor(field.at("sensor"), max_range_m);
+    else if (field.has("sensor")) lidar.lidar.sensor = read_sensor(field.at("sensor"), max_range_m);
     lidar.has_beams = !lidar.lidar.sensor.beams.empty();
-    if (lidar.has_beams && !lidar.spins) field.at("spins").fail("found false beside beams", "expected one of the two");
+    if (lidar.has_beams && !lidar.spins)
+        field.at("spins").fail("found false beside beams", "expected one of the two");
     lidar.scans = text_or(field, "scans", "", kLongestPath);
     lidar.lowest_first = field.has("ring_0") && choice(field.at("ring_0"), {"highest", "lowest"}) == 1;
     return lidar;
 }
 
-std::vector<HeadLidar> read_lidars(const JsonField& root, const std::string& file, const fs::path& folder, double max_range_m) {
+std::vector<HeadLidar> read_lidars(const JsonField& root, const std::string& file, const fs::path& folder,
+                                   double max_range_m) {
     std::vector<HeadLidar> lidars;
     if (root.has("lidars")) {
         const JsonField field = root.at("lidars");
-        for (std::size_t i = 0; i < field.size(); ++i) lidars.push_back(read_lidar(field.at(i), file, folder, max_range_m));
+        for (std::size_t i = 0; i < field.size(); ++i)
+            lidars.push_back(read_lidar(field.at(i), file, folder, max_range_m));
         if (lidars.empty()) field.fail("found no LiDAR", "expected at least one, or no member of that name");
     } else {
         lidars.emplace_back().lidar.sensor.max_range_m = max_range_m;
@@ -169,17 +183,22 @@ std::vector<HeadLidar> read_lidars(const JsonField& root, const std::string& fil
 int lidar_number(const JsonField& entry, const std::vector<HeadLidar>& lidars) {
     if (!entry.has("lidar") && lidars.size() == 1) return 0;
     const std::string name = entry.at("lidar").text();
-    const auto at = std::find_if(lidars.begin(), lidars.end(), [&](const HeadLidar& l) { return l.lidar.name == name; });
-    if (at == lidars.end()) entry.at("lidar").fail(fmt::format("found \"{}\"", excerpt(name)), "expected the name of one of the lidars");
+    const auto at =
+        std::find_if(lidars.begin(), lidars.end(), [&](const HeadLidar& l) { return l.lidar.name == name; });
+    if (at == lidars.end())
+        entry.at("lidar").fail(fmt::format("found \"{}\"", excerpt(name)),
+                               "expected the name of one of the lidars");
     return int(at - lidars.begin());
 }
 
-std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<HeadLidar>& lidars, const fs::path& folder) {
+std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<HeadLidar>& lidars,
+                                     const fs::path& folder) {
     std::vector<HeadFrame> frames;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         entry.check_members({"number", "time_s", "lidar", "scan"});
-        frames.push_back({int(entry.at("number").integer(0, kMaxFrame)), entry.at("time_s").number(-kLargestOfHead, kLargestOfHead),
+        frames.push_back({int(entry.at("number").integer(0, kMaxFrame)),
+                          entry.at("time_s").number(-kLargestOfHead, kLargestOfHead),
                           lidar_number(entry, lidars), folder / entry.at("scan").text(kLongestPath)});
     }
     if (frames.empty()) field.fail("found no frame", "expected at least one");
@@ -187,7 +206,8 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
 }
 
 /// The scans of each LiDAR's folder in the order of their names, at an even rate.
-std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars, const fs::path& folder) {
+std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
+                                         const fs::path& folder) {
     std::vector<HeadFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
@@ -197,8 +217,8 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
                 ++number;
             }
         if (number == 0)
-            throw DataError(
-                fmt::format("{}: no scan, expected files .npz, .exr, .pcd, .ply, .bin or .npy", (folder / lidars[l].scans).string()));
+            throw DataError(fmt::format("{}: no scan, expected files .npz, .exr, .pcd, .ply, .bin or .npy",
+                                        (folder / lidars[l].scans).string()));
     }
     return frames;
 }
@@ -207,11 +227,15 @@ PointUnits read_units(const JsonField& root) {
     PointUnits units;
     units.columns = texts_or_none(root, "columns");
     if (units.columns.size() > kMostFieldsOfPoint)
-        root.at("columns").fail(fmt::format("found {}", units.columns.size()), fmt::format("expected at most {}", kMostFieldsOfPoint));
-    if (root.has("intensity_max")) units.intensity_max = root.at("intensity_max").number(1e-12, kLargestOfHead);
+        root.at("columns").fail(fmt::format("found {}", units.columns.size()),
+                                fmt::format("expected at most {}", kMostFieldsOfPoint));
+    if (root.has("intensity_max"))
+        units.intensity_max = root.at("intensity_max").number(1e-12, kLargestOfHead);
     constexpr double kSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
-    if (root.has("time_unit")) units.time_unit_s = kSeconds[choice(root.at("time_unit"), {"s", "ms", "us", "ns"})];
-    units.absolute_times = root.has("point_times") && choice(root.at("point_times"), {"offsets", "absolute"}) == 1;
+    if (root.has("time_unit"))
+        units.time_unit_s = kSeconds[choice(root.at("time_unit"), {"s", "ms", "us", "ns"})];
+    units.absolute_times =
+        root.has("point_times") && choice(root.at("point_times"), {"offsets", "absolute"}) == 1;
     return units;
 }
 
@@ -221,29 +245,39 @@ Head read_head(const fs::path& folder, double max_range_m) {
     const std::string file = (folder / kHeadFile).string();
     const nlohmann::json json = parse_json(read_text(file), file);
     const JsonField root(json, file, "");
-    root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames", "rate_hz", "motion_compensated",
-                        "columns", "intensity_max", "time_unit", "point_times", "world_offset_m"});
-    if (root.at("format").text() != kFormat) root.at("format").fail("found another one", fmt::format("expected \"{}\"", kFormat));
+    root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames",
+                        "rate_hz", "motion_compensated", "columns", "intensity_max", "time_unit",
+                        "point_times", "world_offset_m"});
+    if (root.at("format").text() != kFormat)
+        root.at("format").fail("found another one", fmt::format("expected \"{}\"", kFormat));
     root.at("version").integer(1, kVersion);
     Head head;
     head.name = text_or(root, "name", folder.filename().string());
-    head.conventions = text_or(root, "conventions", "sensor x forward, y left, z up; metres; a plain folder", kLongestText);
+    head.conventions =
+        text_or(root, "conventions", "sensor x forward, y left, z up; metres; a plain folder", kLongestText);
     head.notes = texts_or_none(root, "notes");
     head.lidars = read_lidars(root, file, folder, max_range_m);
     if (root.has("frames") == root.has("rate_hz"))
-        root.fail(root.has("frames") ? "found frames and rate_hz" : "found neither frames nor rate_hz", "expected one of the two");
-    head.frames = root.has("frames") ? listed_frames(root.at("frames"), head.lidars, folder)
-                                     : frames_in_folders(root.at("rate_hz").number(1e-3, 1e3), head.lidars, folder);
-    std::stable_sort(head.frames.begin(), head.frames.end(),
-                     [](const HeadFrame& a, const HeadFrame& b) { return std::pair(a.time_s, a.lidar) < std::pair(b.time_s, b.lidar); });
+        root.fail(root.has("frames") ? "found frames and rate_hz" : "found neither frames nor rate_hz",
+                  "expected one of the two");
+    head.frames = root.has("frames")
+                      ? listed_frames(root.at("frames"), head.lidars, folder)
+                      : frames_in_folders(root.at("rate_hz").number(1e-3, 1e3), head.lidars, folder);
+    std::stable_sort(head.frames.begin(), head.frames.end(), [](const HeadFrame& a, const HeadFrame& b) {
+        return std::pair(a.time_s, a.lidar) < std::pair(b.time_s, b.lidar);
+    });
     head.motion_compensated = flag_or(root, "motion_compensated", false);
     head.units = read_units(root);
     std::vector<std::string> skipped;
-    std::ranges::copy_if(head.units.columns, std::back_inserter(skipped), [](const std::string& c) { return !is_point_field(c); });
-    if (!skipped.empty()) head.notes.push_back(fmt::format("columns of the scans that are not read: {}", fmt::join(skipped, ", ")));
+    std::ranges::copy_if(head.units.columns, std::back_inserter(skipped),
+                         [](const std::string& c) { return !is_point_field(c); });
+    if (!skipped.empty())
+        head.notes.push_back(
+            fmt::format("columns of the scans that are not read: {}", fmt::join(skipped, ", ")));
     if (root.has("world_offset_m")) {
         const auto v = root.at("world_offset_m").numbers<3>();
-        for (std::size_t i = 0; i < 3; ++i) root.at("world_offset_m").at(i).number(-kFarthestWorld_m, kFarthestWorld_m);
+        for (std::size_t i = 0; i < 3; ++i)
+            root.at("world_offset_m").at(i).number(-kFarthestWorld_m, kFarthestWorld_m);
         head.world_offset_m = glm::dvec3(v[0], v[1], v[2]);
     }
     return head;

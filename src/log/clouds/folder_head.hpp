@@ -31,12 +31,14 @@ struct PointUnits {
 /// A LiDAR as sequence.json has it.
 struct HeadLidar {
     Lidar lidar;
-    bool has_beams = false;     ///< they are given, or known by the sensor's name
-    bool spins = true;          ///< whether beams may be looked for where none are given
-    bool is_guessed = false;    ///< nobody could say that it does not spin: points that fit no head are no error
+    bool has_beams = false;  ///< they are given, or known by the sensor's name
+    bool spins = true;       ///< whether beams may be looked for where none are given
+    /// nobody could say that it does not spin: points that fit no head are no error
+    bool is_guessed = false;
     bool lowest_first = false;  ///< how scans count their rings
-    double turn_s = 0.0;        ///< how long a sweep takes, where points do not say it; 0: from one frame to the next
-    std::string scans;          ///< folder, where no frames are listed
+    /// how long a sweep takes, where points do not say it; 0: from one frame to the next
+    double turn_s = 0.0;
+    std::string scans;  ///< folder, where no frames are listed
 };
 
 struct HeadFrame {
@@ -56,20 +58,26 @@ struct Head {
     std::optional<glm::dvec3> world_offset_m;
 };
 
-/// sequence.json, and the scans where it lists none. @param max_range_m  of sensors that give none
+/// sequence.json, and the scans where it lists none. @param max_range_m  of sensors that
+/// give none
 Head read_head(const std::filesystem::path& folder, double max_range_m);
 
-/// world_from_vehicle of the frames; nothing where the file is missing. 12 numbers a line: row-major 3x4, line i for frame number i. 8
-/// numbers a line: time_s x y z qw qx qy qz, interpolated.
-std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file, const std::vector<HeadFrame>& frames);
+/// world_from_vehicle of the frames; nothing where the file is missing. 12 numbers a
+/// line: row-major 3x4, line i for frame number i. 8 numbers a line: time_s x y z qw qx
+/// qy qz, interpolated.
+std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
+                                            const std::vector<HeadFrame>& frames);
 
-/// Boxes of boxes.json, none without that file. Labels outside the time of the frames are left out where the log goes on there.
+/// Boxes of boxes.json, none without that file. Labels outside the time of the frames are
+/// left out where the log goes on there.
 /// @param all  frames of the log, which labels may name by number
 std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::vector<HeadFrame>& frames,
                                  const std::vector<HeadFrame>& all);
 
-/// Reads the scans of sequence.frames, which has its poses, and completes the sensors of LiDARs whose beams are found from the points.
-/// Without poses (options.poses_file is kNoPoses) motion compensation cannot be undone. @param files  [frames]
-void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files, const DatasetOptions& options);
+/// Reads the scans of sequence.frames, which has its poses, and completes the sensors of
+/// LiDARs whose beams are found from the points. Without poses (options.poses_file is
+/// kNoPoses) motion compensation cannot be undone. @param files  [frames]
+void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files,
+                const DatasetOptions& options);
 
 }  // namespace relidar::folder

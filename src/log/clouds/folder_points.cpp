@@ -15,17 +15,18 @@ namespace relidar::folder {
 namespace {
 
 constexpr double kFarthestCoordinate_m = 1e6;
-constexpr float kOneRay = 1e-6f;  // 1 - cosine of 1.4 mrad: what two returns of one ray, rounded, are apart at most
+// 1 - cosine of 1.4 mrad: what two returns of one ray, rounded, are apart at most
+constexpr float kOneRay = 1e-6f;
 
-/// Whether a return type of Nebula (ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last) says that nothing of its
-/// ray came back stronger.
-bool is_strongest(double type) {
-    return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0;
-}
+/// Whether a return type of Nebula (ReturnType: 3 strongest, 6 identical, 9 and 10
+/// strongest and first or last) says that nothing of its ray came back stronger.
+bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
 void check_coordinate(const glm::dvec3& p, const std::string& where) {
-    if (!(std::abs(p.x) <= kFarthestCoordinate_m && std::abs(p.y) <= kFarthestCoordinate_m && std::abs(p.z) <= kFarthestCoordinate_m))
-        throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", where, p.x, p.y, p.z, kFarthestCoordinate_m));
+    if (!(std::abs(p.x) <= kFarthestCoordinate_m && std::abs(p.y) <= kFarthestCoordinate_m &&
+          std::abs(p.z) <= kFarthestCoordinate_m))
+        throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", where, p.x, p.y, p.z,
+                                    kFarthestCoordinate_m));
 }
 
 template <class T>
@@ -37,16 +38,20 @@ void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
     values = std::move(arranged);
 }
 
-/// Points of one ring and time whose directions are the same are returns of one ray: the strongest is the first of them.
+/// Points of one ring and time whose directions are the same are returns of one ray: the
+/// strongest is the first of them.
 /// @param type  [n] of the points
 void number_returns(ScanPoints& points, const std::vector<double>& type) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
     const auto ray = [&](std::size_t i) { return std::pair(points.ring[i], points.time_offset_s[i]); };
-    const auto strength = [&](std::size_t i) { return std::pair(is_strongest(type[i]), points.intensity[i]); };
-    std::stable_sort(order.begin(), order.end(),
-                     [&](std::size_t a, std::size_t b) { return ray(a) != ray(b) ? ray(a) < ray(b) : strength(a) > strength(b); });
+    const auto strength = [&](std::size_t i) {
+        return std::pair(is_strongest(type[i]), points.intensity[i]);
+    };
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+        return ray(a) != ray(b) ? ray(a) < ray(b) : strength(a) > strength(b);
+    });
     points.return_number.assign(n, 0);
     for (std::size_t k = 1; k < n; ++k) {
         const std::size_t i = order[k], before = order[k - 1];
@@ -62,20 +67,30 @@ void number_returns(ScanPoints& points, const std::vector<double>& type) {
 }
 
 std::uint8_t return_of(double number, const std::string& where) {
-    if (!(number >= 0.0 && number < 8.0)) throw DataError(fmt::format("{}: return {}, expected 0 (the strongest) to 7", where, number));
+    if (!(number >= 0.0 && number < 8.0))
+        throw DataError(fmt::format("{}: return {}, expected 0 (the strongest) to 7", where, number));
     return std::uint8_t(number);
 }
 
 }  // namespace
 
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where) {
+ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
+                     const std::string& where) {
     const std::vector<double>*x = table.find({"x"}), *y = table.find({"y"}), *z = table.find({"z"});
-    if (!x || !y || !z) throw DataError(fmt::format("{}: no field {}, expected x, y and z", where, !x ? "x" : !y ? "y" : "z"));
-    const std::vector<double>*intensity = table.find({"intensity", "reflectivity"}), *ring = table.find({"ring", "channel", "line"}),
-          *time = table.find({"time", "t", "timestamp", "time_stamp", "offset_time"}), *number = table.find({"return", "return_number"}),
-          *type = table.find({"return_type"});
-    const auto is_return = [&](std::size_t i) { return !std::isnan((*x)[i]) && ((*x)[i] != 0.0 || (*y)[i] != 0.0 || (*z)[i] != 0.0); };
-    // some count from 1, as relidar's own point files do: no scan has second returns alone
+    if (!x || !y || !z)
+        throw DataError(fmt::format("{}: no field {}, expected x, y and z", where,
+                                    !x   ? "x"
+                                    : !y ? "y"
+                                         : "z"));
+    const std::vector<double>*intensity = table.find({"intensity", "reflectivity"}),
+          *ring = table.find({"ring", "channel", "line"}),
+          *time = table.find({"time", "t", "timestamp", "time_stamp", "offset_time"}),
+          *number = table.find({"return", "return_number"}), *type = table.find({"return_type"});
+    const auto is_return = [&](std::size_t i) {
+        return !std::isnan((*x)[i]) && ((*x)[i] != 0.0 || (*y)[i] != 0.0 || (*z)[i] != 0.0);
+    };
+    // some count from 1, as relidar's own point files do: no scan has second returns
+    // alone
     const double first_number = number && !number->empty() && std::ranges::min(*number) == 1.0 ? 1.0 : 0.0;
     ScanPoints points;
     std::size_t n = 0;
@@ -83,7 +98,9 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
     points.point_m.reserve(n);
     std::vector<double> types;
     std::size_t i = 0;
-    const std::string of_point;  // named where something is wrong with it alone: a text for each would take longer than all the rest
+    // named where something is wrong with it alone: a text for each would take longer
+    // than all the rest
+    const std::string of_point;
     try {
         for (; i < table.n; ++i) {
             if (!is_return(i)) continue;

@@ -11,13 +11,17 @@
 
 namespace relidar::folder {
 
-/// Points by what their fields are called: intensity (or reflectivity); ring, channel or line; time, t, timestamp, time_stamp or
-/// offset_time; return, return_number, or return_type of Nebula, by which returns of one ring, time and direction become returns of one
-/// ray. A point whose x is no number, or which lies at the origin, is a ray without a return.
+/// Points by what their fields are called: intensity (or reflectivity); ring, channel or
+/// line; time, t, timestamp, time_stamp or offset_time; return, return_number, or
+/// return_type of Nebula, by which returns of one ring, time and direction become returns
+/// of one ray. A point whose x is no number, or which lies at the origin, is a ray
+/// without a return.
 /// @param time_s  what is taken off absolute times @throws DataError naming the point
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);
+ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
+                     const std::string& where);
 
-/// Where the scans of a log's frames come from: files of a folder, or messages of a recording. All from any thread.
+/// Where the scans of a log's frames come from: files of a folder, or messages of a
+/// recording. All from any thread.
 class ScanSource {
 public:
     virtual ~ScanSource() = default;
@@ -27,8 +31,10 @@ public:
     virtual Scan rays(std::size_t frame) const = 0;
 };
 
-/// Reads the scans of sequence.frames, which has its poses, and completes the sensors of LiDARs whose beams are found from the points.
-/// Without poses (options.poses_file is kNoPoses) motion compensation cannot be undone.
-void read_scans(Sequence& sequence, const Head& head, const ScanSource& source, const DatasetOptions& options);
+/// Reads the scans of sequence.frames, which has its poses, and completes the sensors of
+/// LiDARs whose beams are found from the points. Without poses (options.poses_file is
+/// kNoPoses) motion compensation cannot be undone.
+void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
+                const DatasetOptions& options);
 
 }  // namespace relidar::folder

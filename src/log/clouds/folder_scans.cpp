@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the rays that took them. What points do not say, rings
-// and beams, is found from a few scans of each LiDAR first.
+// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the
+// rays that took them. What points do not say, rings and beams, is found from a few scans
+// of each LiDAR first.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -60,8 +61,10 @@ public:
     }
     Scan rays(std::size_t i) const override {
         const Frame& frame = sequence_.frames[i];
-        const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame), frame.time_s};
-        return files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source) : read_scan_npz(files_[i], source);
+        const ImageSource source{head_, head_.lidars[std::size_t(frame.lidar)], sequence_.lidar_of(frame),
+                                 frame.time_s};
+        return files_[i].extension() == ".exr" ? read_scan_exr(files_[i], source)
+                                               : read_scan_npz(files_[i], source);
     }
 
 private:
@@ -72,7 +75,8 @@ private:
 
 class Reader {
 public:
-    Reader(Sequence& sequence, const Head& head, const ScanSource& source, bool has_poses, BrokenScans& broken)
+    Reader(Sequence& sequence, const Head& head, const ScanSource& source, bool has_poses,
+           BrokenScans& broken)
         : sequence_(sequence),
           head_(head),
           source_(source),
@@ -89,13 +93,12 @@ public:
             for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
                 if (sequence_.frames[i].lidar == int(l) && source_.has_points(i)) with_points.push_back(i);
             if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
-            if (with_points.empty())
-                check_rays(l);
-            else
-                make_plan(l, with_points);
+            if (with_points.empty()) check_rays(l);
+            else make_plan(l, with_points);
         }
         const auto stands = [&](const Plan& plan) { return !plan.undo; };
-        sequence_.rolling_shutter = !head_.motion_compensated || std::none_of(plans_.begin(), plans_.end(), stands);
+        sequence_.rolling_shutter =
+            !head_.motion_compensated || std::none_of(plans_.begin(), plans_.end(), stands);
     }
 
     void read(std::size_t i) {
@@ -108,29 +111,32 @@ public:
         const SpinningSensor& sensor = sequence_.lidar_of(frame).sensor;
         ScanPoints points = read_points(i, plan.undo);
         if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
-            throw DataError(fmt::format("{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
-                                        source_.name(i), points.ring.empty() ? "lack" : "have",
-                                        points.time_offset_s.empty() ? "lack" : "have"));
+            throw DataError(fmt::format(
+                "{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
+                source_.name(i), points.ring.empty() ? "lack" : "have",
+                points.time_offset_s.empty() ? "lack" : "have"));
         if (!plan.ordered) {
             frame.scan = unordered_scan(points);
             return;
         }
-        if (plan.has_rings)
-            points = renumbered(points, plan, i);
-        else
-            recover_rings(points, sensor.beams);
+        if (plan.has_rings) points = renumbered(points, plan, i);
+        else recover_rings(points, sensor.beams);
         frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
         n_first_[i] = count_first_returns(points);
         behind_[i] = n_first_[i] - std::min(n_first_[i], frame.scan.count_returns());
     }
 
     void tell_left_out() {
-        const auto sum = [](const std::vector<std::size_t>& counts) { return std::reduce(counts.begin(), counts.end()); };
+        const auto sum = [](const std::vector<std::size_t>& counts) {
+            return std::reduce(counts.begin(), counts.end());
+        };
         if (const std::size_t n = sum(left_out_); n > 0)
             note(fmt::format("{} points of rings that the fitted scans do not have are left out", n));
         if (const std::size_t n = sum(behind_), all = sum(n_first_); n > 0)
-            note(fmt::format("{} of {} points ({:.2g} %) are left out: a nearer one takes their ray, which lies beside no free one", n, all,
-                             100.0 * double(n) / double(all)));
+            note(
+                fmt::format("{} of {} points ({:.2g} %) are left out: a nearer one takes their ray, which "
+                            "lies beside no free one",
+                            n, all, 100.0 * double(n) / double(all)));
     }
 
 private:
@@ -145,7 +151,8 @@ private:
     std::vector<std::size_t> behind_;    ///< [frames] of them: on rays that have another one
 
     void note(const std::string& text) {
-        if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end()) sequence_.notes.push_back(text);
+        if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end())
+            sequence_.notes.push_back(text);
     }
     void note(std::size_t lidar, const std::string& text) {
         const std::string& name = sequence_.lidars[lidar].name;
@@ -155,7 +162,8 @@ private:
     ScanPoints read_points(std::size_t i, bool undo) const {
         const Frame& frame = sequence_.frames[i];
         ScanPoints points = source_.points(i);
-        if (undo && !points.time_offset_s.empty()) undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
+        if (undo && !points.time_offset_s.empty())
+            undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
         return points;
     }
 
@@ -177,10 +185,8 @@ private:
     /// A LiDAR whose scans are rays spins where its sensor is given.
     void check_rays(std::size_t l) {
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (!head_.lidars[l].has_beams)
-            sensor.period_s = 0.0;
-        else if (sensor.period_s == 0.0)
-            sensor.period_s = frame_step_s(l);
+        if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
+        else if (sensor.period_s == 0.0) sensor.period_s = frame_step_s(l);
     }
 
     void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
@@ -189,26 +195,30 @@ private:
         const std::size_t n = std::min(kSamples, frames.size());
         for (std::size_t k = 0; k < n; ++k) {
             const std::size_t i = frames[k * frames.size() / n];
-            broken_.attempt(i, [&] { samples.push_back(read_points(i, head_.motion_compensated && has_poses_)); });
+            broken_.attempt(
+                i, [&] { samples.push_back(read_points(i, head_.motion_compensated && has_poses_)); });
         }
         for (std::size_t k = 0; samples.empty() && k < frames.size(); ++k)
-            broken_.attempt(frames[k], [&] { samples.push_back(read_points(frames[k], head_.motion_compensated && has_poses_)); });
+            broken_.attempt(frames[k], [&] {
+                samples.push_back(read_points(frames[k], head_.motion_compensated && has_poses_));
+            });
         if (samples.empty()) broken_.tell(sequence_, broken_.size());
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (sensor.period_s == 0.0 || !head_.lidars[l].has_beams) sensor.period_s = frame_step_s(l);
-        if (head_.lidars[l].has_beams)
-            take_beams(l);
-        else if (head_.lidars[l].spins)
-            fit_beams(l, samples);
+        if (head_.lidars[l].has_beams) take_beams(l);
+        else if (head_.lidars[l].spins) fit_beams(l, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
-            note(l, "points have no times: a ray was fired when a head that faces forward at the frame's time got there");
+            note(l,
+                 "points have no times: a ray was fired when a head that faces forward at the frame's time "
+                 "got there");
         if (head_.motion_compensated && !plan.undo)
             note(l,
-                 "scans are motion-compensated, and points have no times (or the log no poses) to undo it: rays start at the sensor of the "
+                 "scans are motion-compensated, and points have no times (or the log no poses) to undo it: "
+                 "rays start at the sensor of the "
                  "frame's time");
     }
 
@@ -216,8 +226,10 @@ private:
         Plan& plan = plans_[l];
         const std::size_t n = sequence_.lidars[l].sensor.beams.size();
         plan.ordered = true;
-        for (std::size_t k = 0; k < n; ++k) plan.beam_of_ring.push_back(std::uint16_t(head_.lidars[l].lowest_first ? n - 1 - k : k));
-        if (!plan.has_rings) note(l, "points have no rings: each is taken for one of the beam that passes nearest");
+        for (std::size_t k = 0; k < n; ++k)
+            plan.beam_of_ring.push_back(std::uint16_t(head_.lidars[l].lowest_first ? n - 1 - k : k));
+        if (!plan.has_rings)
+            note(l, "points have no rings: each is taken for one of the beam that passes nearest");
     }
 
     void fit_beams(std::size_t l, std::vector<ScanPoints>& samples) {
@@ -227,7 +239,8 @@ private:
             const std::vector<Beam> beams = find_beams(samples);
             if (beams.empty()) {
                 note(l,
-                     "points have no rings, and their elevations show none: rays that were dropped are unknown, and so is the order of an "
+                     "points have no rings, and their elevations show none: rays that were dropped are "
+                     "unknown, and so is the order of an "
                      "image");
                 return;
             }
@@ -236,7 +249,8 @@ private:
         const double step_s = sensor.period_s;
         std::optional<SpinningSensor> found = fitted(l, samples, step_s);
         if (const std::string why = found ? why_no_head(samples, *found, step_s) : ""; !why.empty()) {
-            note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays that were dropped are unknown",
+            note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays "
+                                "that were dropped are unknown",
                                 why));
             found = std::nullopt;
         }
@@ -247,25 +261,29 @@ private:
         found->divergence_rad = sensor.divergence_rad;
         sensor = *found;
         plan.ordered = true;
-        note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(), found->columns,
-                            plan.has_rings ? "" : ", which have no rings"));
+        note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(),
+                            found->columns, plan.has_rings ? "" : ", which have no rings"));
     }
 
-    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<ScanPoints>& samples, double period_s) {
+    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<ScanPoints>& samples,
+                                         double period_s) {
         try {
             const FittedSensor fit = fit_sensor(samples, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
-                throw DataError(
-                    fmt::format("{} beams x {} columns, expected at most {} rays", fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
+                throw DataError(fmt::format("{} beams x {} columns, expected at most {} rays",
+                                            fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
             plans_[l].beam_of_ring = fit.beam_of_ring;
             return fit.sensor;
         } catch (const DataError& error) {
             if (head_.lidars[l].is_guessed) {
-                note(l, fmt::format("{}: points are taken as they are, a ray each, and rays that were dropped are unknown", error.what()));
+                note(l, fmt::format("{}: points are taken as they are, a ray each, and rays that were "
+                                    "dropped are unknown",
+                                    error.what()));
                 return std::nullopt;
             }
-            throw DataError(fmt::format("{}: LiDAR '{}': {}; \"spins\": false in sequence.json takes points as they are", sequence_.source,
-                                        sequence_.lidars[l].name, error.what()));
+            throw DataError(
+                fmt::format("{}: LiDAR '{}': {}; \"spins\": false in sequence.json takes points as they are",
+                            sequence_.source, sequence_.lidars[l].name, error.what()));
         }
     }
 
@@ -273,10 +291,11 @@ private:
     ScanPoints renumbered(const ScanPoints& points, const Plan& plan, std::size_t i) {
         ScanPoints kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
-            const std::uint16_t ring = points.ring[p], beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
+            const std::uint16_t ring = points.ring[p],
+                                beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[i].lidar)].has_beams)
-                throw DataError(
-                    fmt::format("{}: a point of ring {}, expected one of {} beams", source_.name(i), ring, plan.beam_of_ring.size()));
+                throw DataError(fmt::format("{}: a point of ring {}, expected one of {} beams",
+                                            source_.name(i), ring, plan.beam_of_ring.size()));
             if (beam == kNoBeam) {
                 ++left_out_[i];
                 continue;
@@ -294,10 +313,12 @@ private:
 /// Frames whose scans are read: all, or so many of each LiDAR.
 std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
     std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i) own[std::size_t(sequence.frames[i].lidar)].push_back(i);
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
+        own[std::size_t(sequence.frames[i].lidar)].push_back(i);
     std::vector<std::size_t> all;
     for (const std::vector<std::size_t>& frames : own) {
-        const std::size_t n = most_scans > 0 ? std::min(std::size_t(most_scans), frames.size()) : frames.size();
+        const std::size_t n =
+            most_scans > 0 ? std::min(std::size_t(most_scans), frames.size()) : frames.size();
         for (std::size_t k = 0; k < n; ++k) all.push_back(frames[k * frames.size() / n]);
     }
     std::ranges::sort(all);
@@ -306,7 +327,8 @@ std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans
 
 }  // namespace
 
-void read_scans(Sequence& sequence, const Head& head, const ScanSource& source, const DatasetOptions& options) {
+void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
+                const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
     Reader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
     reader.find_sensors();
@@ -317,7 +339,8 @@ void read_scans(Sequence& sequence, const Head& head, const ScanSource& source, 
     broken.leave_out(sequence);
 }
 
-void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files, const DatasetOptions& options) {
+void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files,
+                const DatasetOptions& options) {
     read_scans(sequence, head, FileScans(sequence, head, files), options);
 }
 

@@ -19,10 +19,10 @@ Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const
         for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
     }
     if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
-        throw DataError(
-            fmt::format("{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
-                        "expected orthonormal within 0.001",
-                        where, worst, glm::determinant(rotation)));
+        throw DataError(fmt::format(
+            "{}: the 3x3 block is no rotation (R^T R differs from 1 by {:.3g}, determinant {:.3g}), "
+            "expected orthonormal within 0.001",
+            where, worst, glm::determinant(rotation)));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }

@@ -7,9 +7,7 @@
 
 namespace relidar {
 
-double HeadLattice::tick_rad() const {
-    return 2.0 * kPi / n_ticks;
-}
+double HeadLattice::tick_rad() const { return 2.0 * kPi / n_ticks; }
 
 int HeadLattice::tick(double head_azimuth_rad) const {
     const long t = std::lround((head_azimuth_rad - zero_rad) / tick_rad()) % n_ticks;
@@ -31,7 +29,8 @@ Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor) {
     // ticks from the one nearest to +pi downwards
     int last = sweep.lattice.tick(kPi);
     if (sweep.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
-    for (int i = 0; i < sensor.columns; ++i) sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
+    for (int i = 0; i < sensor.columns; ++i)
+        sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
     return sweep;
 }
 

@@ -10,10 +10,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;  // of the elevations of a ring, between a tenth and nine tenths of its farther half
-constexpr double kLeastGap_rad = kPi / 3.0;            // of azimuths without a point: less may be hidden by the vehicle
-constexpr double kOtherPeriod = 0.2;                   // share by which a turn differs from the step of the scans
-constexpr std::size_t kFewestPoints = 50;              // of a ring
+// of the elevations of a ring, between a tenth and nine tenths of its farther half
+constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
+// of azimuths without a point: less may be hidden by the vehicle
+constexpr double kLeastGap_rad = kPi / 3.0;
+constexpr double kOtherPeriod = 0.2;       // share by which a turn differs from the step of the scans
+constexpr std::size_t kFewestPoints = 50;  // of a ring
 
 double elevation_of(const glm::vec3& p) {
     return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
@@ -46,7 +48,8 @@ double widest_gap(const std::vector<ScanPoints>& scans) {
     std::array<bool, kBins> seen{};
     for (const ScanPoints& scan : scans)
         for (const glm::vec3& p : scan.point_m)
-            seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+            seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
+                true;
     std::size_t widest = 0, run = 0;
     for (std::size_t b = 0; b < 2 * kBins; ++b) {  // twice around: a gap may lie across the end
         run = seen[b % kBins] ? 0 : run + 1;
@@ -62,14 +65,17 @@ std::string why_no_head(const std::vector<ScanPoints>& scans, const SpinningSens
     if (fullest == scans.end()) return "";
     if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)
         return fmt::format(
-            "rings have no elevations of their own (points of one lie {:.1f} degrees apart, as where clouds of several LiDARs were merged)",
+            "rings have no elevations of their own (points of one lie {:.1f} degrees apart, as where clouds "
+            "of several LiDARs were merged)",
             spread * 180.0 / kPi);
     const double gap = widest_gap(scans);
     if (gap < kLeastGap_rad) return "";
-    const std::string window = fmt::format("points lie within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
+    const std::string window =
+        fmt::format("points lie within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
     if (fullest->time_offset_s.empty()) return "";
     if (std::abs(fitted.period_s - step_s) < kOtherPeriod * step_s) return "";
-    return fmt::format("{}, at a rate by which a turn would take {:.3f} s in scans {:.3f} s apart", window, fitted.period_s, step_s);
+    return fmt::format("{}, at a rate by which a turn would take {:.3f} s in scans {:.3f} s apart", window,
+                       fitted.period_s, step_s);
 }
 
 }  // namespace relidar

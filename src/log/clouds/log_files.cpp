@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a KITTI raw drive, n x float32 {x, y, z, reflectance}, and what a folder is that is no such drive.
+// Scans of a KITTI raw drive, n x float32 {x, y, z, reflectance}, and what a folder is
+// that is no such drive.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -15,7 +16,8 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr double kFarthestReturn_m = 1e4;  // no LiDAR return lies ten kilometres away: a file of another type or byte order
+// no LiDAR return lies ten kilometres away: a file of another type or byte order
+constexpr double kFarthestReturn_m = 1e4;
 
 }  // namespace
 
@@ -23,21 +25,25 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
-        return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there too, or the drive of KITTI raw "
+        return "a KITTI odometry sequence, whose scans are motion-compensated; expected its calib.txt there "
+               "too, or the drive of KITTI raw "
                "that it was cut from";
-    for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path(); up = up.parent_path()) {
-        if (fs::exists(up / marker, failed)) return fmt::format("something within a dataset; expected {}", up.string());
+    for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path();
+         up = up.parent_path()) {
+        if (fs::exists(up / marker, failed))
+            return fmt::format("something within a dataset; expected {}", up.string());
     }
     std::string first;
     std::size_t n = 0;
-    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
+         entry.increment(failed)) {
         if (!fs::exists(entry->path() / marker, failed)) continue;
         const std::string name = entry->path().filename().string();
         if (n++ == 0 || name < first) first = name;
     }
     return n == 0 ? ""
-                  : fmt::format("a folder that holds {} dataset{}; expected one of them, as {}", n, n == 1 ? "" : "s",
-                                (folder / first).string());
+                  : fmt::format("a folder that holds {} dataset{}; expected one of them, as {}", n,
+                                n == 1 ? "" : "s", (folder / first).string());
 }
 
 std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bool allow_missing) {
@@ -46,12 +52,12 @@ std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bo
     if (n == 0) return "";
     std::vector<int> shown;
     for (std::size_t i = 1; i < frames.size(); ++i) {
-        for (int frame = frames[i - 1] + 1; frame < frames[i] && shown.size() < kShown; ++frame) shown.push_back(frame);
+        for (int frame = frames[i - 1] + 1; frame < frames[i] && shown.size() < kShown; ++frame)
+            shown.push_back(frame);
     }
-    const std::string gaps = fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(), frames.back(),
-                                         fmt::join(shown, ", "), n > kShown ? ", ..." : "");
-    if (!allow_missing)
-        throw DataError(fmt::format("{}: {}, expected all", folder.string(), gaps));
+    const std::string gaps = fmt::format("{} of the scans {} to {} missing ({}{})", n, frames.front(),
+                                         frames.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
+    if (!allow_missing) throw DataError(fmt::format("{}: {}, expected all", folder.string(), gaps));
     return gaps + ": left out";
 }
 
@@ -62,19 +68,24 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
     for (const fs::path& file : list_folder(folder)) {
         const auto number = file_number(file.stem().string());
         if (file.extension() == ".bin" && number) all.push_back(*number);
-        else if (file.extension() == ".bin" && file.stem().string().find_first_not_of("0123456789") == std::string::npos)
+        else if (file.extension() == ".bin" &&
+                 file.stem().string().find_first_not_of("0123456789") == std::string::npos)
             throw DataError(fmt::format("{}: the number of a scan, expected below 100000000", file.string()));
         text_scans = text_scans || file.extension() == ".txt";
     }
     if (all.empty() && text_scans)
-        throw DataError(fmt::format("{}: scans as text, as an unsynced drive (_extract) has them; expected files %010d.bin of its _sync",
-                                    folder.string()));
+        throw DataError(
+            fmt::format("{}: scans as text, as an unsynced drive (_extract) has them; expected files "
+                        "%010d.bin of its _sync",
+                        folder.string()));
     if (all.empty()) throw DataError(fmt::format("{}: no scans, expected files %010d.bin", folder.string()));
     std::sort(all.begin(), all.end());
-    std::copy_if(all.begin(), all.end(), std::back_inserter(frames), [&](int f) { return f >= begin && (end < 0 || f < end); });
+    std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
+                 [&](int f) { return f >= begin && (end < 0 || f < end); });
     if (frames.empty()) {
-        throw UsageError(fmt::format("frames {}:{}: no scan of {} lies in it, expected numbers in [{}, {}]", begin,
-                                     end < 0 ? "" : std::to_string(end), folder.string(), all.front(), all.back()));
+        throw UsageError(fmt::format("frames {}:{}: no scan of {} lies in it, expected numbers in [{}, {}]",
+                                     begin, end < 0 ? "" : std::to_string(end), folder.string(), all.front(),
+                                     all.back()));
     }
     return frames;
 }
@@ -84,18 +95,21 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
     static_assert(sizeof(glm::vec4) == 16);
     if (bytes.empty()) throw DataError(fmt::format("{}: empty, expected points of 16 bytes", file.string()));
     if (bytes.size() % 16 != 0) {
-        throw DataError(fmt::format("{}: truncated: {} bytes, expected a multiple of 16 ({} points and {} bytes)", file.string(),
-                                    bytes.size(), bytes.size() / 16, bytes.size() % 16));
+        throw DataError(
+            fmt::format("{}: truncated: {} bytes, expected a multiple of 16 ({} points and {} bytes)",
+                        file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16));
     }
     std::vector<glm::vec4> points(bytes.size() / 16);
     std::memcpy(points.data(), bytes.data(), bytes.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
-        const bool finite = std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) && std::isfinite(p.w);
+        const bool finite =
+            std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) && std::isfinite(p.w);
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
         if (finite && largest <= kFarthestReturn_m) continue;
-        throw DataError(fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m", file.string(), i,
-                                    p.x, p.y, p.z, p.w, kFarthestReturn_m));
+        throw DataError(
+            fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m",
+                        file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
     }
     return points;
 }

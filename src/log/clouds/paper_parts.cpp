@@ -11,13 +11,14 @@
 namespace relidar {
 
 ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart> parts) {
-    const auto part = std::find_if(parts.begin(), parts.end(), [&](const PaperPart& p) { return options.sequence == p.name; });
+    const auto part = std::find_if(parts.begin(), parts.end(),
+                                   [&](const PaperPart& p) { return options.sequence == p.name; });
     if (part == parts.end()) return {options.sequence, options.frames};
     const int begin = std::max(options.frames.begin, part->first);
     const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
     if (begin >= end)
-        throw UsageError(fmt::format("frames {}:{}: none of {}, which has {} to {}", options.frames.begin, options.frames.end, part->name,
-                                     part->first, part->last));
+        throw UsageError(fmt::format("frames {}:{}: none of {}, which has {} to {}", options.frames.begin,
+                                     options.frames.end, part->name, part->first, part->last));
     std::vector<int> test_frames;
     for (int k = 0, frame = part->test_first; k < kPaperTestFrames; ++k, frame += part->test_every)
         if (frame >= begin && frame < end) test_frames.push_back(frame);

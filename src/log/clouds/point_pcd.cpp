@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// PCD 0.7: a text header, then the points as text, packed, or packed field by field and compressed with LZF.
+// PCD 0.7: a text header, then the points as text, packed, or packed field by field and
+// compressed with LZF.
 #include <cstdint>
 #include <cstring>
 
@@ -14,7 +15,7 @@ namespace relidar::folder {
 namespace {
 
 constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // of a point
-constexpr std::size_t kMostExpansion = 264;                   // LZF: three bytes give at most this many
+constexpr std::size_t kMostExpansion = 264;                      // LZF: three bytes give at most this many
 
 struct PcdHeader {
     std::vector<std::string> names;
@@ -40,10 +41,12 @@ std::vector<double> numbers_of(const std::vector<std::string>& words, const std:
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
         if (!number || !(*number >= 0.0 && *number <= 1e9) || *number != double(std::int64_t(*number)))
-            throw DataError(fmt::format("{}: {} '{}', expected a whole number", where, words[0], excerpt(words[i])));
+            throw DataError(
+                fmt::format("{}: {} '{}', expected a whole number", where, words[0], excerpt(words[i])));
         numbers.push_back(*number);
     }
-    if (numbers.empty()) throw DataError(fmt::format("{}: {} without a number, expected one", where, words[0]));
+    if (numbers.empty())
+        throw DataError(fmt::format("{}: {} without a number, expected one", where, words[0]));
     return numbers;
 }
 
@@ -51,28 +54,23 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
     PcdHeader header;
     while (header.data.empty()) {
         const std::size_t end = bytes.find('\n', header.length);
-        if (end == std::string_view::npos) throw DataError(fmt::format("{}: no line DATA, expected the header of a PCD file", where));
+        if (end == std::string_view::npos)
+            throw DataError(fmt::format("{}: no line DATA, expected the header of a PCD file", where));
         const std::vector<std::string> words = words_of(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
-        if (words[0] == "FIELDS")
-            header.names.assign(words.begin() + 1, words.end());
-        else if (words[0] == "SIZE")
-            header.sizes = numbers_of(words, where);
-        else if (words[0] == "COUNT")
-            header.counts = numbers_of(words, where);
-        else if (words[0] == "WIDTH")
-            header.width = numbers_of(words, where)[0];
-        else if (words[0] == "HEIGHT")
-            header.height = numbers_of(words, where)[0];
-        else if (words[0] == "POINTS")
-            header.points = numbers_of(words, where)[0];
+        if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());
+        else if (words[0] == "SIZE") header.sizes = numbers_of(words, where);
+        else if (words[0] == "COUNT") header.counts = numbers_of(words, where);
+        else if (words[0] == "WIDTH") header.width = numbers_of(words, where)[0];
+        else if (words[0] == "HEIGHT") header.height = numbers_of(words, where)[0];
+        else if (words[0] == "POINTS") header.points = numbers_of(words, where)[0];
         else if (words[0] == "TYPE")
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
-        else if (words[0] == "DATA")
-            header.data = words.size() == 2 ? words[1] : "?";
+        else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
         else if (words[0] != "VERSION" && words[0] != "VIEWPOINT")
-            throw DataError(fmt::format("{}: the line '{}', expected the header of a PCD file", where, excerpt(words[0])));
+            throw DataError(fmt::format("{}: the line '{}', expected the header of a PCD file", where,
+                                        excerpt(words[0])));
     }
     if (header.points < 0.0) header.points = header.width * header.height;
     if (header.counts.empty()) header.counts.assign(header.names.size(), 1.0);
@@ -81,33 +79,43 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
 
 std::vector<PointField> fields_of(const PcdHeader& header, const std::string& where) {
     const std::size_t n = header.names.size();
-    if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n || header.counts.size() != n)
-        throw DataError(fmt::format("{}: {} FIELDS, {} SIZE, {} TYPE, {} COUNT, expected 1 to {} of each", where, n, header.sizes.size(),
-                                    header.types.size(), header.counts.size(), kMostPcdFields));
+    if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||
+        header.counts.size() != n)
+        throw DataError(fmt::format("{}: {} FIELDS, {} SIZE, {} TYPE, {} COUNT, expected 1 to {} of each",
+                                    where, n, header.sizes.size(), header.types.size(), header.counts.size(),
+                                    kMostPcdFields));
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0)
-            throw DataError(fmt::format("{}: COUNT 0 of field '{}', expected at least 1", where, excerpt(header.names[i])));
+            throw DataError(fmt::format("{}: COUNT 0 of field '{}', expected at least 1", where,
+                                        excerpt(header.names[i])));
         record += header.sizes[i] * header.counts[i];
-        fields.push_back({header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
+        fields.push_back(
+            {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
     if (record > double(kMostBytes))
-        throw DataError(fmt::format("{}: {} bytes a point (SIZE, COUNT), expected at most {}", where, record, kMostBytes));
+        throw DataError(fmt::format("{}: {} bytes a point (SIZE, COUNT), expected at most {}", where, record,
+                                    kMostBytes));
     return fields;
 }
 
 [[noreturn]] void fail_packed(const std::string& where) {
-    throw DataError(fmt::format("{}: its compressed data is damaged, expected LZF of the size that is given", where));
+    throw DataError(
+        fmt::format("{}: its compressed data is damaged, expected LZF of the size that is given", where));
 }
 
-/// LZF: a byte below 32 is followed by that many bytes and one more as they are; any other says, with one or two more, how many bytes to
-/// repeat and how far back they stand.
+/// LZF: a byte below 32 is followed by that many bytes and one more as they are; any
+/// other says, with one or two more, how many bytes to repeat and how far back they
+/// stand.
 std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& where) {
     std::string out;
     out.reserve(size);
     std::size_t at = 0;
-    const auto next = [&] { return at < packed.size() ? std::size_t(static_cast<unsigned char>(packed[at++])) : (fail_packed(where), 0); };
+    const auto next = [&] {
+        return at < packed.size() ? std::size_t(static_cast<unsigned char>(packed[at++]))
+                                  : (fail_packed(where), 0);
+    };
     while (at < packed.size()) {
         const std::size_t control = next();
         if (control < 32) {
@@ -121,7 +129,8 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > size - out.size()) fail_packed(where);
-        for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];  // it may repeat what it has just written
+        // it may repeat what it has just written
+        for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != size) fail_packed(where);
     return out;
@@ -130,13 +139,15 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
 /// Sizes, then the bytes that unpack to the fields one after the other.
 std::string unpack(std::string_view data, const std::string& where) {
     if (data.size() < 8)
-        throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where, data.size()));
+        throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where,
+                                    data.size()));
     std::uint32_t packed = 0, size = 0;
     std::memcpy(&packed, data.data(), 4);
     std::memcpy(&size, data.data() + 4, 4);
     data.remove_prefix(8);
     if (packed > data.size() || size / kMostExpansion > packed)
-        throw DataError(fmt::format("{}: {} compressed bytes of {}, and {} are there", where, packed, size, data.size()));
+        throw DataError(
+            fmt::format("{}: {} compressed bytes of {}, and {} are there", where, packed, size, data.size()));
     return unpack_lzf(data.substr(0, packed), size, where);
 }
 
@@ -149,8 +160,10 @@ PointTable read_pcd(const std::string& bytes, const std::string& where) {
     const std::size_t n = std::size_t(header.points);
     if (header.data == "ascii") return read_lines(data, fields, n, where);
     if (header.data == "binary") return read_packed(data, fields, n, Packing::by_point, where);
-    if (header.data == "binary_compressed") return read_packed(unpack(data, where), fields, n, Packing::by_field, where);
-    throw DataError(fmt::format("{}: DATA '{}', expected ascii, binary or binary_compressed", where, excerpt(header.data)));
+    if (header.data == "binary_compressed")
+        return read_packed(unpack(data, where), fields, n, Packing::by_field, where);
+    throw DataError(fmt::format("{}: DATA '{}', expected ascii, binary or binary_compressed", where,
+                                excerpt(header.data)));
 }
 
 }  // namespace relidar::folder

@@ -21,12 +21,14 @@ PointField field_of(const std::string& type, const std::string& name, const std:
         char kind;
         std::size_t size;
     };
-    static constexpr Row kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8}, {"char", "int8", 'I', 1},
-                                     {"short", "int16", 'I', 2},   {"int", "int32", 'I', 4},      {"uchar", "uint8", 'U', 1},
+    static constexpr Row kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8},
+                                     {"char", "int8", 'I', 1},     {"short", "int16", 'I', 2},
+                                     {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
                                      {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
     for (const Row& row : kTypes)
         if (type == row.name || type == row.other) return {name, row.kind, row.size};
-    throw DataError(fmt::format("{}: property '{}' of type '{}', expected a number of a vertex", where, excerpt(name), excerpt(type)));
+    throw DataError(fmt::format("{}: property '{}' of type '{}', expected a number of a vertex", where,
+                                excerpt(name), excerpt(type)));
 }
 
 struct PlyHeader {
@@ -49,7 +51,8 @@ void parse_line(const std::string& line, PlyHeader& header, int& elements, const
         if (elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
-            throw DataError(fmt::format("{}: more than {} properties, expected fewer", where, kMostPlyFields));
+            throw DataError(
+                fmt::format("{}: more than {} properties, expected fewer", where, kMostPlyFields));
         header.fields.push_back(field_of(a, b, where));
     }
 }
@@ -57,10 +60,12 @@ void parse_line(const std::string& line, PlyHeader& header, int& elements, const
 PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
     PlyHeader header;
     int elements = 0;
-    if (!bytes.starts_with("ply")) throw DataError(fmt::format("{}: it does not begin with 'ply', expected a PLY file", where));
+    if (!bytes.starts_with("ply"))
+        throw DataError(fmt::format("{}: it does not begin with 'ply', expected a PLY file", where));
     for (std::string_view line; line != "end_header";) {
         const std::size_t end = bytes.find('\n', header.length);
-        if (end == std::string_view::npos) throw DataError(fmt::format("{}: no line end_header, expected the header of a PLY file", where));
+        if (end == std::string_view::npos)
+            throw DataError(fmt::format("{}: no line end_header, expected the header of a PLY file", where));
         line = trimmed(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         parse_line(std::string(line), header, elements, where);
@@ -74,8 +79,10 @@ PointTable read_ply(const std::string& bytes, const std::string& where) {
     const PlyHeader header = parse_ply_header(bytes, where);
     const std::string_view data = std::string_view(bytes).substr(header.length);
     if (header.format == "ascii") return read_lines(data, header.fields, header.n, where);
-    if (header.format == "binary_little_endian") return read_packed(data, header.fields, header.n, Packing::by_point, where);
-    throw DataError(fmt::format("{}: format '{}', expected ascii or binary_little_endian", where, excerpt(header.format)));
+    if (header.format == "binary_little_endian")
+        return read_packed(data, header.fields, header.n, Packing::by_point, where);
+    throw DataError(fmt::format("{}: format '{}', expected ascii or binary_little_endian", where,
+                                excerpt(header.format)));
 }
 
 }  // namespace relidar::folder

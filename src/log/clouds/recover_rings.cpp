@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rings of points that do not say theirs. A beam sweeps a cone: seen from the sensor's centre all its far points have one elevation, so a
-// histogram of elevations has a narrow band for each beam, and nothing between them.
+// Rings of points that do not say theirs. A beam sweeps a cone: seen from the sensor's
+// centre all its far points have one elevation, so a histogram of elevations has a narrow
+// band for each beam, and nothing between them.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -15,16 +16,15 @@ namespace {
 constexpr double kBin_rad = 0.01 * kPi / 180.0;  // the closest beams of real sensors are 0.1 degrees apart
 constexpr int kLeastGap = 3;                     // empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
-constexpr double kWidest = 0.5;       // of a band, as a share of the distance to its nearest neighbour
-constexpr double kStray = 0.005;      // bins with less than this share of what a full bin holds count as empty
-constexpr std::ptrdiff_t kReach = 6;  // beams to either side that are tried: origins of beams move elevations by a few
+constexpr double kWidest = 0.5;   // of a band, as a share of the distance to its nearest neighbour
+constexpr double kStray = 0.005;  // bins with less than this share of what a full bin holds count as empty
+// beams to either side that are tried: origins of beams move elevations by a few
+constexpr std::ptrdiff_t kReach = 6;
 
-double elevation_of(const glm::dvec3& v) {
-    return std::atan2(v.z, std::hypot(v.x, v.y));
-}
+double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
 
-/// Elevations of the farther half of the points within each degree, where the origins of beams matter least; ascending. Beams that look
-/// down have no far points at all.
+/// Elevations of the farther half of the points within each degree, where the origins of
+/// beams matter least; ascending. Beams that look down have no far points at all.
 std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
     struct Seen {
         float range_m;
@@ -39,7 +39,8 @@ std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
     std::vector<double> elevations;
     for (std::vector<Seen>& degree : seen) {
         const auto half = degree.begin() + std::ptrdiff_t(degree.size() / 2);
-        std::nth_element(degree.begin(), half, degree.end(), [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
+        std::nth_element(degree.begin(), half, degree.end(),
+                         [](const Seen& a, const Seen& b) { return a.range_m < b.range_m; });
         for (auto s = half; s != degree.end(); ++s) elevations.push_back(s->elevation_rad);
     }
     std::sort(elevations.begin(), elevations.end());
@@ -69,8 +70,10 @@ std::vector<Band> bands_of(const std::vector<double>& elevations) {
         bands.back().last = b;
     }
     for (Band& band : bands) {
-        const auto begin = std::partition_point(elevations.begin(), elevations.end(), [&](double e) { return bin(e) < band.first; });
-        const auto end = std::partition_point(begin, elevations.end(), [&](double e) { return bin(e) <= band.last; });
+        const auto begin = std::partition_point(elevations.begin(), elevations.end(),
+                                                [&](double e) { return bin(e) < band.first; });
+        const auto end =
+            std::partition_point(begin, elevations.end(), [&](double e) { return bin(e) <= band.last; });
         band.elevation_rad = *(begin + (end - begin) / 2);
     }
     return bands;
@@ -92,22 +95,27 @@ std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans) {
     const std::vector<Band> bands = bands_of(far_elevations(scans));
     if (bands.size() < kFewestBands || !are_apart(bands)) return {};
     std::vector<Beam> beams;
-    for (auto band = bands.rbegin(); band != bands.rend(); ++band) beams.push_back({.elevation_rad = band->elevation_rad});
+    for (auto band = bands.rbegin(); band != bands.rend(); ++band)
+        beams.push_back({.elevation_rad = band->elevation_rad});
     return beams;
 }
 
 void recover_rings(ScanPoints& points, const std::vector<Beam>& beams) {
-    if (beams.empty() || beams.size() > kNoBeam) throw UsageError("recovering rings: found no beam or too many, expected 1 to 65535");
+    if (beams.empty() || beams.size() > kNoBeam)
+        throw UsageError("recovering rings: found no beam or too many, expected 1 to 65535");
     std::vector<std::uint16_t> rising(beams.size());
     std::iota(rising.begin(), rising.end(), std::uint16_t(0));
     const auto elevation = [&](std::uint16_t k) { return beams[k].elevation_rad; };
-    std::stable_sort(rising.begin(), rising.end(), [&](auto a, auto b) { return elevation(a) < elevation(b); });
+    std::stable_sort(rising.begin(), rising.end(),
+                     [&](auto a, auto b) { return elevation(a) < elevation(b); });
     points.ring.clear();
     for (const glm::vec3& point : points.point_m) {
         const glm::dvec3 p(point);
         const double seen = elevation_of(p);
-        const auto nearest = std::partition_point(rising.begin(), rising.end(), [&](auto k) { return elevation(k) < seen; });
-        const auto begin = nearest - std::min(kReach, nearest - rising.begin()), end = nearest + std::min(kReach, rising.end() - nearest);
+        const auto nearest =
+            std::partition_point(rising.begin(), rising.end(), [&](auto k) { return elevation(k) < seen; });
+        const auto begin = nearest - std::min(kReach, nearest - rising.begin()),
+                   end = nearest + std::min(kReach, rising.end() - nearest);
         std::uint16_t best = *begin;
         double least = INFINITY;
         for (auto k = begin; k != end; ++k) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan as an EXR range image: the channels that `relidar render --format exr` writes, under the names that scans as npz have.
+// A scan as an EXR range image: the channels that `relidar render --format exr` writes,
+// under the names that scans as npz have.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/images.hpp>
@@ -17,8 +18,8 @@ namespace {
 constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
 /// Three channels as one array of vectors, where all three are there.
-void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name, const std::string& where,
-                 std::vector<NamedArray>& arrays) {
+void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
+                 const std::string& where, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
     std::size_t n_found = 0;
     for (std::size_t k = 0; k < 3; ++k) {
@@ -28,12 +29,15 @@ void add_vectors(const ExrImage& image, const std::string& channel, const std::s
         ++n_found;
     }
     if (n_found == 0) return;
-    if (n_found < 3) throw DataError(fmt::format("{}: {} of the channels {}.x, .y and .z, expected all or none", where, n_found, channel));
+    if (n_found < 3)
+        throw DataError(fmt::format("{}: {} of the channels {}.x, .y and .z, expected all or none", where,
+                                    n_found, channel));
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
     for (std::size_t i = 0; i < axis[0]->size(); ++i)
         for (const std::vector<float>* of : axis) values.push_back((*of)[i]);
-    arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(), values.size()));
+    arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(),
+                                values.size()));
 }
 
 std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& where) {
@@ -46,26 +50,27 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
     std::vector<NamedArray> arrays;
     for (const auto& [name, values] : image.channels)
         if (name.find('.') == std::string::npos)
-            arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)}, values.data(), values.size()));
+            arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)},
+                                        values.data(), values.size()));
     add_vectors(image, "direction", "directions", where, arrays);
     add_vectors(image, "origin", "origin", where, arrays);
-    const auto frame = image.notes.find("points_in");   // as a rendering says it
-    const bool moved = frame != image.notes.end() && (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
+    const auto frame = image.notes.find("points_in");  // as a rendering says it
+    const bool moved = frame != image.notes.end() &&
+                       (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
     const std::int32_t deskewed = moved ? 1 : 0;
     arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
     return arrays;
 }
 
-/// The LiDAR, with the sensor that the file names where sequence.json gives none. Only names: a file does not say what else is read.
+/// The LiDAR, with the sensor that the file names where sequence.json gives none. Only
+/// names: a file does not say what else is read.
 Lidar completed(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
     if (!known_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
     const SensorModel model = find_sensor(note->second);
-    if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern))
-        lidar.sensor = *spinning;
-    else
-        lidar.pattern = fixed_pattern(model);
+    if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) lidar.sensor = *spinning;
+    else lidar.pattern = fixed_pattern(model);
     return lidar;
 }
 

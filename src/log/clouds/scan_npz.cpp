@@ -19,11 +19,13 @@ constexpr std::size_t kMostReturns = 8;
 /// The arrays of one file, looked up by name, their sizes checked against the image's.
 class Arrays {
 public:
-    Arrays(const std::string& where, std::vector<NamedArray> arrays) : where_(where), arrays_(std::move(arrays)) {
+    Arrays(const std::string& where, std::vector<NamedArray> arrays)
+        : where_(where), arrays_(std::move(arrays)) {
         const std::vector<std::size_t>& shape = at("range").shape;
         if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
-            throw DataError(fmt::format("{}: range of shape [{}], expected [rows, columns] or [rays], at most {} rays", where_,
-                                        fmt::join(shape, ", "), kMaxRays));
+            throw DataError(
+                fmt::format("{}: range of shape [{}], expected [rows, columns] or [rays], at most {} rays",
+                            where_, fmt::join(shape, ", "), kMaxRays));
         rows = shape.size() == 2 ? shape[0] : 1;
         columns = shape.back();
     }
@@ -37,7 +39,8 @@ public:
     /// A number of all rays.
     double number(const std::string& name) const {
         if (at(name).count() != 1)
-            throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name, fmt::join(at(name).shape, ", ")));
+            throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name,
+                                        fmt::join(at(name).shape, ", ")));
         return at(name).as_double()[0];
     }
     /// A number a ray. @param usual  of all, where the array is missing
@@ -47,8 +50,8 @@ public:
     /// `width` numbers a ray.
     std::vector<double> values(const std::string& name, std::size_t width) const {
         if (at(name).count() != rows * columns * width)
-            throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name, fmt::join(at(name).shape, ", "), rows,
-                                        columns, width));
+            throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name,
+                                        fmt::join(at(name).shape, ", "), rows, columns, width));
         return at(name).as_double();
     }
     std::vector<glm::vec3> vectors(const std::string& name) const {
@@ -57,7 +60,9 @@ public:
         for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
         return vectors;
     }
-    std::string ray(const char* name, std::size_t i) const { return fmt::format("{}: {} of ray {}", where_, name, i); }
+    std::string ray(const char* name, std::size_t i) const {
+        return fmt::format("{}: {} of ray {}", where_, name, i);
+    }
     const std::string& where() const { return where_; }
 
 private:
@@ -70,18 +75,20 @@ std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
     std::vector<float> range_m;
     for (std::size_t i = 0; i < found.size(); ++i) {
         if (!(found[i] >= 0.0 && found[i] <= 1e6))
-            throw DataError(fmt::format("{} is {}, expected metres, 0 where there is no return", arrays.ray(name.c_str(), i), found[i]));
+            throw DataError(fmt::format("{} is {}, expected metres, 0 where there is no return",
+                                        arrays.ray(name.c_str(), i), found[i]));
         range_m.push_back(drop[i] < 0.5 ? float(found[i]) : 0.0f);
     }
     return range_m;
 }
 
-std::vector<float> intensities_of(const Arrays& arrays, const std::string& name, const std::vector<float>& range_m,
-                                  const PointUnits& units) {
+std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
+                                  const std::vector<float>& range_m, const PointUnits& units) {
     const std::vector<double> found = arrays.image(name, 0.0);
     std::vector<float> intensity;
     for (std::size_t i = 0; i < found.size(); ++i)
-        intensity.push_back(range_m[i] > 0.0f ? unit_intensity(found[i], units, arrays.ray(name.c_str(), i)) : 0.0f);
+        intensity.push_back(range_m[i] > 0.0f ? unit_intensity(found[i], units, arrays.ray(name.c_str(), i))
+                                              : 0.0f);
     return intensity;
 }
 
@@ -89,18 +96,21 @@ std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
 RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
-        throw DataError(
-            fmt::format("{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json", arrays.where()));
+        throw DataError(fmt::format(
+            "{}: no directions of its rays, expected them, or the LiDAR's sensor in sequence.json",
+            arrays.where()));
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
-        throw DataError(fmt::format("{}: range of {} x {} without directions, expected {} x {}, as the LiDAR's sensor has them",
-                                    arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+        throw DataError(fmt::format(
+            "{}: range of {} x {} without directions, expected {} x {}, as the LiDAR's sensor has them",
+            arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
     return rays;
 }
 
 /// Images whose first row is the lowest beam, as relidar counts them.
 void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     for (NamedArray& array : arrays) {
-        const std::size_t row = rows > 0 && array.shape.size() >= 2 && array.shape[0] == rows ? array.bytes.size() / rows : 0;
+        const std::size_t row =
+            rows > 0 && array.shape.size() >= 2 && array.shape[0] == rows ? array.bytes.size() / rows : 0;
         std::vector<std::byte> flipped;
         for (std::size_t i = rows; row > 0 && i-- > 0;) {
             const auto begin = array.bytes.begin() + std::ptrdiff_t(i * row);
@@ -116,7 +126,8 @@ void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable&
     const std::size_t n = rays.size();
     if (arrays.find("time")) {
         const std::vector<double> time = arrays.values("time", 1);
-        for (std::size_t i = 0; i < n; ++i) rays.time_offset_s[i] = time_offset(time[i], units, source.time_s, arrays.ray("time", i));
+        for (std::size_t i = 0; i < n; ++i)
+            rays.time_offset_s[i] = time_offset(time[i], units, source.time_s, arrays.ray("time", i));
     }
     if (arrays.find("ring")) {
         const std::vector<double> ring = arrays.values("ring", 1);
@@ -149,24 +160,29 @@ RayTable own_rays(const Arrays& arrays) {
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& where) {
     if (is_deskewed && !head.motion_compensated)
         throw DataError(
-            fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: render it without "
+            fmt::format("{}: its rays are deskewed or in the world, expected the sensor at each ray's time: "
+                        "render it without "
                         "--deskew and --frame world, or say \"motion_compensated\": true",
                         where));
 }
 
 float unit_intensity(double found, const PointUnits& units, const std::string& where) {
-    if (!std::isfinite(found)) throw DataError(fmt::format("{}: intensity {}, expected a number", where, found));
+    if (!std::isfinite(found))
+        throw DataError(fmt::format("{}: intensity {}, expected a number", where, found));
     if (units.intensity_max) return float(std::clamp(found / *units.intensity_max, 0.0, 1.0));
     if (found < 0.0 || found > 1.0)
-        throw DataError(fmt::format("{}: intensity {}, expected 0..1, or \"intensity_max\" in sequence.json", where, found));
+        throw DataError(fmt::format("{}: intensity {}, expected 0..1, or \"intensity_max\" in sequence.json",
+                                    where, found));
     return float(found);
 }
 
 float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where) {
-    const double offset_s = (found - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
+    const double offset_s =
+        (found - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
         throw DataError(
-            fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and \"point_times\" in "
+            fmt::format("{}: time {} is {} s from the frame's, expected at most {} s; \"time_unit\" and "
+                        "\"point_times\" in "
                         "sequence.json say what times mean",
                         where, found, offset_s, kLongestOffset_s));
     return float(offset_s);
@@ -182,20 +198,25 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     const Head& head = source.head;
     const bool has_rays = find_array(given, "directions") != nullptr;
     const NamedArray* range = find_array(given, "range");
-    if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2) flip_rows(given, range->shape[0]);
+    if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2)
+        flip_rows(given, range->shape[0]);
     const Arrays arrays(where, std::move(given));
     const NamedArray* deskewed = arrays.find("deskewed");
-    check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head, arrays.where());
+    check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head,
+                   arrays.where());
     Scan scan;
     scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
     add_what_is_said(arrays, source, scan.rays);
     // of a rendering: the surface that a ray met, where the mean lies between two
-    const std::vector<float> range_m = ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
+    const std::vector<float> range_m =
+        ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
     scan.intensity = to_scan_array(intensities_of(arrays, "intensity", range_m, head.units));
-    for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number)); ++number) {
+    for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number));
+         ++number) {
         SecondReturn echo{ranges_of(arrays, fmt::format("range_{}", number)), {}};
-        echo.intensity = intensities_of(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
+        echo.intensity =
+            intensities_of(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
         scan.second_returns.push_back(std::move(echo));
     }
     return scan;
@@ -213,7 +234,8 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
         arrays.push_back(make_array(name, shape, values.data(), values.size()));
     };
     const auto add_vectors = [&](const char* name, const ScanArray<glm::vec3>& v) {
-        arrays.push_back(make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
+        arrays.push_back(
+            make_array(name, {shape[0], shape[1], 3}, v.empty() ? nullptr : &v.front().x, v.size() * 3));
     };
     add("range", scan.range_m);
     add("intensity", scan.intensity);

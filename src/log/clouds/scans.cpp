@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Puts points on the rays that took them. Ray of beam k at head azimuth theta: beam_ray(beam_k, theta), range = |point - origin|, fired at
+// Puts points on the rays that took them. Ray of beam k at head azimuth theta:
+// beam_ray(beam_k, theta), range = |point - origin|, fired at
 //   -theta / (2 pi) * period (clockwise, 0 = facing forward), or as measured.
 #include <relidar/log/clouds.hpp>
 
@@ -34,7 +35,8 @@ std::size_t number_of(const ScanPoints& points, std::size_t point) {
 void check_points(const ScanPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
         if (n != points.size() && !(may_be_empty && n == 0))
-            throw UsageError(fmt::format("making a scan: {} of {} points, expected {}", field, n, points.size()));
+            throw UsageError(
+                fmt::format("making a scan: {} of {} points, expected {}", field, n, points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size(), n_beams == 0);
@@ -43,41 +45,48 @@ void check_points(const ScanPoints& points, std::size_t n_beams) {
     check("firing", points.firing.size(), true);
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (n_beams > 0 && points.ring[i] >= n_beams)
-            throw UsageError(fmt::format("making a scan: point {} is of ring {}, expected one of {} beams", i, points.ring[i], n_beams));
+            throw UsageError(fmt::format("making a scan: point {} is of ring {}, expected one of {} beams", i,
+                                         points.ring[i], n_beams));
         if (number_of(points, i) >= kMostReturns)
-            throw UsageError(fmt::format("making a scan: point {} is return {} of its ray, expected numbers below {}", i,
-                                         number_of(points, i), kMostReturns));
+            throw UsageError(
+                fmt::format("making a scan: point {} is return {} of its ray, expected numbers below {}", i,
+                            number_of(points, i), kMostReturns));
     }
 }
 
 /// Firing nearest in time to each tick.
 std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
-    for (std::size_t f = 0; f < firings.size(); ++f) nearest[static_cast<std::size_t>(firings[f])] = static_cast<int>(f);
+    for (std::size_t f = 0; f < firings.size(); ++f)
+        nearest[static_cast<std::size_t>(firings[f])] = static_cast<int>(f);
     std::vector<int> filled = nearest;
     for (int t = 0; t < n_ticks; ++t) {
         for (int d = 1; filled[static_cast<std::size_t>(t)] == kEmpty && d < n_ticks; ++d) {
             const int below = nearest[static_cast<std::size_t>((t - d % n_ticks + n_ticks) % n_ticks)];
-            filled[static_cast<std::size_t>(t)] = below != kEmpty ? below : nearest[static_cast<std::size_t>((t + d) % n_ticks)];
+            filled[static_cast<std::size_t>(t)] =
+                below != kEmpty ? below : nearest[static_cast<std::size_t>((t + d) % n_ticks)];
         }
     }
     return filled;
 }
 
-/// Firing that each column's slot shows: all in order, some twice where there are fewer firings than columns.
+/// Firing that each column's slot shows: all in order, some twice where there are fewer
+/// firings than columns.
 std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
     int spare = columns - static_cast<int>(n);
     const double step = 2.0 * kPi / columns;
     for (std::size_t f = 0; f + 1 < n && spare > 0; ++f) {
-        const double gap = sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[f + 1]);
+        const double gap =
+            sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[f + 1]);
         const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, spare);
         if (missing > 0) repeat[f] += missing, spare -= missing;
     }
     repeat.back() += std::max(spare, 0);
     std::vector<int> slot;
-    for (std::size_t f = 0; f < n; ++f) slot.insert(slot.end(), static_cast<std::size_t>(repeat[f]), static_cast<int>(f));
+    for (std::size_t f = 0; f < n; ++f)
+        slot.insert(slot.end(), static_cast<std::size_t>(repeat[f]), static_cast<int>(f));
     slot.resize(static_cast<std::size_t>(columns));
     return slot;
 }
@@ -99,18 +108,20 @@ private:
     const ScanPoints& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
-    std::vector<int> nearest_;   ///< firing of each tick, where points do not tell theirs
+    std::vector<int> nearest_;  ///< firing of each tick, where points do not tell theirs
 
     float range_of(int point) const { return glm::length(points_.point_m[static_cast<std::size_t>(point)]); }
 
     ImageCells& cells_of(std::size_t number) {
         while (by_return.size() <= number)
-            by_return.push_back({sweep_.firings.size(), std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
+            by_return.push_back({sweep_.firings.size(),
+                                 std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
         return by_return[number];
     }
 
     std::size_t nearest_firing(std::size_t i) const {
-        const int tick = sweep_.lattice.tick(head_azimuth(sensor_.beams[points_.ring[i]], glm::dvec3(points_.point_m[i])));
+        const int tick =
+            sweep_.lattice.tick(head_azimuth(sensor_.beams[points_.ring[i]], glm::dvec3(points_.point_m[i])));
         return static_cast<std::size_t>(nearest_[static_cast<std::size_t>(tick)]);
     }
 
@@ -124,7 +135,8 @@ private:
         ImageCells& cells = cells_of(number);
         int point = static_cast<int>(i);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;  // a second return belongs to its ray
+            // a second return belongs to its ray
+            if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.at(ring, f), point);
             break;
         }
@@ -140,7 +152,8 @@ private:
     }
 };
 
-/// When each firing was: the mean of its points' times; of a firing without points, from the nearest that has some.
+/// When each firing was: the mean of its points' times; of a firing without points, from
+/// the nearest that has some.
 std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep,
                                  const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
@@ -151,14 +164,17 @@ std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor&
     for (std::size_t f = 0; f < n; ++f) time_s[f] = turning_time(sweep.lattice.azimuth_of(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
         if (firing_of[i] != kEmpty)
-            sum[std::size_t(firing_of[i])] += double(points.time_offset_s[i]), count[std::size_t(firing_of[i])] += 1.0;
+            sum[std::size_t(firing_of[i])] += double(points.time_offset_s[i]),
+                count[std::size_t(firing_of[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
         std::size_t from = f;  // firings before and after in turn
-        for (std::size_t d = 0; d < n && count[from] == 0.0; ++d) from = d % 2 == 0 ? (f + d / 2 + 1) % n : (f + n - d / 2 - 1) % n;
+        for (std::size_t d = 0; d < n && count[from] == 0.0; ++d)
+            from = d % 2 == 0 ? (f + d / 2 + 1) % n : (f + n - d / 2 - 1) % n;
         if (count[from] == 0.0) return time_s;
-        const double step =
-            std::remainder(sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[from]), 2.0 * kPi);
+        const double step = std::remainder(
+            sweep.lattice.azimuth_of(sweep.firings[f]) - sweep.lattice.azimuth_of(sweep.firings[from]),
+            2.0 * kPi);
         measured[f] = sum[from] / count[from] + turning_time(step);
     }
     return measured;
@@ -187,7 +203,8 @@ void set_dropped(Scan& scan, std::size_t at, const Beam& beam, double head_rad) 
 /// The ray of a point, in its own direction.
 void set_returned(Scan& scan, std::size_t at, const Beam& beam, const ScanPoints& points, std::size_t i) {
     const glm::dvec3 p(points.point_m[i]);
-    // The point's own azimuth, not the lattice's, sets its origin: exact too where the lattice is only even steps.
+    // The point's own azimuth, not the lattice's, sets its origin: exact too where the
+    // lattice is only even steps.
     const glm::dvec3 origin = beam_ray(beam, head_azimuth(beam, p)).origin_m;
     const double range = glm::length(p - origin);
     if (!(range > kLeastRange_m)) return;
@@ -210,14 +227,18 @@ void set_second_return(Scan& scan, std::size_t at, const ScanPoints& points, std
 
 Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep) {
     check_points(points, sensor.beams.size());
-    if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays || sweep.lattice.n_ticks > kMostTicks)
-        throw UsageError(fmt::format("making a scan: {} beams x {} columns, {} ticks a sweep, expected at most {} rays and {} ticks",
-                                     sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
+    if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
+        sweep.lattice.n_ticks > kMostTicks)
+        throw UsageError(fmt::format(
+            "making a scan: {} beams x {} columns, {} ticks a sweep, expected at most {} rays and {} ticks",
+            sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
     if (sweep.firings.empty())
-        throw UsageError(fmt::format("making a scan of {} points: no firing, expected those of a sweep", points.size()));
+        throw UsageError(
+            fmt::format("making a scan of {} points: no firing, expected those of a sweep", points.size()));
     for (const std::uint32_t firing : points.firing)
         if (firing >= sweep.firings.size())
-            throw UsageError(fmt::format("making a scan: a point of firing {}, expected one of {}", firing, sweep.firings.size()));
+            throw UsageError(fmt::format("making a scan: a point of firing {}, expected one of {}", firing,
+                                         sweep.firings.size()));
     Assignment assigned(points, sensor, sweep);
     const std::vector<double> times = firing_times(points, sensor, sweep, assigned.firing_of);
     const std::vector<int> slot = fill_columns(sweep, sensor.columns);
@@ -230,8 +251,8 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
         const Beam& beam = sensor.beams[ring];
         const int shift = column_shift(beam, columns);
         for (int column = 0; column < columns; ++column, ++at) {
-            const std::size_t firing =
-                static_cast<std::size_t>(slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
+            const std::size_t firing = static_cast<std::size_t>(
+                slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
             scan.rays.time_offset_s[at] = static_cast<float>(times[firing]);
             scan.rays.channel[at] = static_cast<std::uint16_t>(ring);
             set_dropped(scan, at, beam, sweep.lattice.azimuth_of(sweep.firings[firing]));
@@ -240,8 +261,7 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
                 if (i == kEmpty) continue;
                 if (number_of(points, std::size_t(i)) == 0)
                     set_returned(scan, at, beam, points, std::size_t(i));
-                else
-                    set_second_return(scan, at, points, std::size_t(i));
+                else set_second_return(scan, at, points, std::size_t(i));
             }
         }
     }
@@ -252,10 +272,13 @@ Scan unordered_scan(const ScanPoints& points) {
     check_points(points, 0);
     std::vector<std::size_t> first;  // return of each ray
     std::size_t n_second_returns = 0;
-    if (points.size() > kMaxRays) throw UsageError(fmt::format("making a scan: {} points, expected at most {}", points.size(), kMaxRays));
+    if (points.size() > kMaxRays)
+        throw UsageError(
+            fmt::format("making a scan: {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
         n_second_returns = std::max(n_second_returns, number_of(points, i));
-        if (number_of(points, i) == 0 && glm::length(points.point_m[i]) > float(kLeastRange_m)) first.push_back(i);
+        if (number_of(points, i) == 0 && glm::length(points.point_m[i]) > float(kLeastRange_m))
+            first.push_back(i);
     }
     Scan scan;
     resize(scan, 1, static_cast<int>(first.size()), n_second_returns);
@@ -267,7 +290,8 @@ Scan unordered_scan(const ScanPoints& points) {
         scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
-        for (std::size_t k = i + 1; k < points.size() && number_of(points, k) > 0; ++k) set_second_return(scan, at, points, k);
+        for (std::size_t k = i + 1; k < points.size() && number_of(points, k) > 0; ++k)
+            set_second_return(scan, at, points, k);
     }
     return scan;
 }
@@ -276,7 +300,8 @@ void undo_compensation(ScanPoints& points, const PoseTrack& world_from_sensor, d
     const Pose world_from_reference = world_from_sensor.at(time_s);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Pose world_from_firing = world_from_sensor.at(time_s + double(points.time_offset_s[i]));
-        points.point_m[i] = glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.point_m[i])));
+        points.point_m[i] =
+            glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.point_m[i])));
     }
 }
 

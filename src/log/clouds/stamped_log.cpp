@@ -22,12 +22,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kStep_m = 1.0;                // of a vehicle, long beside the errors of two poses
-constexpr double kLongestStep_s = 1.0;         // what takes longer may be anything
-constexpr std::size_t kSamples = 6;            // scans whose points are looked at
-constexpr double kNearBeam = 0.15;             // half the points, in distances between beams; those of another LiDAR: 0.25
-constexpr double kSameTime = 1e-6;             // share of a gap: the pose is one of the two
-constexpr double kLargestCoordinate_m = 1e8;   // of poses as written: UTM has 10^7
+constexpr double kStep_m = 1.0;         // of a vehicle, long beside the errors of two poses
+constexpr double kLongestStep_s = 1.0;  // what takes longer may be anything
+constexpr std::size_t kSamples = 6;     // scans whose points are looked at
+// half the points, in distances between beams; those of another LiDAR: 0.25
+constexpr double kNearBeam = 0.15;
+constexpr double kSameTime = 1e-6;            // share of a gap: the pose is one of the two
+constexpr double kLargestCoordinate_m = 1e8;  // of poses as written: UTM has 10^7
 
 /// A stamp of a table. Some writers give it a fraction or an exponent.
 std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
@@ -37,18 +38,20 @@ std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
     return std::int64_t(std::llround(*number));
 }
 
-StampedRow row_of(const std::vector<std::string_view>& cells, std::size_t n_values, const std::string& where) {
+StampedRow row_of(const std::vector<std::string_view>& cells, std::size_t n_values,
+                  const std::string& where) {
     StampedRow row{0, {}, where};
     const std::optional<std::int64_t> stamp = stamp_of_cell(cells[0]);
     if (!stamp) throw DataError(fmt::format("{}: '{}', expected a time", where, excerpt(cells[0])));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
-        throw DataError(fmt::format("{}: {} cells, expected a time and {} numbers", where, cells.size(), n_values));
+        throw DataError(
+            fmt::format("{}: {} cells, expected a time and {} numbers", where, cells.size(), n_values));
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            throw DataError(fmt::format("{}: cell {} is '{}', expected a number within {:g}", where, c + 1, excerpt(cells[c]),
-                                        kLargestCoordinate_m));
+            throw DataError(fmt::format("{}: cell {} is '{}', expected a number within {:g}", where, c + 1,
+                                        excerpt(cells[c]), kLargestCoordinate_m));
         row.values.push_back(*number);
     }
     return row;
@@ -59,7 +62,8 @@ std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
     if (!track.covers(time_s - log.reach_s) || !track.covers(time_s + log.reach_s)) return std::nullopt;
     const TrackPlace place = track.place(time_s);
     const bool is_one = place.s < kSameTime || place.s > 1.0 - kSameTime;
-    if (!is_one && track.time_s[place.left + 1] - track.time_s[place.left] > log.most_gap_s) return std::nullopt;
+    if (!is_one && track.time_s[place.left + 1] - track.time_s[place.left] > log.most_gap_s)
+        return std::nullopt;
     return track.at(time_s);
 }
 
@@ -83,7 +87,9 @@ public:
         if (!format_.beams.empty()) recover_rings(points, format_.beams);
         return points;
     }
-    Scan rays(std::size_t i) const override { throw DataError(fmt::format("{}: no points, expected some", name(i))); }
+    Scan rays(std::size_t i) const override {
+        throw DataError(fmt::format("{}: no points, expected some", name(i)));
+    }
 
 private:
     const Sequence& sequence_;
@@ -100,22 +106,24 @@ std::vector<ScanPoints> sample_points(const StampedPoints& source, std::size_t n
             samples.push_back(source.points(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
-            continue;   // told where the scan is read
+            continue;  // told where the scan is read
         }
     }
     return samples;
 }
 
-/// Whether points lie near their beams, beside the distance to the next one: of another LiDAR they lie anywhere.
+/// Whether points lie near their beams, beside the distance to the next one: of another
+/// LiDAR they lie anywhere.
 bool are_near_beams(const std::vector<ScanPoints>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
-    std::vector<double> off;   // in distances between beams
+    std::vector<double> off;  // in distances between beams
     for (const ScanPoints& scan : samples)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fit.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
-            for (const std::size_t next : {b - 1, b + 1})   // below 0 is far above the last
-                if (next < beams.size()) apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
+            for (const std::size_t next : {b - 1, b + 1})  // below 0 is far above the last
+                if (next < beams.size())
+                    apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
             const glm::dvec3 p(scan.point_m[i]);
             off.push_back(std::abs(std::atan2(p.z, std::hypot(p.x, p.y)) - beams[b].elevation_rad) / apart);
         }
@@ -124,8 +132,8 @@ bool are_near_beams(const std::vector<ScanPoints>& samples, const FittedSensor& 
     return *middle < kNearBeam;
 }
 
-/// Nominal beams where the points have them. Nothing where they are of another LiDAR, or where their azimuths have no steps, as those of
-/// points that were moved to one time.
+/// Nominal beams where the points have them. Nothing where they are of another LiDAR, or
+/// where their azimuths have no steps, as those of points that were moved to one time.
 std::optional<SpinningSensor> fit_nominal(const std::vector<ScanPoints>& samples, const PointFormat& format) {
     if (samples.empty()) return std::nullopt;
     FittedSensor fit;
@@ -138,13 +146,15 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<ScanPoints>& samples
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
-    for (const bool is_second : {false, true})   // the phase that all share, then what each has beside it
+    for (const bool is_second : {false, true})  // the phase that all share, then what each has beside it
         for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
             if (fit.beam_of_ring[r] == kNoBeam) continue;
             const Beam& found = fit.sensor.beams[fit.beam_of_ring[r]];
             const double beside = found.azimuth_offset_rad - format.beams[r].azimuth_offset_rad;
             if (!is_second) sum += std::polar(1.0, fit.sensor.columns * beside);
-            else beams[r].azimuth_offset_rad += std::remainder(beside - std::arg(sum) / fit.sensor.columns, step);
+            else
+                beams[r].azimuth_offset_rad +=
+                    std::remainder(beside - std::arg(sum) / fit.sensor.columns, step);
             beams[r].elevation_rad = found.elevation_rad;
         }
     fit.sensor.beams = std::move(beams);
@@ -163,10 +173,13 @@ std::optional<std::int64_t> parse_stamp(std::string_view text) {
 std::vector<StampedScan> list_scans(const fs::path& folder) {
     std::vector<StampedScan> scans;
     for (const fs::path& file : list_folder(folder))
-        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == ".bin") scans.push_back({0, *stamp, file});
-    if (scans.empty()) throw DataError(fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
-                                                   folder.string()));
-    std::ranges::sort(scans, {}, &StampedScan::stamp);   // names of fewer digits come first
+        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == ".bin")
+            scans.push_back({0, *stamp, file});
+    if (scans.empty())
+        throw DataError(
+            fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
+                        folder.string()));
+    std::ranges::sort(scans, {}, &StampedScan::stamp);  // names of fewer digits come first
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
     return scans;
 }
@@ -177,14 +190,17 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trimmed(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = csv_cells(lines[l]);
-        if (l == 0 && !parse_number(cells[0])) continue;   // names of the columns
+        if (l == 0 && !parse_number(cells[0])) continue;  // names of the columns
         StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
-            throw DataError(fmt::format("{}: time {} after {}, expected times that rise", row.where, row.stamp, rows.back().stamp));
+            throw DataError(fmt::format("{}: time {} after {}, expected times that rise", row.where,
+                                        row.stamp, rows.back().stamp));
         rows.push_back(std::move(row));
     }
-    if (rows.empty()) throw DataError(fmt::format("{}: no pose, expected lines of a time and {} numbers", file.string(), n_values));
+    if (rows.empty())
+        throw DataError(
+            fmt::format("{}: no pose, expected lines of a time and {} numbers", file.string(), n_values));
     return rows;
 }
 
@@ -196,9 +212,10 @@ Driving find_driving(const PoseTrack& world_from_rider) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        if (!is_late) {   // as seen at both ends of the step: halfway through a bend
+        if (!is_late) {  // as seen at both ends of the step: halfway through a bend
             const glm::dvec3 d = glm::normalize(step);
-            const glm::dvec3 seen = 0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
+            const glm::dvec3 seen =
+                0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
             driving.mean += seen;
             rises += seen.z * seen.z;
             ++driving.n_steps;
@@ -207,16 +224,19 @@ Driving find_driving(const PoseTrack& world_from_rider) {
     }
     if (driving.n_steps == 0) return driving;
     driving.mean /= double(driving.n_steps);
-    driving.rise_spread = std::sqrt(std::max(0.0, rises / double(driving.n_steps) - driving.mean.z * driving.mean.z));
+    driving.rise_spread =
+        std::sqrt(std::max(0.0, rises / double(driving.n_steps) - driving.mean.z * driving.mean.z));
     return driving;
 }
 
 void tell_unless_forward(std::vector<std::string>& notes, double forward) {
     constexpr double kMostlyForward = 0.9;
     if (forward < kMostlyForward)
-        notes.push_back(fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; dataset.poses=none finds "
-                                    "poses from the scans",
-                                    forward));
+        notes.push_back(
+            fmt::format("poses: the vehicle drives forward by {:.2f} on average, expected nearly 1; "
+                        "dataset.poses=none finds "
+                        "poses from the scans",
+                        forward));
 }
 
 std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, const DatasetOptions& options) {
@@ -235,18 +255,21 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
         files.push_back(scan.file);
     }
     if (files.empty() && without.empty())
-        throw UsageError(fmt::format("frames {}:{}: no scan of {}, expected numbers in [{}, {}]", range.begin, range.end, sequence.name,
-                                     log.scans.front().number, log.scans.back().number));
+        throw UsageError(fmt::format("frames {}:{}: no scan of {}, expected numbers in [{}, {}]", range.begin,
+                                     range.end, sequence.name, log.scans.front().number,
+                                     log.scans.back().number));
     if (files.empty())
-        throw DataError(fmt::format("{}: poses from {:.3f} to {:.3f} s, expected some around frames {} to {}, at {:.3f} to {:.3f} s",
-                                    log.poses_file.string(), log.world_from_vehicle.time_s.front(), log.world_from_vehicle.time_s.back(),
-                                    without.front()->number, without.back()->number, log.seconds(without.front()->stamp),
-                                    log.seconds(without.back()->stamp)));
+        throw DataError(fmt::format(
+            "{}: poses from {:.3f} to {:.3f} s, expected some around frames {} to {}, at {:.3f} to {:.3f} s",
+            log.poses_file.string(), log.world_from_vehicle.time_s.front(),
+            log.world_from_vehicle.time_s.back(), without.front()->number, without.back()->number,
+            log.seconds(without.front()->stamp), log.seconds(without.back()->stamp)));
     if (!without.empty())
-        sequence.notes.push_back(fmt::format("{} of {} scans are left out, the first of them frame {}, the last frame {}: {} has no poses "
-                                             "around their times",
-                                             without.size(), without.size() + files.size(), without.front()->number,
-                                             without.back()->number, log.poses_file.filename().string()));
+        sequence.notes.push_back(fmt::format(
+            "{} of {} scans are left out, the first of them frame {}, the last frame {}: {} has no poses "
+            "around their times",
+            without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
+            log.poses_file.filename().string()));
     kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     return files;
@@ -254,12 +277,15 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
 
 void check_poses(const fs::path& file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || path_exists(file)) return;
-    throw DataError(fmt::format("{}: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none to find them from "
-                                "the scans",
-                                file.string()));
+    throw DataError(
+        fmt::format("{}: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none "
+                    "to find them from "
+                    "the scans",
+                    file.string()));
 }
 
-void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFormat format, const DatasetOptions& options) {
+void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFormat format,
+                 const DatasetOptions& options) {
     const StampedPoints source(sequence, files, format);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     folder::Head head;
@@ -270,11 +296,12 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
             of_head.has_beams = true;
-            sequence.notes.push_back(fmt::format("{} beams x {} columns are fitted to its points, which have no rings: each is taken for "
-                                                 "one of the nominal beam that passes nearest",
-                                                 sensor.beams.size(), sensor.columns));
+            sequence.notes.push_back(fmt::format(
+                "{} beams x {} columns are fitted to its points, which have no rings: each is taken for "
+                "one of the nominal beam that passes nearest",
+                sensor.beams.size(), sensor.columns));
         } else {
-            format.beams.clear();   // source looks at it
+            format.beams.clear();  // source looks at it
         }
     }
     head.name = sequence.name;
@@ -292,7 +319,7 @@ Brightness find_brightness(const std::vector<fs::path>& files, const std::vector
         try {
             samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
         } catch (const DataError&) {
-            continue;   // told where the scan is read
+            continue;  // told where the scan is read
         }
     }
     const bag::CloudUnits units = bag::find_units(samples, std::vector<double>(samples.size(), 0.0), 0.0);

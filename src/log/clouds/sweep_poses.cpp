@@ -18,11 +18,13 @@ constexpr double kReach_m = 50.0;  // at which a turn counts
 
 /// What a correction moves a point at kReach_m by, at most.
 double size_of(const Pose& correction) {
-    const double sine = glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
+    const double sine =
+        glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// From the sensor as it was to where the log's poses have it, by the time from the frame's.
+/// From the sensor as it was to where the log's poses have it, by the time from the
+/// frame's.
 PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt& world_from_vehicle) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
@@ -45,7 +47,8 @@ double place_rays_of(Frame& frame, const PoseTrack& corrections) {
     if (farthest_m < kLeast_m) return 0.0;
     RayTable& rays = frame.scan.rays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        const double t_s = std::clamp(double(rays.time_offset_s[i]), corrections.time_s.front(), corrections.time_s.back());
+        const double t_s =
+            std::clamp(double(rays.time_offset_s[i]), corrections.time_s.front(), corrections.time_s.back());
         const Pose pose = corrections.at(t_s);
         rays.origin[i] = glm::vec3(pose * glm::dvec3(rays.origin[i]));
         rays.direction[i] = glm::vec3(glm::normalize(pose.rotation * glm::dvec3(rays.direction[i])));
@@ -66,9 +69,11 @@ std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle) {
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
     return n == 0 ? ""
-                  : fmt::format("rays of {} sweeps start where poses between frames have the sensor, up to {:.3f} m (of what is {:.0f} m "
-                                "away) beside a straight way from frame to frame",
-                                n, std::ranges::max(moved_m), kReach_m);
+                  : fmt::format(
+                        "rays of {} sweeps start where poses between frames have the sensor, up to {:.3f} m "
+                        "(of what is {:.0f} m "
+                        "away) beside a straight way from frame to frame",
+                        n, std::ranges::max(moved_m), kReach_m);
 }
 
 }  // namespace relidar::bag

@@ -14,7 +14,7 @@ namespace {
 /// A ray of the world, as far as it has looked.
 struct Look {
     WorldRay ray;
-    double length_m = 0.0;   ///< 0: it tells nothing
+    double length_m = 0.0;  ///< 0: it tells nothing
 
     glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
@@ -23,8 +23,9 @@ struct Look {
 /// @param range_m [rows] of the returns, 0 where the ray was dropped
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
-    std::vector<double> above(n, 0.0), result(n, 0.0);   // range of the nearest return above
-    for (std::size_t row = 1; row < n; ++row) above[row] = range_m[row - 1] > 0.0 ? range_m[row - 1] : above[row - 1];
+    std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above
+    for (std::size_t row = 1; row < n; ++row)
+        above[row] = range_m[row - 1] > 0.0 ? range_m[row - 1] : above[row - 1];
     double below = 0.0;
     for (std::size_t row = n; row-- > 0;) {
         if (range_m[row] > 0.0) below = result[row] = range_m[row];
@@ -36,34 +37,41 @@ std::vector<double> looked_m(const std::vector<double>& range_m, double max_rang
 /// Adds what lies between two rays that start together.
 void add_between(Coverage& coverage, const Look& a, const Look& b) {
     const double length_m = std::min(a.length_m, b.length_m);
-    const int n = static_cast<int>(length_m * glm::distance(a.ray.direction, b.ray.direction) / Coverage::kCell_m);
+    const int n =
+        static_cast<int>(length_m * glm::distance(a.ray.direction, b.ray.direction) / Coverage::kCell_m);
     for (int k = 1; k <= n; ++k) {
         const double s = double(k) / (n + 1);
         const glm::dvec3 origin_m = glm::mix(a.ray.origin_m, b.ray.origin_m, s);
-        coverage.add(origin_m, origin_m + length_m * glm::normalize(glm::mix(a.ray.direction, b.ray.direction, s)));
+        coverage.add(origin_m,
+                     origin_m + length_m * glm::normalize(glm::mix(a.ray.direction, b.ray.direction, s)));
     }
 }
 
 /// Columns that can be left out, since those beside them cross the same cells.
 std::size_t column_step(const Lidar& lidar, double max_range_m) {
-    const double step_m = lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;
+    const double step_m =
+        lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;
     return static_cast<std::size_t>(std::clamp(Coverage::kCell_m / step_m, 1.0, 16.0));
 }
 
-Coverage coverage_of(const Sequence& sequence, const PoseTrack& world_from_sensor, const Frame& frame, double max_range_m) {
+Coverage coverage_of(const Sequence& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
+                     double max_range_m) {
     Coverage coverage;
     const Scan& scan = frame.scan;
-    const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)), rows = scan.range_m.size() / columns;
+    const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
+                      rows = scan.range_m.size() / columns;
     const std::size_t step = rows > 1 ? column_step(sequence.lidar_of(frame), max_range_m) : 1;
     std::vector<double> range_m(rows);
     std::vector<Look> looks(rows);
     for (std::size_t column = 0; column < columns; column += step) {
-        for (std::size_t row = 0; row < rows; ++row) range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);
+        for (std::size_t row = 0; row < rows; ++row)
+            range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);
         const std::vector<double> length_m = looked_m(range_m, max_range_m);
         for (std::size_t row = 0; row < rows; ++row) {
             looks[row].length_m = length_m[row];
             if (!(length_m[row] > 0.0)) continue;
-            looks[row].ray = world_ray(world_from_sensor, frame.time_s, scan.rays, row * columns + column, sequence.rolling_shutter);
+            looks[row].ray = world_ray(world_from_sensor, frame.time_s, scan.rays, row * columns + column,
+                                       sequence.rolling_shutter);
             coverage.add(looks[row].ray.origin_m, looks[row].end_m());
             if (row > 0 && looks[row - 1].length_m > 0.0) add_between(coverage, looks[row - 1], looks[row]);
         }
@@ -73,15 +81,17 @@ Coverage coverage_of(const Sequence& sequence, const PoseTrack& world_from_senso
 
 }  // namespace
 
-Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_vehicle, const std::vector<int>& positions,
-                       double max_range_m) {
+Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_vehicle,
+                       const std::vector<int>& positions, double max_range_m) {
     std::vector<PoseTrack> world_from_sensor;
-    for (const Lidar& lidar : sequence.lidars) world_from_sensor.push_back(moved_track(world_from_vehicle, lidar.vehicle_from_sensor));
+    for (const Lidar& lidar : sequence.lidars)
+        world_from_sensor.push_back(moved_track(world_from_vehicle, lidar.vehicle_from_sensor));
     Coverage all;
     std::mutex mutex;
     run_parallel(static_cast<int>(positions.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(i)])];
-        const Coverage one = coverage_of(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
+        const Coverage one =
+            coverage_of(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
         const std::lock_guard lock(mutex);
         all.add(one);
     });

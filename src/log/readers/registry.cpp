@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which reader a dataset path belongs to: one row a kind. A new dataset is one reader and one row here.
+// Which reader a dataset path belongs to: one row a kind. A new dataset is one reader and
+// one row here.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -12,18 +13,18 @@
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
 #include "base/parallel.hpp"
+#include "log/clouds/log_files.hpp"
+#include "log/clouds/point_table.hpp"
 #include "log/readers/argoverse2/argoverse2.hpp"
 #include "log/readers/bag/ros_bag.hpp"
 #include "log/readers/boreas/boreas.hpp"
+#include "log/readers/folder/plain_folder.hpp"
 #include "log/readers/kitti/kitti_360.hpp"
-#include "log/clouds/log_files.hpp"
 #include "log/readers/kitti/kitti_odometry.hpp"
 #include "log/readers/kitti/kitti_raw.hpp"
 #include "log/readers/mulran/mulran.hpp"
 #include "log/readers/nuscenes/nuscenes.hpp"
 #include "log/readers/once/once.hpp"
-#include "log/readers/folder/plain_folder.hpp"
-#include "log/clouds/point_table.hpp"
 #include "log/readers/street/synthetic.hpp"
 #include "log/readers/waymo/waymo.hpp"
 
@@ -34,12 +35,12 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// File or folder that tells the kind; "name*": one whose name begins so; ".ending": a file with it, or a folder of such files.
-    /// Any of several, parted by blanks.
+    /// File or folder that tells the kind; "name*": one whose name begins so; ".ending":
+    /// a file with it, or a folder of such files. Any of several, parted by blanks.
     const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
-    bool holds_drives = false;   ///< several, of which DatasetOptions::sequence names one
+    bool holds_drives = false;  ///< several, of which DatasetOptions::sequence names one
 };
 
 constexpr DatasetKind kKinds[] = {
@@ -49,7 +50,8 @@ constexpr DatasetKind kKinds[] = {
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
-    {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes, true},
+    {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes,
+     true},
     {"boreas", "applanix", "a Boreas sequence", load_boreas},
     {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran},
     {"once", "lidar_roof", "a ONCE sequence", load_once},
@@ -69,15 +71,16 @@ const DatasetKind& find_kind(const std::string& name) {
     for (const DatasetKind& kind : kKinds) {
         if (name == kind.name) return kind;
     }
-    throw UsageError(fmt::format("dataset kind '{}': unknown{} (known: {})", name, did_you_mean(name, kind_names(), "'"),
-                                 fmt::join(kind_names(), ", ")));
+    throw UsageError(fmt::format("dataset kind '{}': unknown{} (known: {})", name,
+                                 did_you_mean(name, kind_names(), "'"), fmt::join(kind_names(), ", ")));
 }
 
 bool has_marker(const fs::path& path, std::string_view marker) {
     if (!marker.starts_with('.') && !marker.ends_with('*')) return path_exists(path / marker);
     const auto matches = [&](const fs::path& file) {
-        return marker.starts_with('.') ? file.extension() == marker
-                                       : file.filename().string().starts_with(marker.substr(0, marker.size() - 1));
+        return marker.starts_with('.')
+                   ? file.extension() == marker
+                   : file.filename().string().starts_with(marker.substr(0, marker.size() - 1));
     };
     if (!path_exists(path)) return false;
     if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
@@ -94,33 +97,39 @@ bool is_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Scans that lack nothing but sequence.json. @throws DataError with the line that would do
+/// Scans that lack nothing but sequence.json. @throws DataError with the line that would
+/// do
 void check_bare_folder(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
     for (const char* scans : {"scans", "."}) {
         if (!fs::is_directory(path / scans, failed)) continue;
         std::size_t n = 0;
-        for (const fs::path& file : list_folder(path / scans)) n += folder::is_point_file(file) || folder::is_image_file(file);
+        for (const fs::path& file : list_folder(path / scans))
+            n += folder::is_point_file(file) || folder::is_image_file(file);
         if (n < 2) continue;
-        const std::string lidars = scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
-        throw DataError(fmt::format(R"({}: {} scans without a sequence.json, expected one beside {}, such as )"
-                                    R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
-                                    R"(, and poses.txt or dataset.poses=none; docs/datasets.md has the rest)",
-                                    path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars));
+        const std::string lidars =
+            scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
+        throw DataError(
+            fmt::format(R"({}: {} scans without a sequence.json, expected one beside {}, such as )"
+                        R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
+                        R"(, and poses.txt or dataset.poses=none; docs/datasets.md has the rest)",
+                        path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars));
     }
 }
 
-/// Farthest return of a LiDAR in whole metres, rounded up; 80 m if the log has no return. Points are cut at 80 m in KITTI.
+/// Farthest return of a LiDAR in whole metres, rounded up; 80 m if the log has no return.
+/// Points are cut at 80 m in KITTI.
 double farthest_return_m(const Sequence& sequence, int lidar) {
-    constexpr float kFarthest_m = 1000.0f;   // a point beyond it is no return of a LiDAR on a vehicle
+    constexpr float kFarthest_m = 1000.0f;  // a point beyond it is no return of a LiDAR on a vehicle
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
     run_parallel(static_cast<int>(farthest.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(i)];
         if (frame.lidar != lidar) return;
         const auto look = [&](float range_m) {
-            if (range_m <= kFarthest_m) farthest[std::size_t(i)] = std::max(farthest[std::size_t(i)], range_m);
+            if (range_m <= kFarthest_m)
+                farthest[std::size_t(i)] = std::max(farthest[std::size_t(i)], range_m);
         };
         for (const float range_m : frame.scan.range_m) look(range_m);
         for (const SecondReturn& second : frame.scan.second_returns)
@@ -137,8 +146,9 @@ void find_farthest(Sequence& sequence) {
         if (std::isfinite(sensor.max_range_m)) continue;
         sensor.max_range_m = farthest_return_m(sequence, static_cast<int>(l));
         const std::string& name = sequence.lidars[l].name;
-        sequence.notes.push_back(fmt::format("range{}: {} m, the farthest return; the sensor's own limit is not known",
-                                             name.empty() ? "" : " of " + name, sensor.max_range_m));
+        sequence.notes.push_back(
+            fmt::format("range{}: {} m, the farthest return; the sensor's own limit is not known",
+                        name.empty() ? "" : " of " + name, sensor.max_range_m));
     }
 }
 
@@ -169,11 +179,14 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
                 sum.near += counts[i].near, sum.far += counts[i].far, sum.all += counts[i].all;
         if (sum.near + sum.far == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
-        std::string parts = sum.far > 0 ? fmt::format("{} beyond {} m", sum.far, lidar.sensor.max_range_m) : "";
+        std::string parts =
+            sum.far > 0 ? fmt::format("{} beyond {} m", sum.far, lidar.sensor.max_range_m) : "";
         if (sum.near > 0)
-            parts += fmt::format("{}{} nearer than {} m", parts.empty() ? "" : " and ", sum.near, lidar.sensor.min_range_m);
+            parts += fmt::format("{}{} nearer than {} m", parts.empty() ? "" : " and ", sum.near,
+                                 lidar.sensor.min_range_m);
         sequence.notes.push_back(fmt::format("range{}: {} of {} returns ({:.2g} %) count as dropped: {}",
-                                             lidar.name.empty() ? "" : " of " + lidar.name, sum.near + sum.far, sum.all,
+                                             lidar.name.empty() ? "" : " of " + lidar.name,
+                                             sum.near + sum.far, sum.all,
                                              100.0 * double(sum.near + sum.far) / double(sum.all), parts));
     }
 }
@@ -202,10 +215,13 @@ void note_missing_intensities(Sequence& sequence) {
     run_parallel(static_cast<int>(has_returns.size()), [&](int i) {
         const Scan& scan = sequence.frames[std::size_t(i)].scan;
         has_returns[std::size_t(i)] = scan.count_returns() > 0;
-        has_intensities[std::size_t(i)] = std::ranges::any_of(scan.intensity, [](float v) { return v > 0.0f; });
+        has_intensities[std::size_t(i)] =
+            std::ranges::any_of(scan.intensity, [](float v) { return v > 0.0f; });
     });
     if (std::ranges::count(has_returns, 1) > 0 && std::ranges::count(has_intensities, 1) == 0)
-        sequence.notes.push_back("no intensities: every return has 0, so that rendered intensities mean nothing and are not scored");
+        sequence.notes.push_back(
+            "no intensities: every return has 0, so that rendered intensities mean nothing and are not "
+            "scored");
 }
 
 /// Leaves the named LiDARs, in the log's order; frames and poses of the others alone go.
@@ -220,7 +236,9 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     }
     std::erase_if(sequence.frames, [&](const Frame& frame) { return place[std::size_t(frame.lidar)] < 0; });
     if (sequence.frames.empty())
-        throw UsageError(fmt::format("dataset.lidars: {} took none of the frames that are read, expected another", fmt::join(names, ", ")));
+        throw UsageError(
+            fmt::format("dataset.lidars: {} took none of the frames that are read, expected another",
+                        fmt::join(names, ", ")));
     PoseTrack track;
     for (Frame& frame : sequence.frames) {
         frame.lidar = place[std::size_t(frame.lidar)];
@@ -230,14 +248,16 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     }
     sequence.lidars = std::move(kept);
     sequence.world_from_vehicle = std::move(track);
-    if (!left_out.empty()) sequence.notes.push_back(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
+    if (!left_out.empty())
+        sequence.notes.push_back(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
 }
 
 /// "kind:path" as kind and path; the kind is empty where none is named.
 std::pair<std::string, fs::path> parted(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
-    const bool has_kind = colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
+    const bool has_kind =
+        colon != std::string::npos && dataset.find('/') > colon && !fs::exists(dataset, failed);
     return has_kind ? std::pair(dataset.substr(0, colon), fs::path(dataset.substr(colon + 1)))
                     : std::pair(std::string(), fs::path(dataset));
 }
@@ -248,25 +268,28 @@ const DatasetKind& reader_of(const std::string& dataset, const std::string& sequ
     const std::string name = kind.empty() ? recognise_dataset(path) : kind;
     const DatasetKind& reader = find_kind(name);
     if (!sequence.empty() && !reader.holds_drives)
-        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none", excerpt(sequence),
-                                     reader.describe));
+        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none",
+                                     excerpt(sequence), reader.describe));
     return reader;
 }
 
 void check_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
-        throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b", range.begin, range.end));
+        throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b",
+                                     range.begin, range.end));
     }
 }
 
 /// Where and when each sweep began, and where its head pointed.
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
-    for (const Lidar& lidar : sequence.lidars) nominal.push_back(lidar.pattern ? RayTable{} : nominal_rays(lidar, 0.0));
+    for (const Lidar& lidar : sequence.lidars)
+        nominal.push_back(lidar.pattern ? RayTable{} : nominal_rays(lidar, 0.0));
     run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
         Frame& frame = sequence.frames[std::size_t(i)];
         frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
-        frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.lidar_of(frame).sensor, nominal[std::size_t(frame.lidar)]);
+        frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.lidar_of(frame).sensor,
+                                                     nominal[std::size_t(frame.lidar)]);
     });
 }
 
@@ -274,9 +297,10 @@ void find_sweeps(Sequence& sequence) {
 
 bool is_dataset(const fs::path& path) {
     try {
-        return std::any_of(std::begin(kKinds), std::end(kKinds), [&](const DatasetKind& kind) { return is_kind(path, kind); });
+        return std::any_of(std::begin(kKinds), std::end(kKinds),
+                           [&](const DatasetKind& kind) { return is_kind(path, kind); });
     } catch (const DataError&) {
-        return false;   // what cannot be read
+        return false;  // what cannot be read
     }
 }
 
@@ -291,7 +315,8 @@ std::string recognise_dataset(const fs::path& path) {
     check_bare_folder(path);
     for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
-        if (!stranger.empty()) throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));
+        if (!stranger.empty())
+            throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));
     }
     throw DataError(fmt::format("{}: not a dataset, expected one of: {}", path.string(), known));
 }
@@ -299,15 +324,17 @@ std::string recognise_dataset(const fs::path& path) {
 std::string absolute_dataset(const std::string& dataset) {
     const auto [kind, path] = parted(dataset);
     if (path.empty()) return dataset;
-    const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();   // without a slash at the end
+    // without a slash at the end
+    const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();
     return kind.empty() ? absolute : kind + ":" + absolute;
 }
 
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     check_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
-        throw UsageError(fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
-                                     options.min_range_m, options.max_range_m));
+        throw UsageError(
+            fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
+                        options.min_range_m, options.max_range_m));
     }
     Sequence sequence = reader_of(dataset, options.sequence).load(parted(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;

@@ -31,7 +31,8 @@ public:
     void forget(double travelled_m) {
         for (VoxelPlanes& map : maps_) map.forget(travelled_m);
     }
-    /// Of the maps up to a level: what lies far away fills large cells only. Null where none has a plane.
+    /// Of the maps up to a level: what lies far away fills large cells only. Null where
+    /// none has a plane.
     const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
         const Plane* plane = nullptr;
         for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);
@@ -40,7 +41,7 @@ public:
 
 private:
     RegisterRound first_, last_;
-    std::vector<VoxelPlanes> maps_;   // [kLevels]
+    std::vector<VoxelPlanes> maps_;  // [kLevels]
 };
 
 }  // namespace relidar

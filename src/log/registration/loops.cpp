@@ -14,37 +14,43 @@
 namespace relidar {
 namespace {
 
-constexpr double kKey_m = 4.0;            // between poses that are looked at
-constexpr double kApart_m = 80.0;         // of the way between two passes: nearer, odometry has seen both on one map
-constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;   // how near the passes come: more after a longer way
-constexpr double kMap_m = 14.0;           // of the earlier pass, to either side
-constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;   // starts about the place that the track says
-constexpr double kGridPenalty = 0.01;     // share of points that a step of the grid away must bring more
+constexpr double kKey_m = 4.0;  // between poses that are looked at
+// of the way between two passes: nearer, odometry has seen both on one map
+constexpr double kApart_m = 80.0;
+// how near the passes come: more after a longer way
+constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
+constexpr double kMap_m = 14.0;  // of the earlier pass, to either side
+// starts about the place that the track says
+constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
+constexpr double kGridPenalty = 0.01;  // share of points that a step of the grid away must bring more
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-constexpr double kLeastShare = 0.4;       // of a scan's points on planes of the earlier pass: odometry has 0.5 to 0.8
+// of a scan's points on planes of the earlier pass: odometry has 0.5 to 0.8
+constexpr double kLeastShare = 0.4;
 constexpr std::size_t kFewestPlaces = 2;
-constexpr double kWay_m = 0.01, kWay_rad = 3e-4;        // standard deviations of odometry over kKey_m
-constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;    // and of a place that is found again
-constexpr double kBelieved_m = 0.5;       // kernel of places that contradict the others
+constexpr double kWay_m = 0.01, kWay_rad = 3e-4;      // standard deviations of odometry over kKey_m
+constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // and of a place that is found again
+constexpr double kBelieved_m = 0.5;                   // kernel of places that contradict the others
 constexpr int kReweighted = 6;
 
 /// A later pose seen on the map of an earlier one.
 struct SeenAgain {
-    std::size_t earlier, later;   // keys
-    Twist off;                    // of the later one, if the earlier stays
+    std::size_t earlier, later;  // keys
+    Twist off;                   // of the later one, if the earlier stays
 };
 
 class Loops {
 public:
-    Loops(const PoseTrack& track, const std::vector<std::vector<ThinPoint>>& scans, const LoopOptions& options)
+    Loops(const PoseTrack& track, const std::vector<std::vector<ThinPoint>>& scans,
+          const LoopOptions& options)
         : track_(track), scans_(scans), options_(options), maps_(options.first, options.last) {
         double way = 0.0;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
             if (k > 0) way += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
             way_m_.push_back(way);
-            if (!scans[k].empty() && (keys_.empty() || way >= way_m_[keys_.back()] + kKey_m)) keys_.push_back(k);
+            if (!scans[k].empty() && (keys_.empty() || way >= way_m_[keys_.back()] + kKey_m))
+                keys_.push_back(k);
         }
     }
 
@@ -70,10 +76,10 @@ private:
     const PoseTrack& track_;
     const std::vector<std::vector<ThinPoint>>& scans_;
     const LoopOptions& options_;
-    std::vector<double> way_m_;        // [poses] driven
-    std::vector<std::size_t> keys_;    // poses that are looked at
+    std::vector<double> way_m_;      // [poses] driven
+    std::vector<std::size_t> keys_;  // poses that are looked at
     std::vector<SeenAgain> places_;
-    LevelMaps maps_;                   // about the key of map_of_
+    LevelMaps maps_;  // about the key of map_of_
     std::optional<std::size_t> map_of_;
 
     const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
@@ -99,7 +105,8 @@ private:
         std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keys_.size(); ++key) {
             if (std::abs(way_m(key) - way_m(about)) > kMap_m) continue;
-            for (const ThinPoint& point : scans_[keys_[key]]) points_m.push_back(place(track_, point).point_m);
+            for (const ThinPoint& point : scans_[keys_[key]])
+                points_m.push_back(place(track_, point).point_m);
         }
         maps_.add(points_m, 0.0);
     }
@@ -121,7 +128,8 @@ private:
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
             const glm::dvec3 p = at * points[i].point_m;
             const Plane* plane = maps_.finest_plane(p, 0);
-            on_planes += plane && weight_of(glm::dot(plane->normal, p - plane->point_m), options_.first.scale_m) > 0.25;
+            on_planes += plane && weight_of(glm::dot(plane->normal, p - plane->point_m),
+                                            options_.first.scale_m) > 0.25;
         }
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
@@ -129,15 +137,20 @@ private:
     /// The best of a grid of starts about a pose.
     Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
-        const auto steps = [&](double widest_m) { return int(std::ceil(std::min(reach_m, widest_m) / kGrid_m)); };
+        const auto steps = [&](double widest_m) {
+            return int(std::ceil(std::min(reach_m, widest_m) / kGrid_m));
+        };
         const int wide = steps(kWidest_m), high = steps(kHighest_m);
         for (int x = -wide; x <= wide; ++x)
             for (int y = -wide; y <= wide; ++y)
                 for (int z = -high; z <= high; ++z) offsets.emplace_back(x, y, z);
-        const auto start_at = [&](std::size_t i) { return Pose{about.rotation, about.translation + kGrid_m * offsets[i]}; };
+        const auto start_at = [&](std::size_t i) {
+            return Pose{about.rotation, about.translation + kGrid_m * offsets[i]};
+        };
         std::vector<double> scores(offsets.size());
         run_parallel(static_cast<int>(offsets.size()), [&](int i) {
-            scores[std::size_t(i)] = coarse_share(points, start_at(std::size_t(i))) - kGridPenalty * glm::length(offsets[std::size_t(i)]);
+            scores[std::size_t(i)] = coarse_share(points, start_at(std::size_t(i))) -
+                                     kGridPenalty * glm::length(offsets[std::size_t(i)]);
         });
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
@@ -145,14 +158,16 @@ private:
     /// One Gauss-Newton step of a rigid scan. @return its length
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
-        const RigidEquations equations = sum_parallel(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-            RigidEquations part;
-            for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
-                const glm::dvec3 p = at * point.point_m;
-                if (const Plane* plane = maps_.finest_plane(p, level)) part.add(row_of({p, at.translation}, *plane, scale_m));
-            }
-            return part;
-        });
+        const RigidEquations equations =
+            sum_parallel(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+                RigidEquations part;
+                for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
+                    const glm::dvec3 p = at * point.point_m;
+                    if (const Plane* plane = maps_.finest_plane(p, level))
+                        part.add(row_of({p, at.translation}, *plane, scale_m));
+                }
+                return part;
+            });
         share = double(equations.n_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kLoopPrior);
@@ -167,13 +182,15 @@ private:
         return share;
     }
 
-    std::optional<SeenAgain> find(std::size_t earlier, std::size_t later, const std::optional<SeenAgain>& before) {
+    std::optional<SeenAgain> find(std::size_t earlier, std::size_t later,
+                                  const std::optional<SeenAgain>& before) {
         make_map(earlier);
         const std::vector<PlacedPoint> points = points_of(later);
         const double reach_m = 1.0 + kNearShare * (way_m(later) - way_m(earlier));
-        Pose at = before ? carried(before->off, pose(before->later), pose(later)) : best_start(points, pose(later), reach_m);
+        Pose at = before ? carried(before->off, pose(before->later), pose(later))
+                         : best_start(points, pose(later), reach_m);
         double share = settle(points, at);
-        if (before && share < kLeastShare) {   // not as the place before: anew
+        if (before && share < kLeastShare) {  // not as the place before: anew
             at = best_start(points, pose(later), reach_m);
             share = settle(points, at);
         }
@@ -192,7 +209,8 @@ private:
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
 
-        void add(std::size_t a, std::size_t b, const glm::dvec3& from_a_to_b, const Twist& off, const Vector6& weight) {
+        void add(std::size_t a, std::size_t b, const glm::dvec3& from_a_to_b, const Twist& off,
+                 const Vector6& weight) {
             const Matrix6 ja = -carried_by(from_a_to_b);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(off.data());
@@ -213,20 +231,25 @@ private:
 
     static Vector6 weights(double metres, double radians, double factor) {
         Vector6 w;
-        w << Eigen::Vector3d::Constant(factor / (metres * metres)), Eigen::Vector3d::Constant(factor / (radians * radians));
+        w << Eigen::Vector3d::Constant(factor / (metres * metres)),
+            Eigen::Vector3d::Constant(factor / (radians * radians));
         return w;
     }
 
     Eigen::VectorXd solve(const std::vector<double>& believed) const {
         const std::size_t n = keys_.size();
         Equations equations{{}, Eigen::VectorXd::Zero(6 * Eigen::Index(n))};
-        const auto between_keys = [&](std::size_t a, std::size_t b) { return pose(b).translation - pose(a).translation; };
+        const auto between_keys = [&](std::size_t a, std::size_t b) {
+            return pose(b).translation - pose(a).translation;
+        };
         for (std::size_t k = 0; k + 1 < n; ++k)
-            equations.add(k, k + 1, between_keys(k, k + 1), Twist{}, weights(kWay_m, kWay_rad, kKey_m / (way_m(k + 1) - way_m(k))));
+            equations.add(k, k + 1, between_keys(k, k + 1), Twist{},
+                          weights(kWay_m, kWay_rad, kKey_m / (way_m(k + 1) - way_m(k))));
         for (std::size_t i = 0; i < places_.size(); ++i)
-            equations.add(places_[i].earlier, places_[i].later, between_keys(places_[i].earlier, places_[i].later), places_[i].off,
+            equations.add(places_[i].earlier, places_[i].later,
+                          between_keys(places_[i].earlier, places_[i].later), places_[i].off,
                           weights(kPlace_m, kPlace_rad, believed[i]));
-        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);   // the first pose stays
+        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // the first pose stays
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
         h.setFromTriplets(equations.h.begin(), equations.h.end());
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
@@ -234,12 +257,14 @@ private:
 
     /// A key's correction at another pose.
     Vector6 carried_to(std::size_t k, std::size_t key, const Eigen::VectorXd& x) const {
-        return carried_by(track_.pose[k].translation - pose(key).translation) * x.segment<6>(6 * Eigen::Index(key));
+        return carried_by(track_.pose[k].translation - pose(key).translation) *
+               x.segment<6>(6 * Eigen::Index(key));
     }
 
     /// What a place is still off under corrections of all keys.
     double contradiction_m(const SeenAgain& place, const Eigen::VectorXd& x) const {
-        const Vector6 moves = x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);
+        const Vector6 moves =
+            x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);
         return (moves.head<3>() - Eigen::Vector3d(place.off[0], place.off[1], place.off[2])).norm();
     }
 
@@ -248,7 +273,8 @@ private:
         Eigen::VectorXd x;
         for (int i = 0; i < kReweighted; ++i) {
             x = solve(believed);
-            for (std::size_t k = 0; k < places_.size(); ++k) believed[k] = weight_of(contradiction_m(places_[k], x), kBelieved_m);
+            for (std::size_t k = 0; k < places_.size(); ++k)
+                believed[k] = weight_of(contradiction_m(places_[k], x), kBelieved_m);
         }
         for (std::size_t k = 0; k < places_.size(); ++k) {
             if (believed[k] < 0.25) continue;
@@ -271,7 +297,8 @@ private:
 
 }  // namespace
 
-ClosedLoops close_loops(const PoseTrack& followed, const std::vector<std::vector<ThinPoint>>& scans, const LoopOptions& options) {
+ClosedLoops close_loops(const PoseTrack& followed, const std::vector<std::vector<ThinPoint>>& scans,
+                        const LoopOptions& options) {
     return Loops(followed, scans, options).close();
 }
 

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scan to map: a scan starts where its motion is predicted to bring it, by the given poses and by the velocity of the scan before, and
-// moves as a rigid body in Gauss-Newton steps onto planes of cells of 2 m, then finer. Its points are placed at their own firing times:
-// the pose before is known, the pose after moves along. Of several predictions the one counts on which most points find a plane.
+// Scan to map: a scan starts where its motion is predicted to bring it, by the given
+// poses and by the velocity of the scan before, and moves as a rigid body in Gauss-Newton
+// steps onto planes of cells of 2 m, then finer. Its points are placed at their own
+// firing times: the pose before is known, the pose after moves along. Of several
+// predictions the one counts on which most points find a plane.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -20,17 +22,24 @@ namespace relidar {
 namespace {
 
 constexpr int kMostSteps = 8;
-constexpr double kConverged_m = 1e-3;       // length of the last step
-constexpr double kPrior = 3e-4;  // of the mean stiffness, towards the prediction: decides along what no point sees, such as a bare road
-constexpr double kFewestShare = 0.1;        // of a scan's points that lie on planes of the map: streets 0.5 to 0.8
-constexpr double kMemory_m = 80.0;          // what was last seen so far back is forgotten: odometry must not close loops
-constexpr double kForgotten_m = 5.0;        // of the way at a time: looking through all cells takes as long as adding a scan
-constexpr double kSame_m = 0.05;            // predictions nearer to each other lead to the same place
-constexpr int kLostInARow = 5;              // after which the map begins anew
-constexpr std::size_t kStretch = 200;       // poses
-constexpr std::size_t kOverlap = 20;        // poses that a stretch and the one before it both have: enough for a map
-constexpr int kTrialScans = 4;              // by which the first motion is chosen
-constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;   // between scans: 40 m/s at 10 Hz
+constexpr double kConverged_m = 1e-3;  // length of the last step
+// of the mean stiffness, towards the prediction: decides along what no point sees, such
+// as a bare road
+constexpr double kPrior = 3e-4;
+// of a scan's points that lie on planes of the map: streets 0.5 to 0.8
+constexpr double kFewestShare = 0.1;
+// what was last seen so far back is forgotten: odometry must not close loops
+constexpr double kMemory_m = 80.0;
+// of the way at a time: looking through all cells takes as long as adding a scan
+constexpr double kForgotten_m = 5.0;
+constexpr double kSame_m = 0.05;       // predictions nearer to each other lead to the same place
+constexpr int kLostInARow = 5;         // after which the map begins anew
+constexpr std::size_t kStretch = 200;  // poses
+// poses that a stretch and the one before it both have: enough for a map
+constexpr std::size_t kOverlap = 20;
+constexpr int kTrialScans = 4;  // by which the first motion is chosen
+// between scans: 40 m/s at 10 Hz
+constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
 /// The motion from a to b, s times.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
@@ -52,14 +61,21 @@ std::vector<Stretch> stretches_of(std::size_t n_poses) {
 
 class Follower {
 public:
-    Follower(const PoseTrack& given, const OdometryOptions& options, std::size_t begin, std::optional<Pose> first_motion)
-        : given_(given), track_(given), options_(options), begin_(begin), first_motion_(first_motion), maps_(options.first, options.last) {
+    Follower(const PoseTrack& given, const OdometryOptions& options, std::size_t begin,
+             std::optional<Pose> first_motion)
+        : given_(given),
+          track_(given),
+          options_(options),
+          begin_(begin),
+          first_motion_(first_motion),
+          maps_(options.first, options.last) {
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
     /// Poses are followed in their order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
-        const std::vector<Pose> starts = pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
+        const std::vector<Pose> starts =
+            pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
         Candidate best{starts.front(), 0.0};
         for (const Pose& start : starts) {
             const Candidate candidate = placed(pose, start, scan);
@@ -67,7 +83,8 @@ public:
         }
         const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
         set(pose, is_lost ? starts.front() : best.pose);
-        if (pose > begin_) travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
+        if (pose > begin_)
+            travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
@@ -77,12 +94,12 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    double share() const { return share_; }   ///< of points on planes, summed over scans
+    double share() const { return share_; }  ///< of points on planes, summed over scans
 
 private:
     struct Candidate {
         Pose pose;
-        double share = 0.0;   // of its points that lie on planes
+        double share = 0.0;  // of its points that lie on planes
     };
     const PoseTrack& given_;
     PoseTrack track_;
@@ -106,7 +123,8 @@ private:
     Pose kept_motion(std::size_t k) const {
         if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
-        return scaled_motion(track_.pose[k - 2], track_.pose[k - 1], (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
+        return scaled_motion(track_.pose[k - 2], track_.pose[k - 1],
+                             (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
     }
 
     Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
@@ -123,32 +141,38 @@ private:
     /// Sets a pose; the next one moves along, as far as it is known.
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
-        if (k + 1 < track_.pose.size()) track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
+        if (k + 1 < track_.pose.size())
+            track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
     }
 
-    /// A scan moved onto the maps. @return where it ends, and the share of its points that lie on planes there
+    /// A scan moved onto the maps. @return where it ends, and the share of its points
+    /// that lie on planes there
     Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(k, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
         for (int level = 0; level < LevelMaps::kLevels; ++level) {
             const double scale_m = maps_.round(level).scale_m;
-            for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m; ++i) {}
+            for (int i = 0; i < kMostSteps && step(k, start, scan, level, scale_m, share) > kConverged_m;
+                 ++i) {}
         }
         return {track_.pose[k], share};
     }
 
     /// @return length of the step
-    double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level, double scale_m, double& share) {
-        const RigidEquations equations = sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-            RigidEquations part;
-            for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
-                const PlacedPoint at = place(track_, point);
-                const double moves_along = point.left + 1 == k ? double(point.s) : 1.0;
-                if (const Plane* plane = maps_.finest_plane(at.point_m, level)) part.add(row_of(at, *plane, scale_m), moves_along);
-            }
-            return part;
-        });
+    double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
+                double scale_m, double& share) {
+        const RigidEquations equations =
+            sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+                RigidEquations part;
+                for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
+                    const PlacedPoint at = place(track_, point);
+                    const double moves_along = point.left + 1 == k ? double(point.s) : 1.0;
+                    if (const Plane* plane = maps_.finest_plane(at.point_m, level))
+                        part.add(row_of(at, *plane, scale_m), moves_along);
+                }
+                return part;
+            });
         share = double(equations.n_on_planes()) / double(scan.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kPrior, twist_between(start, track_.pose[k]));
@@ -157,17 +181,18 @@ private:
     }
 };
 
-/// How the sensor moved from a stretch's first pose to the second, where nothing says so: the speed ahead on which the first scans agree
-/// best.
-Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options,
-                       const Stretch& stretch) {
+/// How the sensor moved from a stretch's first pose to the second, where nothing says so:
+/// the speed ahead on which the first scans agree best.
+Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+                       const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
     double best_share = -1.0;
     for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
         const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
         Follower follower(given, options, stretch.begin, motion);
         int n = 0;
-        for (std::size_t k = stretch.begin; k < stretch.end && n < kTrialScans; n += !scans[k++].empty()) follower.follow(k, scans[k]);
+        for (std::size_t k = stretch.begin; k < stretch.end && n < kTrialScans; n += !scans[k++].empty())
+            follower.follow(k, scans[k]);
         if (follower.share() <= best_share) continue;
         best_share = follower.share();
         best = motion;
@@ -175,11 +200,15 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
     return best;
 }
 
-/// @param proceed asked before each scan @return poses of the stretch, the first as given; nothing where ended
-std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options,
-                           const Stretch& stretch, const std::function<bool()>& proceed) {
+/// @param proceed asked before each scan @return poses of the stretch, the first as
+/// given; nothing where ended
+std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+                           const OdometryOptions& options, const Stretch& stretch,
+                           const std::function<bool()>& proceed) {
     Follower follower(given, options, stretch.begin,
-                      options.given_motion ? std::nullopt : std::optional(find_first_motion(given, scans, options, stretch)));
+                      options.given_motion
+                          ? std::nullopt
+                          : std::optional(find_first_motion(given, scans, options, stretch)));
     for (std::size_t k = stretch.begin; k < stretch.end; ++k) {
         if (!proceed()) return {};
         follower.follow(k, scans[k]);
@@ -191,7 +220,7 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
 /// Puts each stretch where the one before it has seen the last scan that both have.
 std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                           const std::vector<std::vector<ThinPoint>>& scans) {
-    auto own = poses.begin();   // of the first pose of a stretch, by that stretch
+    auto own = poses.begin();  // of the first pose of a stretch, by that stretch
     std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
     for (std::size_t i = 1; i < stretches.size(); ++i) {
         own += std::ptrdiff_t(stretches[i - 1].end - stretches[i - 1].begin);
@@ -210,7 +239,8 @@ std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vect
 
 }  // namespace
 
-PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans, const OdometryOptions& options) {
+PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+                       const OdometryOptions& options) {
     const std::vector<Stretch> stretches = stretches_of(scans.size());
     const ProcessGroup::Share share = options.group.share(stretches.size());
     std::size_t n = 0;
@@ -220,12 +250,14 @@ PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<Thi
     std::atomic<bool> ended = false;
     const auto proceed = [&] {
         const std::size_t before = done++;
-        if (std::this_thread::get_id() == caller && !options.proceed(double(before) / double(n))) ended = true;
+        if (std::this_thread::get_id() == caller && !options.proceed(double(before) / double(n)))
+            ended = true;
         return !ended;
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
     run_parallel(static_cast<int>(parts.size()), [&](int i) {
-        parts[std::size_t(i)] = followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
+        parts[std::size_t(i)] =
+            followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
     });
     if (ended) return given;
     std::vector<Pose> own;

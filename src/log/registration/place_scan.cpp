@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One scan onto a scene that stays: each point towards the surface along its own ray, so that nothing has to be searched for.
+// One scan onto a scene that stays: each point towards the surface along its own ray, so
+// that nothing has to be searched for.
 #include <relidar/log/registration.hpp>
 
 #include "base/parallel.hpp"
@@ -9,10 +10,10 @@
 namespace relidar {
 namespace {
 
-constexpr double kThin_m = 0.1;         // nearly all returns: what is fitted is one pose
-constexpr double kScale_m = 0.05;       // of the kernel: registration has brought scans nearer than that
-constexpr double kPlacePrior = 1e-4;    // of the mean stiffness, towards where the scan was
-constexpr double kPlaceStep_m = 2e-4;   // length of the last step
+constexpr double kThin_m = 0.1;        // nearly all returns: what is fitted is one pose
+constexpr double kScale_m = 0.05;      // of the kernel: registration has brought scans nearer than that
+constexpr double kPlacePrior = 1e-4;   // of the mean stiffness, towards where the scan was
+constexpr double kPlaceStep_m = 2e-4;  // length of the last step
 constexpr int kMostPlaceSteps = 8;
 
 /// Rays of one frame that are looked at, and their returns.
@@ -26,7 +27,8 @@ std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const
     std::vector<FrameRays> frames;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose])
-            frames.push_back({static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m), {}});
+            frames.push_back(
+                {static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m), {}});
     std::erase_if(frames, [](const FrameRays& f) { return f.rays.empty(); });
     for (FrameRays& f : frames) {
         f.points.resize(f.rays.size());
@@ -39,7 +41,8 @@ std::vector<FrameRays> rays_at(const Sequence& sequence, std::size_t pose, const
 
 }  // namespace
 
-ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view, const RegisterOptions& options) {
+ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view,
+                         const RegisterOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose];
     ScanPlacement result{before, 0.0, 0.0, false};
@@ -57,7 +60,8 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
                 for (std::size_t k = begin; k < end; ++k) {
                     const ThinPoint& point = f.points[k];
                     if (seen[k].normal == glm::dvec3(0.0)) continue;
-                    part.add(row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m), share_of(point, pose));
+                    part.add(row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m),
+                             share_of(point, pose));
                 }
                 return part;
             });

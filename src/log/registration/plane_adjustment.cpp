@@ -11,10 +11,11 @@
 namespace relidar {
 namespace {
 
-constexpr int kChunks = 64;                 // sums are added up in this many parts, whatever the number of threads
+constexpr int kChunks = 64;  // sums are added up in this many parts, whatever the number of threads
 constexpr int kShrinking = 8, kLastRounds = 2;  // rounds
-constexpr double kShift = 0.37;             // of a cell from round to round
-constexpr double kAdjustmentPrior = 1e-4;   // of the mean stiffness of poses, towards no correction: decides only what no point sees
+constexpr double kShift = 0.37;                 // of a cell from round to round
+// of the mean stiffness of poses, towards no correction: decides only what no point sees
+constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
 constexpr double kFewestOnPlanes = 0.05;  // of its points: streets 0.3 to 0.7, ranges at random 0.003
 
@@ -22,8 +23,9 @@ constexpr double kFewestOnPlanes = 0.05;  // of its points: streets 0.3 to 0.7, 
 template <class Task>
 void in_chunks(std::size_t n, const Task& task) {
     const std::size_t size = n / kChunks + 1;
-    run_parallel(kChunks,
-                 [&](int c) { task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c)); });
+    run_parallel(kChunks, [&](int c) {
+        task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c));
+    });
 }
 
 std::vector<PlacedPoint> place_all(const PoseTrack& track, const std::vector<ThinPoint>& points) {
@@ -51,7 +53,8 @@ Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
 
 /// The planes of all cells that points of two sweeps or more lie in.
 std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
-                                             const std::vector<PlacedPoint>& placed, const RegisterRound& round) {
+                                             const std::vector<PlacedPoint>& placed,
+                                             const RegisterRound& round) {
     std::vector<std::optional<Plane>> planes(cells.size());
     in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t c = begin; c < end; ++c) {
@@ -70,7 +73,8 @@ const Plane* PlaneMap::at(const glm::dvec3& point_m) const {
     return cell && planes[*cell] ? &*planes[*cell] : nullptr;
 }
 
-PlaneAdjustment::PlaneAdjustment(const PoseTrack& given, const PoseTrack& start, std::vector<ThinPoint> points, std::vector<bool> gauge)
+PlaneAdjustment::PlaneAdjustment(const PoseTrack& given, const PoseTrack& start,
+                                 std::vector<ThinPoint> points, std::vector<bool> gauge)
     : given_(given), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
     remove_common_motion();
     start_ = track_;
@@ -99,23 +103,26 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
     in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
         for (std::size_t c = begin; c < end; ++c)
-            if (planes[c]) parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
+            if (planes[c])
+                parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
     const PoseTrack before = track_;
     const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kAdjustmentPrior);
-    for (std::size_t k = 0; k < track_.pose.size(); ++k) track_.pose[k] = moved(track_.pose[k], twist_of(step, k));
+    for (std::size_t k = 0; k < track_.pose.size(); ++k)
+        track_.pose[k] = moved(track_.pose[k], twist_of(step, k));
     remove_common_motion();
     round.planes = parts[0].n_planes();
     round.residual_m = parts[0].residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        round.step_m = std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
+        round.step_m =
+            std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
     return round;
 }
 
 void PlaneAdjustment::remove_common_motion() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    for (int i = 0; i < 3; ++i) {   // a mean of rotation vectors is not quite one of rotations
+    for (int i = 0; i < 3; ++i) {  // a mean of rotation vectors is not quite one of rotations
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
@@ -125,11 +132,13 @@ void PlaneAdjustment::remove_common_motion() {
             w += glm::dvec3(c[3], c[4], c[5]) / n;
         }
         const glm::dquat turn = moved(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
-        for (Pose& pose : track_.pose) pose = {glm::normalize(turn * pose.rotation), centre + turn * (pose.translation - v - centre)};
+        for (Pose& pose : track_.pose)
+            pose = {glm::normalize(turn * pose.rotation), centre + turn * (pose.translation - v - centre)};
     }
 }
 
-std::pair<std::size_t, std::size_t> PlaneAdjustment::neighbours_of(std::size_t pose, const std::vector<bool>& among) {
+std::pair<std::size_t, std::size_t> PlaneAdjustment::neighbours_of(std::size_t pose,
+                                                                   const std::vector<bool>& among) {
     std::size_t before = pose, after = pose;
     for (std::size_t k = pose; k-- > 0 && before == pose;)
         if (among[k]) before = k;
@@ -148,7 +157,7 @@ void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known)
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         if (is_known[k]) continue;
         auto [before, after] = neighbours_of(k, is_known);
-        if (before == k && after == k) continue;   // none at all
+        if (before == k && after == k) continue;  // none at all
         if (before == k) before = after;
         if (after == k) after = before;
         const double s = before == after ? 0.0 : share_of_time(before, k, after);
@@ -158,7 +167,8 @@ void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known)
     }
 }
 
-double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const ThinPoint> own, double scale_m) const {
+double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const ThinPoint> own,
+                                        double scale_m) const {
     std::size_t n_placed = 0;
     for (const ThinPoint& point : own) {
         const PlacedPoint placed = place(track_, point);
@@ -175,14 +185,20 @@ bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
 double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& among) const {
     const auto [before, after] = neighbours_of(pose, among);
     if (before == pose || after == pose) return 0.0;
-    const auto correction = [&](std::size_t k) { return track_.pose[k].translation - given_.pose[k].translation; };
-    const glm::dvec3 between = glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
-    double least = glm::distance(correction(pose), between);   // given poses that jump have one neighbour that jumps along
-    for (const std::size_t neighbour : {before, after}) least = std::min(least, glm::distance(correction(pose), correction(neighbour)));
+    const auto correction = [&](std::size_t k) {
+        return track_.pose[k].translation - given_.pose[k].translation;
+    };
+    const glm::dvec3 between =
+        glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
+    // given poses that jump have one neighbour that jumps along
+    double least = glm::distance(correction(pose), between);
+    for (const std::size_t neighbour : {before, after})
+        least = std::min(least, glm::distance(correction(pose), correction(neighbour)));
     return least;
 }
 
-std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, const std::vector<bool>& candidates, double scale_m,
+std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
+                                                       const std::vector<bool>& candidates, double scale_m,
                                                        double largest_m) {
     std::vector<std::span<const ThinPoint>> scans(candidates.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
@@ -190,12 +206,15 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, cons
         scans[k] = std::span(points_).subspan(begin, end - begin);
     }
     std::vector<double> shares(scans.size());
-    run_parallel(static_cast<int>(scans.size()),
-                 [&](int k) { shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], scale_m); });
+    run_parallel(static_cast<int>(scans.size()), [&](int k) {
+        shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], scale_m);
+    });
     std::vector<std::size_t> lost;
     std::vector<bool> is_known = candidates;
     for (std::size_t k = 0; k < is_known.size(); ++k) {
-        if (!candidates[k] || (is_placed(shares[k], scans[k].size()) && stands_out_m(k, candidates) <= largest_m)) continue;
+        if (!candidates[k] ||
+            (is_placed(shares[k], scans[k].size()) && stands_out_m(k, candidates) <= largest_m))
+            continue;
         lost.push_back(k);
         is_known[k] = false;
     }
@@ -203,15 +222,18 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map, cons
     return lost;
 }
 
-void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own, double scale_m) {
-    const RigidEquations equations = sum_parallel(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-        RigidEquations part;
-        for (const ThinPoint& point : std::span(own).subspan(begin, end - begin)) {
-            const PlacedPoint placed = place(track_, point);
-            if (const Plane* plane = map.at(placed.point_m)) part.add(row_of(placed, *plane, scale_m), share_of(point, pose));
-        }
-        return part;
-    });
+void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own,
+                                 double scale_m) {
+    const RigidEquations equations =
+        sum_parallel(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            RigidEquations part;
+            for (const ThinPoint& point : std::span(own).subspan(begin, end - begin)) {
+                const PlacedPoint placed = place(track_, point);
+                if (const Plane* plane = map.at(placed.point_m))
+                    part.add(row_of(placed, *plane, scale_m), share_of(point, pose));
+            }
+            return part;
+        });
     if (!equations.empty()) track_.pose[pose] = moved(track_.pose[pose], equations.solve(kAdjustmentPrior));
 }
 

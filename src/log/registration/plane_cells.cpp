@@ -15,15 +15,19 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-constexpr double kSpread = 0.12;        // of the cell's edge: standard deviation along the narrower axis; 0.29 fills the cell
-constexpr double kSpreadScale = 0.8;    // of the scale: one ring seen from many wrong poses is a ribbon that wide, and no surface
-constexpr double kInliers = 0.7;    // of the points must lie within the scale
+// of the cell's edge: standard deviation along the narrower axis; 0.29 fills the cell
+constexpr double kSpread = 0.12;
+// of the scale: one ring seen from many wrong poses is a ribbon that wide, and no surface
+constexpr double kSpreadScale = 0.8;
+constexpr double kInliers = 0.7;  // of the points must lie within the scale
 
-glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) { return {axes(0, column), axes(1, column), axes(2, column)}; }
+glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) {
+    return {axes(0, column), axes(1, column), axes(2, column)};
+}
 
 /// One weighted fit. @return eigenvalues of the weighted covariance, ascending
-glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, const std::vector<double>& weight,
-                    Plane& plane) {
+glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
+                    const std::vector<double>& weight, Plane& plane) {
     double sum = 0.0;
     glm::dvec3 mean(0.0);
     for (std::size_t i = 0; i < members.size(); ++i) {
@@ -51,8 +55,8 @@ double weight_of(double residual_m, double scale_m) {
     return w * w;
 }
 
-std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members, double cell_m,
-                               double scale_m) {
+std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
+                               double cell_m, double scale_m) {
     if (members.size() < kFewestPoints) return std::nullopt;
     std::vector<double> weight(members.size(), 1.0);
     Plane plane;
@@ -61,7 +65,8 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
         spread2 = fit_once(points, members, weight, plane).y;
         within = 0.0;
         for (std::size_t k = 0; k < members.size(); ++k) {
-            weight[k] = weight_of(glm::dot(plane.normal, points[members[k]].point_m - plane.point_m), scale_m);
+            weight[k] =
+                weight_of(glm::dot(plane.normal, points[members[k]].point_m - plane.point_m), scale_m);
             within += weight[k] > 0.25;
         }
         if (within < 0.3 * double(members.size())) return std::nullopt;
@@ -73,8 +78,10 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
 
 PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift)
     : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
-    std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());   // cell, point
-    for_each_block(points.size(), [&](std::size_t i) { keyed[i] = {key_of(points[i].point_m), static_cast<std::uint32_t>(i)}; });
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());  // cell, point
+    for_each_block(points.size(), [&](std::size_t i) {
+        keyed[i] = {key_of(points[i].point_m), static_cast<std::uint32_t>(i)};
+    });
     sort_parallel(keyed, std::less<>());
     for (std::size_t i = 0; i < keyed.size(); ++i) {
         order_[i] = keyed[i].second;

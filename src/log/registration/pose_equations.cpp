@@ -16,9 +16,10 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostIterations = 100;   // 20 to 30 are usual, however long the log
-constexpr std::size_t kParts = 64, kPlanesOfPart = 256;   // of the sums over planes, whatever the number of threads: most, fewest
-constexpr double kTolerance = 1e-4;   // of the residual's norm: the next round corrects what is left
+constexpr int kMostIterations = 100;  // 20 to 30 are usual, however long the log
+// of the sums over planes, whatever the number of threads: most, fewest
+constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
+constexpr double kTolerance = 1e-4;  // of the residual's norm: the next round corrects what is left
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
@@ -59,8 +60,9 @@ RigidEquations& RigidEquations::operator+=(const RigidEquations& other) {
 Twist RigidEquations::solve(double prior, const Twist& correction) const {
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
-    const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(), prior * stiffness_.diagonal().tail<3>().mean()};
-    for (int i = 0; i < 6; ++i) {   // metres and radians have stiffnesses of their own
+    const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
+                            prior * stiffness_.diagonal().tail<3>().mean()};
+    for (int i = 0; i < 6; ++i) {  // metres and radians have stiffnesses of their own
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
     }
@@ -69,7 +71,8 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
 }
 
 double length_m(const Twist& step) {
-    return glm::length(glm::dvec3(step[0], step[1], step[2])) + 10.0 * glm::length(glm::dvec3(step[3], step[4], step[5]));
+    return glm::length(glm::dvec3(step[0], step[1], step[2])) +
+           10.0 * glm::length(glm::dvec3(step[3], step[4], step[5]));
 }
 
 Matrix6 carried_by(const glm::dvec3& d) {
@@ -79,7 +82,9 @@ Matrix6 carried_by(const glm::dvec3& d) {
 }
 
 PoseEquations::PoseEquations(std::size_t n_poses)
-    : diagonal_(n_poses, Matrix6::Zero()), next_(n_poses, Matrix6::Zero()), gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
+    : diagonal_(n_poses, Matrix6::Zero()),
+      next_(n_poses, Matrix6::Zero()),
+      gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
     const auto [a, b] = shares(point);
@@ -97,12 +102,15 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
 void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                              std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
-    const auto coupling = [&](std::size_t pose) -> Coupling& {   // members ascend, and so do, almost, their poses
+    // members ascend, and so do, almost, their poses
+    const auto coupling = [&](std::size_t pose) -> Coupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
-        return couplings_.emplace_back(Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
+        return couplings_.emplace_back(
+            Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // of the plane's own unknowns, with the weights that its points have now: with those of its fit H would not be positive
+    // of the plane's own unknowns, with the weights that its points have now: with those
+    // of its fit H would not be positive
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
@@ -113,7 +121,9 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
     }
     const Eigen::LLT<Eigen::Matrix3d> root(stiffness);
     if (root.info() != Eigen::Success) return;
-    const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d { return root.matrixL().solve(b); };
+    const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d {
+        return root.matrixL().solve(b);
+    };
     for (const std::uint32_t i : members) {
         const Row row = row_of(placed[i], plane, scale_m);
         add_point(points[i], row);
@@ -122,7 +132,8 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
-        gradient_.segment<6>(6 * Eigen::Index(couplings_[k].pose)) -= couplings_[k].c.cast<double>() * whitened(pull);
+        gradient_.segment<6>(6 * Eigen::Index(couplings_[k].pose)) -=
+            couplings_[k].c.cast<double>() * whitened(pull);
     plane_end_.push_back(couplings_.size());
     ++n_planes_;
 }
@@ -138,12 +149,14 @@ void PoseEquations::add(PoseEquations&& other) {
     n_planes_ += other.n_planes_;
     cost_ += other.cost_;
     weight_ += other.weight_;
-    other = PoseEquations(0);   // gives its memory back
+    other = PoseEquations(0);  // gives its memory back
 }
 
 Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
-    const auto block = [](auto& vector, std::size_t pose) { return vector.template segment<6>(6 * Eigen::Index(pose)); };
+    const auto block = [](auto& vector, std::size_t pose) {
+        return vector.template segment<6>(6 * Eigen::Index(pose));
+    };
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         block(y, k) += diagonal_[k] * block(x, k);
         if (k + 1 == diagonal_.size()) break;
@@ -151,17 +164,19 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
     if (n_planes_ == 0) return y;
-    y -= sum_parallel(n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
-             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
-             for (std::size_t plane = first; plane < last; ++plane) {
-                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
-                 Eigen::Vector3d moved = Eigen::Vector3d::Zero();
-                 for (std::size_t k = begin; k < end; ++k)
-                     moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
-                 for (std::size_t k = begin; k < end; ++k) block(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
-             }
-             return part;
-         });
+    y -= sum_parallel(
+        n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
+            Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
+            for (std::size_t plane = first; plane < last; ++plane) {
+                const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
+                Eigen::Vector3d moved = Eigen::Vector3d::Zero();
+                for (std::size_t k = begin; k < end; ++k)
+                    moved += couplings_[k].c.cast<double>().transpose() * block(x, couplings_[k].pose);
+                for (std::size_t k = begin; k < end; ++k)
+                    block(part, couplings_[k].pose) += couplings_[k].c.cast<double>() * moved;
+            }
+            return part;
+        });
     return y;
 }
 
@@ -171,15 +186,18 @@ Vector6 PoseEquations::pull_of(double prior) const {
     return prior * mean;
 }
 
-/// The equations among rigid motions of groups of poses: twists about the first pose of each, that carry the others along.
+/// The equations among rigid motions of groups of poses: twists about the first pose of
+/// each, that carry the others along.
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
         : n_(equations.diagonal_.size()) {
         for (std::size_t k = 0; k < n_; ++k)
-            carry_.push_back(carried_by(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
+            carry_.push_back(
+                carried_by(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
-            block(k / kGroup, k / kGroup) += carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
+            block(k / kGroup, k / kGroup) +=
+                carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
             if (k + 1 < n_) add_pair(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
         }
         std::size_t begin = 0;
@@ -195,7 +213,8 @@ public:
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
-            sums.segment<6>(6 * Eigen::Index(k / kGroup)) += carry_[k].transpose() * residual.segment<6>(6 * Eigen::Index(k));
+            sums.segment<6>(6 * Eigen::Index(k / kGroup)) +=
+                carry_[k].transpose() * residual.segment<6>(6 * Eigen::Index(k));
         const Eigen::VectorXd motion = solver_.solve(sums);
         for (std::size_t k = 0; k < n_; ++k)
             z.segment<6>(6 * Eigen::Index(k)) += carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kGroup));
@@ -205,12 +224,14 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    std::vector<Matrix6> carry_;   // [poses] what its group's twist is at a pose
-    std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;   // row, column
+    std::vector<Matrix6> carry_;  // [poses] what its group's twist is at a pose
+    std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
     std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
-    Matrix6& block(std::size_t row, std::size_t column) { return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second; }
+    Matrix6& block(std::size_t row, std::size_t column) {
+        return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
+    }
 
     void add_pair(std::size_t k, std::size_t l, const Matrix6& m) {
         block(k / kGroup, l / kGroup) += m;
@@ -221,8 +242,10 @@ private:
         std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
         for (const PoseEquations::Coupling& coupling : couplings) {
             const std::size_t group = coupling.pose / kGroup;
-            auto found = std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
-            if (found == groups.end()) found = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
+            auto found =
+                std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
+            if (found == groups.end())
+                found = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
             found->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
         }
         for (const auto& [row, a] : groups)
@@ -233,28 +256,32 @@ private:
         std::vector<Eigen::Triplet<double>> entries;
         for (const auto& [at, m] : blocks_)
             for (int r = 0; r < 6; ++r)
-                for (int c = 0; c < 6; ++c) entries.emplace_back(int(6 * at.first) + r, int(6 * at.second) + c, m(r, c));
+                for (int c = 0; c < 6; ++c)
+                    entries.emplace_back(int(6 * at.first) + r, int(6 * at.second) + c, m(r, c));
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n_groups()), 6 * Eigen::Index(n_groups()));
         h.setFromTriplets(entries.begin(), entries.end());
         solver_.compute(h);
     }
 };
 
-Eigen::VectorXd PoseEquations::solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const {
+Eigen::VectorXd PoseEquations::solve(const PoseTrack& track, const Eigen::VectorXd& correction,
+                                     double prior) const {
     const std::size_t n = diagonal_.size();
     const Vector6 pull = pull_of(prior);
     std::vector<Eigen::LLT<Matrix6>> inverse;
-    for (const Matrix6& d : diagonal_) inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
+    for (const Matrix6& d : diagonal_)
+        inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
     const GroupMotions groups(*this, track, pull);
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
-        for (std::size_t k = 0; k < n; ++k) z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
+        for (std::size_t k = 0; k < n; ++k)
+            z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
         groups.add_solution(r, z);
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
-    Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()), r = -gradient_ - pulls.cwiseProduct(correction), z = preconditioned(r),
-                    p = z;
+    Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()),
+                    r = -gradient_ - pulls.cwiseProduct(correction), z = preconditioned(r), p = z;
     const double start = r.dot(z);
     double rz = start;
     for (int i = 0; i < kMostIterations && rz > kTolerance * kTolerance * start && rz > 0.0; ++i) {

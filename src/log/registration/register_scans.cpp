@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration of the sensor's poses: training scans together, then every held-out scan on what they found.
+// Registration of the sensor's poses: training scans together, then every held-out scan
+// on what they found.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -17,11 +18,13 @@
 namespace relidar {
 namespace {
 
-constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;  // 12 thousand points of a 64-beam scan, and nearly all
-constexpr double kScansOnACell = 24.0;          // fewer: more points of each, since a plane takes eight
-constexpr RegisterRound kLast{0.5, 0.05};       // cells and kernel of the last rounds
-constexpr RegisterRound kLastFollowed{0.5, 0.1};   // of a scan that is followed: a map of running sums is coarser
-constexpr int kLevels = 5, kStepsALevel = 3;    // of held-out scans
+// 12 thousand points of a 64-beam scan, and nearly all
+constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
+constexpr double kScansOnACell = 24.0;     // fewer: more points of each, since a plane takes eight
+constexpr RegisterRound kLast{0.5, 0.05};  // cells and kernel of the last rounds
+// of a scan that is followed: a map of running sums is coarser
+constexpr RegisterRound kLastFollowed{0.5, 0.1};
+constexpr int kLevels = 5, kStepsALevel = 3;  // of held-out scans
 
 /// Edge of the cells of which one point is kept.
 double thinning_m(std::size_t n_scans) {
@@ -35,9 +38,12 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
 }
 
 /// Coarse to fine like the training scans, but on planes that know nothing of them.
-/// @param scans [sweeps] points of those that are held out; empty for others @return those that did not find their place
-std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test, const std::vector<bool>& is_train,
-                                        const std::vector<std::vector<ThinPoint>>& scans, const RegisterRound& first, double largest_m) {
+/// @param scans [sweeps] points of those that are held out; empty for others @return
+/// those that did not find their place
+std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
+                                        const std::vector<bool>& is_train,
+                                        const std::vector<std::vector<ThinPoint>>& scans,
+                                        const RegisterRound& first, double largest_m) {
     std::vector<std::size_t> lost;
     const std::vector<Pose> as_neighbours = adjustment.track().pose;
     if (std::ranges::count(is_test, true) == 0) return lost;
@@ -49,7 +55,8 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
             if (!is_test[k]) continue;
             for (int step = 0; step < kStepsALevel; ++step) adjustment.place_pose(map, k, scans[k], scale_m);
             if (level + 1 < kLevels) continue;
-            const bool found = PlaneAdjustment::is_placed(adjustment.share_on_planes(map, scans[k], scale_m), scans[k].size());
+            const bool found = PlaneAdjustment::is_placed(adjustment.share_on_planes(map, scans[k], scale_m),
+                                                          scans[k].size());
             if (found && adjustment.stands_out_m(k, is_train) <= largest_m) continue;
             adjustment.set_pose(k, as_neighbours[k]);
             lost.push_back(k);
@@ -63,7 +70,8 @@ std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
     for (std::size_t k = 0; k < is.size(); ++k)
-        is[k] = std::ranges::any_of(sweeps.frames[k], [&](int position) { return among[std::size_t(position)]; });
+        is[k] =
+            std::ranges::any_of(sweeps.frames[k], [&](int position) { return among[std::size_t(position)]; });
     return is;
 }
 
@@ -77,11 +85,12 @@ std::vector<bool> middle_of(const std::vector<bool>& some) {
 }
 
 /// @param among [sweeps] those that count
-double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map, const std::vector<std::vector<ThinPoint>>& scans,
-                    const std::vector<bool>& among) {
+double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
+                    const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {
     std::vector<double> all(scans.size()), shares;
-    run_parallel(static_cast<int>(scans.size()),
-                 [&](int i) { all[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m); });
+    run_parallel(static_cast<int>(scans.size()), [&](int i) {
+        all[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m);
+    });
     for (std::size_t k = 0; k < all.size(); ++k)
         if (among[k]) shares.push_back(all[k]);
     std::nth_element(shares.begin(), shares.begin() + std::ptrdiff_t(shares.size() / 2), shares.end());
@@ -105,30 +114,37 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
             return !(result.stopped = options.stop && options.stop());
         };
     };
-    const RegisterRound first{std::max(2.0 * options.largest_m, kLast.cell_m), std::max(0.5 * options.largest_m, kLast.scale_m)};
+    const RegisterRound first{std::max(2.0 * options.largest_m, kLast.cell_m),
+                              std::max(0.5 * options.largest_m, kLast.scale_m)};
 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, sweeps, is_train, options, thin_m);
-    const PoseTrack followed =
-        follow_scans(sweeps.track, scans, {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.group});
+    const PoseTrack followed = follow_scans(
+        sweeps.track, scans,
+        {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.group});
     if (result.stopped || !options.group.is_first()) return result;
-    const ClosedLoops closed = close_loops(followed, scans, {first, kLastFollowed, proceed("looking for roads driven again")});
+    const ClosedLoops closed =
+        close_loops(followed, scans, {first, kLastFollowed, proceed("looking for roads driven again")});
     if (result.stopped) return result;
     result.places_again = closed.places;
     result.loops_off_m = closed.largest_m;
 
-    PlaneAdjustment adjustment(sweeps.track, closed.track, joined(scans), options.given_motion ? is_train : middle_of(is_train));
+    PlaneAdjustment adjustment(sweeps.track, closed.track, joined(scans),
+                               options.given_motion ? is_train : middle_of(is_train));
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         throw DataError(
-            fmt::format("registering the scans of {}: found no surface that two of its {} training scans see, expected some; "
+            fmt::format("registering the scans of {}: found no surface that two of its {} training scans "
+                        "see, expected some; "
                         "train.refine_poses=none leaves poses where they are",
                         sequence.name, split.train.size()));
     const PlaneMap map = adjustment.planes(kLast);
     result.on_planes = median_share(adjustment, map, scans, is_train);
     result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);
-    const std::vector<std::vector<ThinPoint>> held_out = thin_scans(sequence, sweeps, is_test, options, thin_m);
-    const std::vector<std::size_t> lost = place_held_out(adjustment, is_test, is_train, held_out, first, options.largest_m);
+    const std::vector<std::vector<ThinPoint>> held_out =
+        thin_scans(sequence, sweeps, is_test, options, thin_m);
+    const std::vector<std::size_t> lost =
+        place_held_out(adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     for (std::size_t& k : result.lost) k = sweeps.pose[k];

@@ -21,12 +21,13 @@ bool is_mover(const RegisterOptions& options, const WorldReturn& w) {
 int leading_lidar(const Sequence& sequence) {
     std::vector<std::size_t> returns(sequence.lidars.size(), 0);
     if (returns.size() > 1)
-        for (const Frame& frame : sequence.frames) returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
+        for (const Frame& frame : sequence.frames)
+            returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
     return static_cast<int>(std::ranges::max_element(returns) - returns.begin());
 }
 
-std::vector<ThinPoint> thin(const Sequence& sequence, const Sweeps& sweeps, std::size_t sweep, const RegisterOptions& options,
-                            double cell_m) {
+std::vector<ThinPoint> thin(const Sequence& sequence, const Sweeps& sweeps, std::size_t sweep,
+                            const RegisterOptions& options, double cell_m) {
     std::vector<ThinPoint> points;
     for (const int position : sweeps.frames[sweep])
         for (const std::size_t ray : thin_rays(sequence, position, options, cell_m))
@@ -68,7 +69,8 @@ PoseTrack ride_along(const PoseTrack& given, const Sweeps& sweeps, const PoseTra
     return all;
 }
 
-std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options, double cell_m) {
+std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options,
+                                   double cell_m) {
     const Frame& frame = sequence.frames[std::size_t(position)];
     const Scan& scan = frame.scan;
     std::unordered_set<std::uint64_t> taken;
@@ -83,18 +85,21 @@ std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const
     return rays;
 }
 
-ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position, std::size_t ray) {
+ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
+                   std::size_t ray) {
     const Frame& frame = sequence.frames[std::size_t(position)];
     const RayTable& rays = frame.scan.rays;
     const TrackPlace at = track.place(world_return(sequence, frame, ray).time_s);
-    const glm::vec3 in_sensor_m = rays.origin[ray] + surface_return(sequence, frame, ray).range_m * rays.direction[ray];
-    return {glm::vec3(sequence.lidar_of(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)), static_cast<float>(at.s),
-            static_cast<std::uint32_t>(at.left), static_cast<std::uint32_t>(pose)};
+    const glm::vec3 in_sensor_m =
+        rays.origin[ray] + surface_return(sequence, frame, ray).range_m * rays.direction[ray];
+    return {glm::vec3(sequence.lidar_of(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
+            static_cast<float>(at.s), static_cast<std::uint32_t>(at.left), static_cast<std::uint32_t>(pose)};
 }
 
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point) {
-    const Pose pose =
-        track.pose.size() == 1 ? track.pose.front() : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
+    const Pose pose = track.pose.size() == 1
+                          ? track.pose.front()
+                          : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
     return {pose * glm::dvec3(point.point_m), pose.translation};
 }
 
@@ -102,7 +107,8 @@ double share_of(const ThinPoint& point, std::size_t pose) {
     return point.left == pose ? 1.0 - double(point.s) : point.left + 1 == pose ? double(point.s) : 0.0;
 }
 
-std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const Sweeps& sweeps, const std::vector<bool>& chosen,
+std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const Sweeps& sweeps,
+                                               const std::vector<bool>& chosen,
                                                const RegisterOptions& options, double cell_m) {
     std::vector<std::vector<ThinPoint>> scans(chosen.size());
     run_parallel(static_cast<int>(scans.size()), [&](int i) {

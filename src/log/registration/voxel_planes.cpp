@@ -9,8 +9,10 @@ namespace relidar {
 namespace {
 
 constexpr double kFewestOfVoxel = 6;
-constexpr double kVoxelSpread = 0.12;  // of the cell's edge: least standard deviation along the narrower axis; 0.29 fills the cell
-constexpr double kThickness = 0.1;    // of the cell's edge: largest standard deviation along the normal
+// of the cell's edge: least standard deviation along the narrower axis; 0.29 fills the
+// cell
+constexpr double kVoxelSpread = 0.12;
+constexpr double kThickness = 0.1;  // of the cell's edge: largest standard deviation along the normal
 /// One of a few, by the cell: threads seldom fit planes at the same time.
 std::mutex& mutex_of(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
@@ -38,7 +40,8 @@ const Plane* VoxelPlanes::at(const glm::dvec3& point_m) const {
 
 void VoxelPlanes::fit(const Cell& cell, const glm::dvec3& centre_m) const {
     const PlaneFit f = cell.sums.fit();
-    const bool is_plane = f.variance[1] >= std::pow(kVoxelSpread * cell_m_, 2) && f.variance[0] <= std::pow(kThickness * cell_m_, 2);
+    const bool is_plane = f.variance[1] >= std::pow(kVoxelSpread * cell_m_, 2) &&
+                          f.variance[0] <= std::pow(kThickness * cell_m_, 2);
     cell.plane.reset();
     if (is_plane) cell.plane = Plane{centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
     cell.n_fitted.store(cell.sums.n, std::memory_order_release);

@@ -18,27 +18,41 @@ namespace relidar {
 const BasicChannels& basic_channels() {
     using enum ChannelJoin;
     static const BasicChannels channels = {
-        .range = {.name = "range", .unit = "m", .meaning = "range of the image, as render.range says", .join = range},
+        .range = {.name = "range",
+                  .unit = "m",
+                  .meaning = "range of the image, as render.range says",
+                  .join = range},
         .median_range = {.name = "median_range",
                          .unit = "m",
                          .meaning = "range of the dominant surface, at which half of the light is gone",
                          .join = range},
-        .mean_range = {.name = "mean_range", .unit = "m", .meaning = "mean range of all that the ray met", .join = range},
-        .intensity = {.name = "intensity", .meaning = "share of the light that comes back, 0 to 1", .join = intensity},
+        .mean_range = {.name = "mean_range",
+                       .unit = "m",
+                       .meaning = "mean range of all that the ray met",
+                       .join = range},
+        .intensity = {.name = "intensity",
+                      .meaning = "share of the light that comes back, 0 to 1",
+                      .join = intensity},
         .drop_prob = {.name = "drop_prob",
                       .meaning = "probability that nothing comes back; below 0.5 the ray gives a point",
                       .join = drop,
                       .none = 1.0},
         .weight = {.name = "weight", .meaning = "share of the ray's light that met surfaces, 0 to 1"},
-        .time = {.name = "time", .unit = "s", .meaning = "when the ray was fired, from the scan's time_s", .of_ray = true},
+        .time = {.name = "time",
+                 .unit = "s",
+                 .meaning = "when the ray was fired, from the scan's time_s",
+                 .of_ray = true},
         .ring = {.name = "ring", .meaning = "number of the beam, 0 the highest", .of_ray = true},
-        .instance = {.name = "instance", .meaning = "whose surface was met: 0 the background, i > 0 an actor, -1 nothing", .none = -1.0},
+        .instance = {.name = "instance",
+                     .meaning = "whose surface was met: 0 the background, i > 0 an actor, -1 nothing",
+                     .none = -1.0},
     };
     return channels;
 }
 
 std::vector<ChannelInfo> file_channels() {
-    const auto& [range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance] = basic_channels();
+    const auto& [range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance] =
+        basic_channels();
     return {range, median_range, intensity, drop_prob, weight, time, ring, instance};
 }
 
@@ -51,16 +65,20 @@ const std::vector<ChannelInfo>& optional_channels() {
         {.name = "incidence",
          .meaning = "cosine between the ray and the normal: 1 where it meets the surface squarely",
          .needs_normals = true},
-        {.name = "spread", .unit = "m", .meaning = "how far apart the surfaces are that the range is of: from its mean to its median"},
+        {.name = "spread",
+         .unit = "m",
+         .meaning = "how far apart the surfaces are that the range is of: from its mean to its median"},
         {.name = "seen",
-         .meaning = "share of the ray's way, up to what it meets, along which rays of the log have looked, 0 to 1",
+         .meaning =
+             "share of the ray's way, up to what it meets, along which rays of the log have looked, 0 to 1",
          .of_ray = true},
         {.name = "surfel_drop_prob",
          .meaning = "drop_prob by the surfels alone, before a network corrects it",
          .join = ChannelJoin::drop,
          .none = 1.0},
         {.name = "source",
-         .meaning = "why there is a point: 0 a surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 noise of sunlight, "
+         .meaning = "why there is a point: 0 a surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 "
+                    "noise of sunlight, "
                     "6 stray light of a reflector; -1 where there is none",
          .none = -1.0},
     };
@@ -79,8 +97,8 @@ std::vector<ChannelInfo> wanted_channels(const std::string& names) {
         const auto found = std::ranges::find(optional_channels(), name, &ChannelInfo::name);
         if (found == optional_channels().end()) {
             const std::vector<std::string> known = optional_channel_names();
-            throw UsageError(fmt::format("choosing channels: found \"{}\"{}, expected some of {}", excerpt(name), did_you_mean(name, known),
-                                         fmt::join(known, ", ")));
+            throw UsageError(fmt::format("choosing channels: found \"{}\"{}, expected some of {}",
+                                         excerpt(name), did_you_mean(name, known), fmt::join(known, ", ")));
         }
         if (std::ranges::find(wanted, name, &ChannelInfo::name) == wanted.end()) wanted.push_back(*found);
     }
@@ -94,7 +112,9 @@ std::size_t size(const ChannelValues& values) {
 std::vector<ScanChannel> emptied(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
     for (const auto& [info, values, second] : channels)
-        result.push_back({info, std::visit([](const auto& v) { return ChannelValues(std::decay_t<decltype(v)>{}); }, values)});
+        result.push_back(
+            {info,
+             std::visit([](const auto& v) { return ChannelValues(std::decay_t<decltype(v)>{}); }, values)});
     return result;
 }
 
@@ -103,20 +123,21 @@ std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels, 
     for (const auto& [info, values, second] : channels) {
         if (std::holds_alternative<std::vector<glm::vec3>>(values))
             for (const char axis : {'x', 'y', 'z'}) numbers.push_back({info.name + joint + axis, false});
-        else
-            numbers.push_back({info.name, std::holds_alternative<std::vector<std::int32_t>>(values)});
+        else numbers.push_back({info.name, std::holds_alternative<std::vector<std::int32_t>>(values)});
     }
     return numbers;
 }
 
 void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at) {
-    for (const ScanChannel& channel : channels) std::visit([&](const auto& values) { append(bytes, values[at]); }, channel.values);
+    for (const ScanChannel& channel : channels)
+        std::visit([&](const auto& values) { append(bytes, values[at]); }, channel.values);
 }
 
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number) {
     const ChannelInfo& channel = of_rays.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second = number == 2 && size(of_rays.second) > 0 ? std::get_if<std::vector<T>>(&of_rays.second) : nullptr;
+        const auto* second =
+            number == 2 && size(of_rays.second) > 0 ? std::get_if<std::vector<T>>(&of_rays.second) : nullptr;
         const T other = second ? (*second)[ray] : channel.of_ray ? values[ray] : nothing_of<T>(channel);
         std::get<std::vector<T>>(of_points.values).push_back(number == 1 ? values[ray] : other);
     };
@@ -131,17 +152,22 @@ void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, con
             return c == '_' || (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9');
         });
         if (!is_word)
-            throw DataError(
-                fmt::format("channels of {}: found the name \"{}\", expected lower case letters, digits and _", what, excerpt(info.name)));
+            throw DataError(fmt::format(
+                "channels of {}: found the name \"{}\", expected lower case letters, digits and _", what,
+                excerpt(info.name)));
         if (!taken.insert(info.name).second)
-            throw DataError(fmt::format("channels of {}: found {} twice, expected a name of its own", what, info.name));
+            throw DataError(
+                fmt::format("channels of {}: found {} twice, expected a name of its own", what, info.name));
         if (size(second) > 0 && !taken.insert(info.name + "_2").second)
-            throw DataError(fmt::format("channels of {}: found {}_2 twice, expected a name of its own", what, info.name));
+            throw DataError(
+                fmt::format("channels of {}: found {}_2 twice, expected a name of its own", what, info.name));
         if (size(values) != n)
-            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", what, size(values), info.name, n));
+            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", what,
+                                        size(values), info.name, n));
         if (size(second) > 0 && (size(second) != n || second.index() != values.index()))
-            throw DataError(fmt::format("channels of {}: found {} values of {} of second returns, expected {} of its type", what,
-                                        size(second), info.name, n));
+            throw DataError(fmt::format(
+                "channels of {}: found {} values of {} of second returns, expected {} of its type", what,
+                size(second), info.name, n));
     }
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tree is asked about a ray: what is rendered there and around it, and how what was measured or drawn before it, along its beam
-// and by the beams above, lies about what is rendered there. Private to scatter.
+// What the tree is asked about a ray: what is rendered there and around it, and how what
+// was measured or drawn before it, along its beam and by the beams above, lies about what
+// is rendered there. Private to scatter.
 #pragma once
 
 #include <algorithm>
@@ -25,31 +26,40 @@ struct Window {
 
 constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// All of them before the ray of interest. Lasers of one unit fire by turns: the second along a beam, or above, is like it more than the
-/// first.
+/// All of them before the ray of interest. Lasers of one unit fire by turns: the second
+/// along a beam, or above, is like it more than the first.
 constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
-constexpr std::array<Step, 10> kLevels{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
+constexpr std::array<Step, 10> kLevels{
+    {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
 constexpr std::array<Window, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
 /// Columns ahead of the ray of interest at which something above it is asked for.
 constexpr int kAhead = 3;
-static_assert(std::ranges::all_of(kMeans, [](const Window& w) { return w.last.columns <= (w.last.rows < 0 ? kAhead : -1); }));
-static_assert(std::ranges::all_of(kSizes, [](const Window& w) { return w.last.columns <= (w.last.rows < 0 ? kAhead : -1); }));
-static_assert(std::ranges::all_of(kLevels, [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
-static_assert(std::ranges::all_of(kResiduals, [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kMeans, [](const Window& w) {
+    return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
+}));
+static_assert(std::ranges::all_of(kSizes, [](const Window& w) {
+    return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
+}));
+static_assert(std::ranges::all_of(kLevels,
+                                  [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kResiduals,
+                                  [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
 
-constexpr std::size_t kOwn = 5;   // intensity, range, spread, cosine, elevation
-constexpr std::size_t kFeatures =
-    kOwn + 2 * kBeside.size() + kSmoothed.size() + kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
+constexpr std::size_t kOwn = 5;  // intensity, range, spread, cosine, elevation
+constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() + kResiduals.size() +
+                                  kLevels.size() + kMeans.size() + kSizes.size();
 using Features = std::array<float, kFeatures>;
 
 /// Asks for a scan of which some intensities are known already.
 class Context {
 public:
-    /// @param known [rows*columns] kNoIntensity where nothing came back; it may be filled in between calls
-    Context(const RenderedIntensities& rendered, std::span<const float> known) : scan_(rendered), known_(known) {}
+    /// @param known [rows*columns] kNoIntensity where nothing came back; it may be filled
+    /// in between calls
+    Context(const RenderedIntensities& rendered, std::span<const float> known)
+        : scan_(rendered), known_(known) {}
 
     Features of(int row, int column) const {
         Features result;
@@ -57,10 +67,15 @@ public:
         return result;
     }
 
-    /// One of them alone: whoever goes down a tree asks for few. Their order is that of the lists above.
+    /// One of them alone: whoever goes down a tree asks for few. Their order is that of
+    /// the lists above.
     float feature(std::size_t k, int row, int column) const {
-        const auto at = [&](Step s) { return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns); };
-        const auto level = [&](Step s) {   // nothing is known before the first column, so that rows can be drawn one behind the other
+        const auto at = [&](Step s) {
+            return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
+        };
+        // nothing is known before the first column, so that rows can be drawn one behind
+        // the other
+        const auto level = [&](Step s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
         };
         const auto residual = [&](Step s) {
@@ -76,7 +91,8 @@ public:
         if (is_of(kOwn)) return own(k, index(row, column));
         if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
         if (is_of(kBeside.size())) return steepness(at(kBeside[k]), index(row, column));
-        if (is_of(kSmoothed.size())) return mean(kSmoothed[k], [&](Step s) { return scan_.intensity[at(s)]; });
+        if (is_of(kSmoothed.size()))
+            return mean(kSmoothed[k], [&](Step s) { return scan_.intensity[at(s)]; });
         if (is_of(kResiduals.size())) return residual(kResiduals[k]);
         if (is_of(kLevels.size())) return level(kLevels[k]);
         if (is_of(kMeans.size())) return mean(kMeans[k], residual);
@@ -89,17 +105,20 @@ private:
 
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
-        if (column < 0 || column >= columns) column = (column % columns + columns) % columns;   // few are, and divisions are slow
+        // few are, and divisions are slow
+        if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
     float own(std::size_t k, std::size_t i) const {
-        const std::array<const std::vector<float>*, kOwn> values{&scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine,
-                                                                &scan_.elevation_rad};
+        const std::array<const std::vector<float>*, kOwn> values{
+            &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
         return (*values[k])[i];
     }
     /// How much farther away another ray's surface is, as the logarithm of their ratio.
     float steepness(std::size_t other, std::size_t i) const {
-        return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f ? std::log(scan_.range_m[other] / scan_.range_m[i]) : kNoIntensity;
+        return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f
+                   ? std::log(scan_.range_m[other] / scan_.range_m[i])
+                   : kNoIntensity;
     }
     /// Of what is there; kNoIntensity where nothing is.
     template <class Value>

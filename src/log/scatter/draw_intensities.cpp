@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each ray goes down the tree and takes one of the intensities of its leaf. It asks what was drawn before it, along its beam and above.
-// Rows are drawn at the same time, each so far behind the one above that all is there: the result is that of one row after the other.
+// Each ray goes down the tree and takes one of the intensities of its leaf. It asks what
+// was drawn before it, along its beam and above. Rows are drawn at the same time, each so
+// far behind the one above that all is there: the result is that of one row after the
+// other.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
@@ -15,9 +17,10 @@
 namespace relidar {
 namespace {
 
-constexpr int kColumnsTogether = 64;   // between two looks at the row above
+constexpr int kColumnsTogether = 64;  // between two looks at the row above
 
-const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context, int row, int column) {
+const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,
+                                      int row, int column) {
     const IntensityScatter::Node* node = &scatter.nodes.front();
     while (node->feature >= 0) {
         const float asked = context.feature(std::size_t(node->feature), row, column);
@@ -35,17 +38,20 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
     RELIDAR_ASSERT_EQ(returns.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(returns.size(), kNoIntensity);
     const scatter_detail::Context context(rendered, drawn);
-    std::vector<std::atomic<int>> drawn_columns(static_cast<std::size_t>(rendered.rows));   // of each row so far
+    // of each row so far
+    std::vector<std::atomic<int>> drawn_columns(static_cast<std::size_t>(rendered.rows));
     run_parallel(rendered.rows, [&](int row) {
         for (int first = 0; first < rendered.columns; first += kColumnsTogether) {
             const int end = std::min(first + kColumnsTogether, rendered.columns);
             const int needed = std::min(end + scatter_detail::kAhead, rendered.columns);
-            while (row > 0 && drawn_columns[std::size_t(row) - 1].load(std::memory_order_acquire) < needed) std::this_thread::yield();
+            while (row > 0 && drawn_columns[std::size_t(row) - 1].load(std::memory_order_acquire) < needed)
+                std::this_thread::yield();
             for (int column = first; column < end; ++column) {
                 const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
                 if (returns[i] == 0) continue;
                 const IntensityScatter::Node& leaf = leaf_of(scatter, context, row, column);
-                drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash64(seed, i)).uniform() * double(leaf.count))];
+                drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash64(seed, i)).uniform() *
+                                                                   double(leaf.count))];
             }
             drawn_columns[std::size_t(row)].store(end, std::memory_order_release);
         }

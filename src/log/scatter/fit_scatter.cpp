@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree is grown from all returns, layer by layer. A node is parted at the feature and value that lower the entropy of its classes most,
+// The tree is grown from all returns, layer by layer. A node is parted at the feature and
+// value that lower the entropy of its classes most,
 //   gain = sum n_c ln(n_c / n) of both children - that of the node,   c a class of 24 quantiles of all intensities,
 // as long as that is more than chance gives.
 #include <algorithm>
@@ -26,9 +27,11 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-constexpr double kLeastGain = 20.0;   // twice it is chi-square with 23 degrees of freedom: one in 100 by chance, of the best of all cuts
+// twice it is chi-square with 23 degrees of freedom: one in 100 by chance, of the best of
+// all cuts
+constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
-constexpr std::size_t kQuantileReturns = 100000;   // that quantiles are taken from
+constexpr std::size_t kQuantileReturns = 100000;  // that quantiles are taken from
 
 /// What is known of a return.
 struct Return {
@@ -37,10 +40,11 @@ struct Return {
     float value;
 };
 
-/// Those of a node lie side by side, so that whoever counts them reads memory in its order.
+/// Those of a node lie side by side, so that whoever counts them reads memory in its
+/// order.
 struct Returns {
     std::vector<Return> all;
-    std::array<std::vector<float>, kFeatures> cuts = {};   ///< upper ends of all bins but the last
+    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins but the last
 };
 
 /// Where a sorted list is parted into n parts; none twice.
@@ -65,7 +69,8 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are more.
+/// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are
+/// more.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
@@ -150,7 +155,7 @@ struct Cut {
     std::size_t bin = 0;
 };
 
-constexpr std::size_t kTogether = 4;   // features whose counts stay in the first cache
+constexpr std::size_t kTogether = 4;  // features whose counts stay in the first cache
 using Bins = std::array<Counts, kBins>;
 
 /// The best cut of a feature, by the counts of its bins.
@@ -163,7 +168,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        if (of_bin == 0) continue;   // as good as the cut before
+        if (of_bin == 0) continue;  // as good as the cut before
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -174,18 +179,22 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
 }
 
 /// The best cut of a few features from `first` on.
-Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first, const Terms& terms) {
+Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
+                     const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
     std::array<Bins, kTogether> counts{};
     for (const Return& one : of_node)
         for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first + f]].of[one.of_class];
     Cut best;
     for (std::size_t f = 0; f < n; ++f)
-        if (const Cut cut = find_cut_of(counts[f], first + f, returns.cuts[first + f].size(), terms); cut.gain > best.gain) best = cut;
+        if (const Cut cut = find_cut_of(counts[f], first + f, returns.cuts[first + f].size(), terms);
+            cut.gain > best.gain)
+            best = cut;
     return best;
 }
 
-/// The best cut of a node; of equal ones that of the first feature. @param each  runs a task for 0, 1, ... below a number
+/// The best cut of a node; of equal ones that of the first feature. @param each  runs a
+/// task for 0, 1, ... below a number
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
     Cut best;
@@ -199,11 +208,15 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Cuts of the nodes from `first` on, at the same time; of a large node the features as well.
-std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms, std::span<const IntensityScatter::Node> nodes) {
+/// Cuts of the nodes from `first` on, at the same time; of a large node the features as
+/// well.
+std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
+                           std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
     std::vector<Cut> cuts(nodes.size());
-    const auto part = [&](std::size_t k) { return std::span(returns.all).subspan(nodes[k].first, nodes[k].count); };
+    const auto part = [&](std::size_t k) {
+        return std::span(returns.all).subspan(nodes[k].first, nodes[k].count);
+    };
     run_parallel(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
@@ -215,7 +228,8 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms, std::span
 }
 
 /// Parts the nodes from `first` on where it pays, and their returns with them.
-void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes, std::size_t first) {
+void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
+                std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     run_parallel(int(cuts.size()), [&](int k) {
@@ -224,7 +238,8 @@ void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatt
         const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
         const auto own = std::span(returns.all).subspan(node.first, node.count);
         const auto is_low = [&](const Return& one) { return one.bins[std::size_t(cut.feature)] <= cut.bin; };
-        n_low[std::size_t(k)] = std::uint32_t(std::stable_partition(own.begin(), own.end(), is_low) - own.begin());
+        n_low[std::size_t(k)] =
+            std::uint32_t(std::stable_partition(own.begin(), own.end(), is_low) - own.begin());
     });
     for (std::size_t k = 0; k < cuts.size(); ++k) {
         if (cuts[k].feature < 0) continue;
@@ -241,11 +256,12 @@ void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatt
 void check_sizes(std::span<const MeasuredIntensities> images) {
     for (const auto& [r, measured] : images) {
         const std::size_t n = std::size_t(r.rows) * std::size_t(r.columns);
-        for (const std::size_t size :
-             {r.intensity.size(), r.range_m.size(), r.spread_m.size(), r.cosine.size(), r.elevation_rad.size(), measured.size()})
+        for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
+                                       r.cosine.size(), r.elevation_rad.size(), measured.size()})
             if (size != n)
-                throw DataError(fmt::format("finding how intensities scatter: found an array of {} rays, expected {} x {}", size, r.rows,
-                                            r.columns));
+                throw DataError(fmt::format(
+                    "finding how intensities scatter: found an array of {} rays, expected {} x {}", size,
+                    r.rows, r.columns));
     }
 }
 
@@ -262,7 +278,7 @@ double common_divisor(double a, double b, double error) {
 }  // namespace
 
 double find_step(std::vector<float> values) {
-    constexpr double kError = 1e-6, kFinest = 1e-5;   // of the largest value
+    constexpr double kError = 1e-6, kFinest = 1e-5;  // of the largest value
     constexpr std::size_t kFewestLevels = 8;
     sort_parallel(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
@@ -272,9 +288,12 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        if (step > 0.0) step = double(value) / std::round(double(value) / step);   // as exact as the largest value so far tells it
+        // as exact as the largest value so far tells it
+        if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
-    const auto is_multiple = [&](float v) { return std::abs(std::remainder(double(v), step)) <= kError * largest; };
+    const auto is_multiple = [&](float v) {
+        return std::abs(std::remainder(double(v), step)) <= kError * largest;
+    };
     return std::ranges::all_of(values, is_multiple) ? step : 0.0;
 }
 

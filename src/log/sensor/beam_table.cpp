@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// CSV beam tables: header line, then one line a beam. A column that is not known is an error: a misspelt one would be 0.
+// CSV beam tables: header line, then one line a beam. A column that is not known is an
+// error: a misspelt one would be 0.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -17,27 +18,41 @@
 namespace relidar {
 namespace {
 
-enum Field { kElevation, kAzimuthOffset, kOriginOffset, kOriginUp, kOriginLeft, kFiring, kMinRange, kMaxRange, kChannel, kFieldCount };
+enum Field {
+    kElevation,
+    kAzimuthOffset,
+    kOriginOffset,
+    kOriginUp,
+    kOriginLeft,
+    kFiring,
+    kMinRange,
+    kMaxRange,
+    kChannel,
+    kFieldCount
+};
 
 struct FieldRule {
     const char* name;
-    double low, high, missing;   ///< values allowed, and the one where the table has no such column
+    double low, high, missing;  ///< values allowed, and the one where the table has no such column
 };
 constexpr double kFarthestLimit_m = 10'000.0;
-// Not constexpr: clang 14 makes no std::string at compile time, and a SpinningSensor has one.
-const std::array<FieldRule, kFieldCount> kFields{{{"elevation_deg", -90.0, 90.0, 0.0},
-                                                  {"azimuth_offset_deg", -180.0, 180.0, 0.0},
-                                                  {"origin_offset_m", -10.0, 10.0, 0.0},
-                                                  {"origin_up_m", -10.0, 10.0, 0.0},
-                                                  {"origin_left_m", -10.0, 10.0, 0.0},
-                                                  {"firing_offset_us", 0.0, 1e6, 0.0},
-                                                  {"min_range_m", 0.0, kFarthestLimit_m, SpinningSensor{}.min_range_m},
-                                                  {"max_range_m", 0.0, kFarthestLimit_m, RangeLimits{}.max_m},
-                                                  {"channel", 0.0, 65535.0, 0.0}}};
+// Not constexpr: clang 14 makes no std::string at compile time, and a SpinningSensor has
+// one.
+const std::array<FieldRule, kFieldCount> kFields{
+    {{"elevation_deg", -90.0, 90.0, 0.0},
+     {"azimuth_offset_deg", -180.0, 180.0, 0.0},
+     {"origin_offset_m", -10.0, 10.0, 0.0},
+     {"origin_up_m", -10.0, 10.0, 0.0},
+     {"origin_left_m", -10.0, 10.0, 0.0},
+     {"firing_offset_us", 0.0, 1e6, 0.0},
+     {"min_range_m", 0.0, kFarthestLimit_m, SpinningSensor{}.min_range_m},
+     {"max_range_m", 0.0, kFarthestLimit_m, RangeLimits{}.max_m},
+     {"channel", 0.0, 65535.0, 0.0}}};
 
 using Values = std::array<double, kFieldCount>;
 
-Values parse_line(const std::vector<std::string_view>& cells, const std::vector<int>& at, const std::string& where) {
+Values parse_line(const std::vector<std::string_view>& cells, const std::vector<int>& at,
+                  const std::string& where) {
     Values value{};
     for (std::size_t f = 0; f < kFields.size(); ++f) {
         const FieldRule& rule = kFields[f];
@@ -46,49 +61,58 @@ Values parse_line(const std::vector<std::string_view>& cells, const std::vector<
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const auto number = parse_number(cell);
         if (!number || !(*number >= rule.low && *number <= rule.high)) {
-            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", where, rule.name, cell, rule.low, rule.high));
+            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", where, rule.name,
+                                        cell, rule.low, rule.high));
         }
         value[f] = *number;
     }
     return value;
 }
 
-/// Adds the beam of a line. @throws DataError where it is above the one before, or the sensor's range limits are others
+/// Adds the beam of a line. @throws DataError where it is above the one before, or the
+/// sensor's range limits are others
 void add_beam(SpinningSensor& sensor, const Values& v, const std::string& where) {
-    const double turned_rad = -2.0 * kPi / sensor.period_s * v[kFiring] * 1e-6;   // clockwise
-    const Beam beam{v[kElevation] * kPi / 180.0, v[kAzimuthOffset] * kPi / 180.0 + turned_rad, v[kOriginOffset], v[kOriginUp],
-                    v[kOriginLeft]};
+    const double turned_rad = -2.0 * kPi / sensor.period_s * v[kFiring] * 1e-6;  // clockwise
+    const Beam beam{v[kElevation] * kPi / 180.0, v[kAzimuthOffset] * kPi / 180.0 + turned_rad,
+                    v[kOriginOffset], v[kOriginUp], v[kOriginLeft]};
     if (sensor.beams.empty()) {
         sensor.min_range_m = v[kMinRange];
         sensor.max_range_m = v[kMaxRange];
     }
     if (v[kMinRange] != sensor.min_range_m || v[kMaxRange] != sensor.max_range_m) {
         throw DataError(
-            fmt::format("{}: found ranges of {} to {} m, expected {} to {} m as in the first line: limits are those of the sensor", where,
-                        v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
+            fmt::format("{}: found ranges of {} to {} m, expected {} to {} m as in the first line: limits "
+                        "are those of the sensor",
+                        where, v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
     }
     if (!(v[kMinRange] < v[kMaxRange])) {
-        throw DataError(
-            fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, v[kMinRange], v[kMaxRange]));
+        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m",
+                                    where, v[kMinRange], v[kMaxRange]));
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
-        throw DataError(fmt::format("{}: elevation_deg rises, expected rows from the highest beam down", where));
+        throw DataError(
+            fmt::format("{}: elevation_deg rises, expected rows from the highest beam down", where));
     }
     sensor.beams.push_back(beam);
 }
 
 }  // namespace
 
-SpinningSensor parse_beam_table(const std::string& text, const std::string& where, int columns, double rate_hz) {
+SpinningSensor parse_beam_table(const std::string& text, const std::string& where, int columns,
+                                double rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto first = static_cast<std::size_t>(
-        std::find_if(lines.begin(), lines.end(), [](const std::string& line) { return !line.starts_with('#'); }) - lines.begin());
-    const std::vector<std::string_view> header = first == lines.size() ? std::vector<std::string_view>{} : csv_cells(lines[first]);
+        std::find_if(lines.begin(), lines.end(),
+                     [](const std::string& line) { return !line.starts_with('#'); }) -
+        lines.begin());
+    const std::vector<std::string_view> header =
+        first == lines.size() ? std::vector<std::string_view>{} : csv_cells(lines[first]);
     std::vector<std::string> known;
     for (const FieldRule& field : kFields) known.emplace_back(field.name);
     const std::vector<int> at = find_columns(header, known, fmt::format("{} line {}", where, first + 1));
     if (at[kElevation] < 0)
-        throw DataError(fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", where));
+        throw DataError(
+            fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", where));
 
     SpinningSensor sensor;
     sensor.columns = columns;
@@ -99,11 +123,13 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
         const std::string line = fmt::format("{} line {}", where, l + 1);
         const auto cells = csv_cells(lines[l]);
         if (cells.size() != header.size()) {
-            throw DataError(fmt::format("{}: {} values, expected {} as in the header", line, cells.size(), header.size()));
+            throw DataError(fmt::format("{}: {} values, expected {} as in the header", line, cells.size(),
+                                        header.size()));
         }
         add_beam(sensor, parse_line(cells, at, line), line);
     }
-    if (sensor.beams.empty()) throw DataError(fmt::format("{}: no beams after the header, expected at least one", where));
+    if (sensor.beams.empty())
+        throw DataError(fmt::format("{}: no beams after the header, expected at least one", where));
     return sensor;
 }
 

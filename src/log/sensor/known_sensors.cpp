@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors by name. Beams are those of src/log/sensor/tables, calibrations that were published for one unit of
-// each model, or evenly spaced over
-// the field of view of a data sheet. Columns, ranges and beam divergence are the makers' data-sheet figures at 10 Hz; a divergence of 0 is
-// one that no source stated.
+// Sensors by name. Beams are those of src/log/sensor/tables, calibrations that were
+// published for one unit of each model, or evenly spaced over the field of view of a data
+// sheet. Columns, ranges and beam divergence are the makers' data-sheet figures at 10 Hz;
+// a divergence of 0 is one that no source stated.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -22,7 +22,8 @@
 
 namespace relidar {
 
-std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();   // of cmake/Assets.cmake
+// of cmake/Assets.cmake
+std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();
 
 namespace {
 
@@ -36,15 +37,24 @@ struct Tabled {
 };
 
 constexpr Tabled kTabled[] = {
-    {"HDL-64E-S2", 2083, 0.9, 120.0, 2.0e-3},    {"HDL-64E-S3", 2083, 0.9, 120.0, 2.0e-3},
-    {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3}, {"HDL-32E", 2170, 1.0, 100.0, 2.8e-3},
-    {"VLP-16", 1808, 0.5, 100.0, 3.0e-3},        {"VLP-32C", 1808, 1.0, 200.0, 3.0e-3},
-    {"VLS-128", 1876, 0.5, 245.0, 0.0},          {"Pandar40P", 1800, 0.3, 200.0, 0.0},
-    {"Pandar64", 1800, 0.3, 200.0, 0.0},         {"Pandar128", 1800, 0.3, 200.0, 0.0},
-    {"OT128", 1800, 0.3, 200.0, 0.0},            {"QT128", 900, 0.05, 50.0, 0.0},
-    {"XT32", 2000, 0.05, 120.0, 0.0},            {"OS0-32", 1024, 0.3, 50.0, 0.0},
-    {"OS0-128", 1024, 0.3, 50.0, 0.0},           {"OS1-64", 1024, 0.8, 120.0, 2.3e-3},
-    {"OS1-128", 1024, 0.8, 120.0, 3.1e-3},       {"OS2-128", 1024, 1.0, 240.0, 0.0},
+    {"HDL-64E-S2", 2083, 0.9, 120.0, 2.0e-3},
+    {"HDL-64E-S3", 2083, 0.9, 120.0, 2.0e-3},
+    {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3},
+    {"HDL-32E", 2170, 1.0, 100.0, 2.8e-3},
+    {"VLP-16", 1808, 0.5, 100.0, 3.0e-3},
+    {"VLP-32C", 1808, 1.0, 200.0, 3.0e-3},
+    {"VLS-128", 1876, 0.5, 245.0, 0.0},
+    {"Pandar40P", 1800, 0.3, 200.0, 0.0},
+    {"Pandar64", 1800, 0.3, 200.0, 0.0},
+    {"Pandar128", 1800, 0.3, 200.0, 0.0},
+    {"OT128", 1800, 0.3, 200.0, 0.0},
+    {"QT128", 900, 0.05, 50.0, 0.0},
+    {"XT32", 2000, 0.05, 120.0, 0.0},
+    {"OS0-32", 1024, 0.3, 50.0, 0.0},
+    {"OS0-128", 1024, 0.3, 50.0, 0.0},
+    {"OS1-64", 1024, 0.8, 120.0, 2.3e-3},
+    {"OS1-128", 1024, 0.8, 120.0, 3.1e-3},
+    {"OS2-128", 1024, 1.0, 240.0, 0.0},
     {"waymo-top", 2650, 0.0, 75.0, 0.0},
 };
 
@@ -67,7 +77,8 @@ SensorModel model(SpinningSensor sensor, const std::string& about) {
     return {sensor.name, about, sensor.range_limits(), std::move(sensor)};
 }
 
-/// The HDL-64E of the data sheet: 32 beams a third of a degree apart from +2, then 32 half a degree apart to -24.33.
+/// The HDL-64E of the data sheet: 32 beams a third of a degree apart from +2, then 32
+/// half a degree apart to -24.33.
 SensorModel hdl64e(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("HDL-64E", columns ? columns : 2083, rate_hz);
     add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
@@ -77,13 +88,15 @@ SensorModel hdl64e(int columns, double rate_hz) {
     return model(std::move(sensor), "evenly spaced beams of the data sheet");
 }
 
-/// One of Waymo's four short-range LiDARs: its calibration states limits of elevation alone.
+/// One of Waymo's four short-range LiDARs: its calibration states limits of elevation
+/// alone.
 SensorModel waymo_side(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
     add_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
-    return model(std::move(sensor), "short-range LiDARs of the Waymo Open Dataset: 200 even beams from +30 to -90 degrees");
+    return model(std::move(sensor),
+                 "short-range LiDARs of the Waymo Open Dataset: 200 even beams from +30 to -90 degrees");
 }
 
 /// The rays of the KITTI-360 grid as a spinning sensor.
@@ -98,10 +111,12 @@ SensorModel kitti360(int columns, double rate_hz) {
     return model(std::move(sensor), "the image of published results on KITTI-360, 66 x 1030");
 }
 
-/// The table of a sensor that has one. Its first line begins with # and says where the figures are from.
+/// The table of a sensor that has one. Its first line begins with # and says where the
+/// figures are from.
 std::string table_of(const std::string& name) {
     const auto tables = sensor_table_texts();
-    const auto table = std::find_if(tables.begin(), tables.end(), [&](const auto& named) { return named.first == name + ".csv"; });
+    const auto table = std::find_if(tables.begin(), tables.end(),
+                                    [&](const auto& named) { return named.first == name + ".csv"; });
     RELIDAR_ASSERT_EQ(table != tables.end(), true);
     return std::string(table->second);
 }
@@ -119,13 +134,19 @@ SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
     return model(std::move(sensor), about(table));
 }
 
-/// Hesai's AT128: mirrors sweep 120 degrees from left to right in 0.1 s, each beam off the mirror's azimuth by its own angle.
+/// Hesai's AT128: mirrors sweep 120 degrees from left to right in 0.1 s, each beam off
+/// the mirror's azimuth by its own angle.
 SensorModel at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
     const std::string table = table_of("AT128");
     const std::vector<Beam> beams = parse_beam_table(table, "AT128", kColumns, 1.0 / period_s).beams;
-    RayTable rays{.rows = int(beams.size()), .columns = kColumns, .origin = {}, .direction = {}, .time_offset_s = {}, .channel = {}};
+    RayTable rays{.rows = int(beams.size()),
+                  .columns = kColumns,
+                  .origin = {},
+                  .direction = {},
+                  .time_offset_s = {},
+                  .channel = {}};
     for (std::size_t row = 0; row < beams.size(); ++row)
         for (int column = 0; column < kColumns; ++column) {
             const double left_of_middle = 0.5 * (kColumns - 1) - column;
@@ -137,17 +158,31 @@ SensorModel at128() {
     return {"AT128", about(table), {0.5, 200.0}, std::move(rays)};
 }
 
-/// As Hesai's AT128 is specified: 128 rows in a window of 120 x 25.4 degrees, 0.1 degrees a column, mirrors that sweep it at 10 Hz.
+/// As Hesai's AT128 is specified: 128 rows in a window of 120 x 25.4 degrees, 0.1 degrees
+/// a column, mirrors that sweep it at 10 Hz.
 SensorModel window_128() {
-    return {"window-128", "a hybrid solid state as the AT128: mirrors sweep 120 x 25.4 degrees, 1200 columns of 128 rows", {0.5, 200.0},
-            ScanningWindow{.name = "window-128", .rows = 128, .columns = 1200, .left_rad = 59.95 * kDegree, .right_rad = -59.95 * kDegree,
-                           .top_rad = 12.9 * kDegree, .bottom_rad = -12.5 * kDegree}};
+    return {"window-128",
+            "a hybrid solid state as the AT128: mirrors sweep 120 x 25.4 degrees, 1200 columns of 128 rows",
+            {0.5, 200.0},
+            ScanningWindow{.name = "window-128",
+                           .rows = 128,
+                           .columns = 1200,
+                           .left_rad = 59.95 * kDegree,
+                           .right_rad = -59.95 * kDegree,
+                           .top_rad = 12.9 * kDegree,
+                           .bottom_rad = -12.5 * kDegree}};
 }
 
-/// As Livox' Mid-40 is specified: a cone of 38.4 degrees, 100 000 rays a second. Turning rates of the prisms as observed on that sensor.
+/// As Livox' Mid-40 is specified: a cone of 38.4 degrees, 100 000 rays a second. Turning
+/// rates of the prisms as observed on that sensor.
 SensorModel rosette() {
-    return {"rosette", "non-repetitive, as the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays a second", {1.0, 260.0},
-            Rosette{.name = "rosette", .deflection_rad = 9.6 * kDegree, .first_hz = 7294.0 / 60.0, .second_hz = -4664.0 / 60.0,
+    return {"rosette",
+            "non-repetitive, as the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays a second",
+            {1.0, 260.0},
+            Rosette{.name = "rosette",
+                    .deflection_rad = 9.6 * kDegree,
+                    .first_hz = 7294.0 / 60.0,
+                    .second_hz = -4664.0 / 60.0,
                     .n_rays = 10'000}};
 }
 
@@ -183,7 +218,8 @@ std::optional<SensorModel> known_sensor(const std::string& name, int columns, do
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
     const bool spins = *known != "AT128" && *known != "window-128" && *known != "rosette";
     if (!spins && (columns > 0 || rate_hz > 0.0)) {
-        throw UsageError(fmt::format("sensor '{}': found columns and a rate, expected the name alone: it does not spin", name));
+        throw UsageError(fmt::format(
+            "sensor '{}': found columns and a rate, expected the name alone: it does not spin", name));
     }
     if (*known == "kitti360") return kitti360(columns, rate);
     if (*known == "HDL-64E") return hdl64e(columns, rate);
@@ -191,7 +227,9 @@ std::optional<SensorModel> known_sensor(const std::string& name, int columns, do
     if (*known == "AT128") return at128();
     if (*known == "window-128") return window_128();
     if (*known == "rosette") return rosette();
-    return tabled(*std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns, rate);
+    return tabled(
+        *std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns,
+        rate);
 }
 
 }  // namespace relidar

@@ -18,13 +18,17 @@ void check_count(const std::string& name, double n_rays) {
 }
 
 void check_finite(const std::string& name, double sum, double period_s) {
-    if (!std::isfinite(sum)) throw UsageError(fmt::format("sensor '{}': an angle or rate is not finite, expected numbers", name));
+    if (!std::isfinite(sum))
+        throw UsageError(fmt::format("sensor '{}': an angle or rate is not finite, expected numbers", name));
     if (!(period_s > 0.0) || !std::isfinite(period_s))
-        throw UsageError(fmt::format("sensor '{}': has a period of {} s, expected a positive number", name, period_s));
+        throw UsageError(
+            fmt::format("sensor '{}': has a period of {} s, expected a positive number", name, period_s));
 }
 
 /// The n-th of so many values that are evenly spaced from first to last.
-double between(double first, double last, int i, int n) { return n > 1 ? first + (last - first) * i / (n - 1) : 0.5 * (first + last); }
+double between(double first, double last, int i, int n) {
+    return n > 1 ? first + (last - first) * i / (n - 1) : 0.5 * (first + last);
+}
 
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel) {
     rays.origin.emplace_back(0.0f);
@@ -57,7 +61,8 @@ RayTable make_rays(const Rosette& r, double time_s) {
 RayTable make_rays(const ScanningWindow& w) {
     check_count(w.name, double(w.rows) * double(w.columns));
     check_finite(w.name, w.left_rad + w.right_rad + w.top_rad + w.bottom_rad + w.divergence_rad, w.period_s);
-    if (w.rows > 65535) throw UsageError(fmt::format("sensor '{}': has {} rows, expected at most 65535", w.name, w.rows));
+    if (w.rows > 65535)
+        throw UsageError(fmt::format("sensor '{}': has {} rows, expected at most 65535", w.name, w.rows));
     RayTable rays;
     rays.rows = w.rows;
     rays.columns = w.columns;

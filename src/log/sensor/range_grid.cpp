@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Projection of points into a linear image of elevation by azimuth (Eq. 6-7), bins centred on the pixel rays:
+// Projection of points into a linear image of elevation by azimuth (Eq. 6-7), bins
+// centred on the pixel rays:
 //   row = round((fov_up - elevation) / fov * rows),  column = round((1 - azimuth / pi) / 2 * columns) mod columns
 #include <relidar/log/sensor.hpp>
 
@@ -37,10 +38,11 @@ std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
     return static_cast<int>(row) * grid.columns + static_cast<int>(column);
 }
 
-GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m, const std::vector<float>& intensity) {
+GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
+                         const std::vector<float>& intensity) {
     if (points_m.size() != intensity.size()) {
-        throw UsageError(
-            fmt::format("project_points: intensity has {} entries, expected {} as points_m", intensity.size(), points_m.size()));
+        throw UsageError(fmt::format("project_points: intensity has {} entries, expected {} as points_m",
+                                     intensity.size(), points_m.size()));
     }
     GridImage image;
     image.rows = grid.rows;

@@ -26,7 +26,8 @@ std::vector<glm::dvec2> footprint_pattern(int n) {
     std::vector<glm::dvec2> offsets{{0.0, 0.0}};
     const auto add_ring = [&](double radius, double first) {
         for (int k = 0; k < 4; ++k)
-            offsets.push_back(radius * glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
+            offsets.push_back(radius *
+                              glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
     // sum of radius^2 = n / 2
     if (n == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
@@ -35,7 +36,8 @@ std::vector<glm::dvec2> footprint_pattern(int n) {
     constexpr double kGolden_rad = 2.399963229728653;
     offsets.clear();
     for (int k = 0; k < n; ++k)
-        offsets.push_back(std::sqrt((k + 0.5) / n) * glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
+        offsets.push_back(std::sqrt((k + 0.5) / n) *
+                          glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
     return offsets;
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray tables of spinning LiDARs and of range grids. A clockwise head reaches azimuth theta at -theta / (2 pi) * period.
-// Image column j of a beam holds the firing whose ray, not whose head, is nearest to column j's azimuth: a beam with an
-// azimuth offset is moved by a whole number of columns, so that columns of the image stay upright.
+// Ray tables of spinning LiDARs and of range grids. A clockwise head reaches azimuth
+// theta at -theta / (2 pi) * period. Image column j of a beam holds the firing whose ray,
+// not whose head, is nearest to column j's azimuth: a beam with an azimuth offset is
+// moved by a whole number of columns, so that columns of the image stay upright.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -31,15 +32,20 @@ RayTable empty_table(int rows, int columns, double divergence_rad) {
 }
 
 void check(const SpinningSensor& sensor) {
-    const auto fail = [&](const std::string& what) { throw UsageError(fmt::format("sensor '{}': {}", sensor.name, what)); };
+    const auto fail = [&](const std::string& what) {
+        throw UsageError(fmt::format("sensor '{}': {}", sensor.name, what));
+    };
     if (sensor.beams.empty()) fail("has no beams, expected at least one");
-    if (sensor.beams.size() > 65535) fail(fmt::format("has {} beams, expected at most 65535", sensor.beams.size()));
+    if (sensor.beams.size() > 65535)
+        fail(fmt::format("has {} beams, expected at most 65535", sensor.beams.size()));
     if (sensor.columns <= 0) fail(fmt::format("has {} columns, expected at least one", sensor.columns));
     if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
-        fail(fmt::format("has {} beams and {} columns, expected at most {} rays a sweep", sensor.beams.size(), sensor.columns, kMaxRays));
+        fail(fmt::format("has {} beams and {} columns, expected at most {} rays a sweep", sensor.beams.size(),
+                         sensor.columns, kMaxRays));
     }
     if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
-        fail(fmt::format("sees from {} to {} m, expected 0 <= min_range_m < max_range_m", sensor.min_range_m, sensor.max_range_m));
+        fail(fmt::format("sees from {} to {} m, expected 0 <= min_range_m < max_range_m", sensor.min_range_m,
+                         sensor.max_range_m));
     }
     if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s)) {
         fail(fmt::format("has a period of {} s, expected a positive number", sensor.period_s));
@@ -49,8 +55,9 @@ void check(const SpinningSensor& sensor) {
     }
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
-        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m + beam.origin_up_m + beam.origin_left_m +
-                           beam.intensity_gain + beam.intensity_offset + beam.range_offset_m;
+        const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m +
+                           beam.origin_up_m + beam.origin_left_m + beam.intensity_gain +
+                           beam.intensity_offset + beam.range_offset_m;
         if (!std::isfinite(sum)) fail(fmt::format("beam {} holds a value that is not finite", b));
     }
 }
@@ -62,7 +69,9 @@ double wrapped(double azimuth_rad) {
 
 }  // namespace
 
-RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) { return {std::max(a.min_m, b.min_m), std::min(a.max_m, b.max_m)}; }
+RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) {
+    return {std::max(a.min_m, b.min_m), std::min(a.max_m, b.max_m)};
+}
 
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
     const double azimuth = head_azimuth_rad + beam.azimuth_offset_rad;
@@ -71,15 +80,18 @@ BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
     const double forward = -beam.origin_up_m * se, left = beam.origin_left_m;
     BeamRay ray;
     ray.origin_m = glm::dvec3(beam.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
-                              beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c, beam.origin_up_m * ce);
+                              beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c,
+                              beam.origin_up_m * ce);
     ray.direction = glm::dvec3(ce * c, ce * s, se);
     return ray;
 }
 
 double head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
     const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
-    const double left = beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad);   // of the beam from the axis
-    return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left / reach, -1.0, 1.0)) - beam.azimuth_offset_rad;
+    // of the beam from the axis
+    const double left = beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad);
+    return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left / reach, -1.0, 1.0)) -
+           beam.azimuth_offset_rad;
 }
 
 int column_shift(const Beam& beam, int columns) {

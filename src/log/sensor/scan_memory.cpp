@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sparse file is mapped once, larger than any disk, and grows as arrays come; room that arrays leave goes back to the disk and is given
-// to others.
+// A sparse file is mapped once, larger than any disk, and grows as arrays come; room that
+// arrays leave goes back to the disk and is given to others.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -29,8 +29,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSmall = 16 << 10;                // bytes: such arrays are not worth pages of their own
-constexpr std::size_t kReserved = std::size_t(1) << 40; // of addresses
+constexpr std::size_t kSmall = 16 << 10;  // bytes: such arrays are not worth pages of their own
+constexpr std::size_t kReserved = std::size_t(1) << 40;  // of addresses
 
 std::size_t whole_pages(std::size_t bytes) {
     static const auto page = std::size_t(::sysconf(_SC_PAGESIZE));
@@ -38,9 +38,10 @@ std::size_t whole_pages(std::size_t bytes) {
 }
 
 [[noreturn]] void fail_to_make_room(const fs::path& folder, std::size_t bytes, int error) {
-    throw DataError(fmt::format("making room for scans in '{}', which do not fit into memory: {} (found no room for {} bytes more, "
-                                "expected TMPDIR to name a folder with enough; dataset.memory_mib keeps more of them in memory)",
-                                folder.string(), std::generic_category().message(error), bytes));
+    throw DataError(fmt::format(
+        "making room for scans in '{}', which do not fit into memory: {} (found no room for {} bytes more, "
+        "expected TMPDIR to name a folder with enough; dataset.memory_mib keeps more of them in memory)",
+        folder.string(), std::generic_category().message(error), bytes));
 }
 
 /// A file without a name, mapped.
@@ -51,7 +52,8 @@ public:
         file_ = ::mkostemp(name.data(), O_CLOEXEC);
         if (file_ < 0) fail_to_make_room(folder_, 0, errno);
         ::unlink(name.c_str());
-        void* begin = ::mmap(nullptr, kReserved, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
+        void* begin =
+            ::mmap(nullptr, kReserved, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
         if (begin == MAP_FAILED) {
             const int error = errno;
             ::close(file_);
@@ -69,10 +71,13 @@ public:
     void* allocate(std::size_t bytes) {
         const std::size_t size = whole_pages(bytes);
         const std::lock_guard lock(mutex_);
-        const auto room = std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
+        const auto room =
+            std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = room == free_.end() ? end_ : room->first;
-        // reserved on the disk now: a page that finds the disk full when it is written ends the process
-        if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0) fail_to_make_room(folder_, size, error);
+        // reserved on the disk now: a page that finds the disk full when it is written
+        // ends the process
+        if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
+            fail_to_make_room(folder_, size, error);
         if (room == free_.end()) end_ += size;
         else {
             if (room->second > size) free_.emplace(offset + size, room->second - size);
@@ -85,8 +90,10 @@ public:
     bool holds(const void* array) const { return array >= begin_ && array < begin_ + kReserved; }
 
     void free(void* array, std::size_t bytes) noexcept {
-        const std::size_t size = whole_pages(bytes), offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));   // where the file system can
+        const std::size_t size = whole_pages(bytes),
+                          offset = std::size_t(static_cast<std::byte*>(array) - begin_);
+        // where the file system can
+        ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
         auto [range, is_new] = free_.emplace(offset, size);
@@ -107,8 +114,8 @@ private:
     fs::path folder_;
     int file_ = -1;
     std::byte* begin_ = nullptr;
-    std::size_t end_ = 0;                        ///< of the file
-    std::map<std::size_t, std::size_t> free_;    ///< size by offset
+    std::size_t end_ = 0;                      ///< of the file
+    std::map<std::size_t, std::size_t> free_;  ///< size by offset
     std::atomic<std::uint64_t> used_ = 0;
     std::mutex mutex_;
 };
@@ -117,26 +124,30 @@ struct Memory {
     std::atomic<std::uint64_t> limit = ~0ull, used = 0;
     std::atomic<MappedFile*> file = nullptr;
     std::atomic<int> processes = 1;
-    std::mutex mutex;      ///< of what follows
+    std::mutex mutex;  ///< of what follows
     fs::path folder;
 
     MappedFile& mapped() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        if (!file) file = std::make_unique<MappedFile>(folder).release();   // for as long as the process: arrays may outlive all else
+        // for as long as the process: arrays may outlive all else
+        if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
 };
 
 Memory& memory() {
-    static Memory* const all = new Memory;   // never destroyed: arrays of static objects are freed after main
+    // never destroyed: arrays of static objects are freed after main
+    static Memory* const all = new Memory;
     return *all;
 }
 
 std::uint64_t of_machine() {
-    std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)), limit = 0;
-    for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})   // version 2, and 1
-        if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);   // "max": no number
+    std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
+                  limit = 0;
+    // version 2, and 1
+    for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
+        if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);  // "max": no number
     return bytes;
 }
 

@@ -16,29 +16,33 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
-constexpr int kTableColumns = 1800;   // 0.2 degrees a step
+constexpr int kTableColumns = 1800;  // 0.2 degrees a step
 constexpr double kTableRate_hz = 10.0;
 
 /// A sensor as named on the command line: "name[:columns[xHz]]".
 struct SensorName {
     std::string name;
-    int columns = 0;        ///< 0: not given
-    double rate_hz = 0.0;   ///< 0: not given
+    int columns = 0;       ///< 0: not given
+    double rate_hz = 0.0;  ///< 0: not given
 };
 
-/// Splits the suffix off. @throws UsageError for zero columns or a rate that is not positive
+/// Splits the suffix off. @throws UsageError for zero columns or a rate that is not
+/// positive
 SensorName parse_name(const std::string& text) {
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) return {text};
     const std::string_view suffix = std::string_view(text).substr(colon + 1);
     const std::size_t x = std::min(suffix.find('x'), suffix.size());
     const auto columns = parse_number(suffix.substr(0, x));
-    const auto rate_hz = x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
+    const auto rate_hz =
+        x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
     if (!columns || !rate_hz) return {text};  // a colon of the path itself
-    if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) || !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
+    if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
+        !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
         throw UsageError(
-            fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number from 1 to {} and a rate above 0, at most {}", text,
-                        *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
+            fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number from 1 to {} and a rate "
+                        "above 0, at most {}",
+                        text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
     }
     return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
@@ -51,7 +55,8 @@ bool is_ray_csv(const std::string& text) {
 
 SensorModel beam_sensor(const std::string& text, const SensorName& name) {
     const int columns = name.columns > 0 ? name.columns : kTableColumns;
-    SpinningSensor sensor = parse_beam_table(text, name.name, columns, name.rate_hz > 0.0 ? name.rate_hz : kTableRate_hz);
+    SpinningSensor sensor =
+        parse_beam_table(text, name.name, columns, name.rate_hz > 0.0 ? name.rate_hz : kTableRate_hz);
     sensor.name = fs::path(name.name).stem().string();
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
@@ -60,8 +65,9 @@ SensorModel beam_sensor(const std::string& text, const SensorName& name) {
 void limit_range(SensorModel& sensor, double max_range_m, const std::string& where) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
-        throw DataError(fmt::format("{}: found {} to {} m, the default of max_range_m; expected min_range_m < max_range_m", where,
-                                    sensor.limits.min_m, max_range_m));
+        throw DataError(fmt::format(
+            "{}: found {} to {} m, the default of max_range_m; expected min_range_m < max_range_m", where,
+            sensor.limits.min_m, max_range_m));
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
 }
@@ -72,12 +78,15 @@ SensorModel read_sensor(const SensorName& name, double max_range_m) {
     SensorModel sensor = [&] {
         if (path.extension() == ".npz") return sensor_files::read_ray_npz(name.name, stem);
         const std::string text = read_text(path);
-        if (path.extension() == ".json") return sensor_files::parse_sensor_json(text, stem, name.name, name.columns, name.rate_hz);
-        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, name.name) : beam_sensor(text, name);
+        if (path.extension() == ".json")
+            return sensor_files::parse_sensor_json(text, stem, name.name, name.columns, name.rate_hz);
+        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, name.name)
+                                : beam_sensor(text, name);
     }();
     if (name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
-        throw UsageError(fmt::format("sensor '{}:{}': found columns for a table of rays, expected the file alone: it does not spin",
-                                     name.name, name.columns));
+        throw UsageError(fmt::format(
+            "sensor '{}:{}': found columns for a table of rays, expected the file alone: it does not spin",
+            name.name, name.columns));
     limit_range(sensor, max_range_m, name.name);
     return sensor;
 }
@@ -88,7 +97,8 @@ SensorModel sensor_of_json(const std::string& text, const std::string& name, con
     return sensor_files::parse_sensor_json(text, name, where, 0, 0.0);
 }
 
-SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known, double max_range_m) {
+SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known,
+                        double max_range_m) {
     const SensorName name = parse_name(name_or_file);
     if (const auto known = known_sensor(name.name, name.columns, name.rate_hz)) return *known;
     const std::string extension = fs::path(name.name).extension().string();
@@ -96,10 +106,11 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
         return read_sensor(name, max_range_m);
     std::vector<std::string> known = also_known;
     for (const std::string& sensor : sensor_names()) known.push_back(sensor);
-    throw UsageError(fmt::format(
-        "sensor '{}': unknown name{} (known: {}; the path of a file works too, as beams.csv:1024x10, rays.npz "
-        "or an Ouster's metadata.json)",
-        name_or_file, did_you_mean(name_or_file, known, "'"), fmt::join(known, ", ")));
+    throw UsageError(
+        fmt::format("sensor '{}': unknown name{} (known: {}; the path of a file works too, as "
+                    "beams.csv:1024x10, rays.npz "
+                    "or an Ouster's metadata.json)",
+                    name_or_file, did_you_mean(name_or_file, known, "'"), fmt::join(known, ", ")));
 }
 
 }  // namespace relidar

@@ -16,19 +16,24 @@
 namespace relidar::sensor_files {
 namespace {
 
-constexpr double kUnit = 1e-3;              // by which the length of a direction may differ from 1
-constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0, kWidestBeam_rad = 1.0;
+constexpr double kUnit = 1e-3;  // by which the length of a direction may differ from 1
+constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0,
+                 kWidestBeam_rad = 1.0;
 
-void check_length(const std::vector<double>& values, std::size_t wanted, const char* what, const std::string& where) {
+void check_length(const std::vector<double>& values, std::size_t wanted, const char* what,
+                  const std::string& where) {
     if (!values.empty() && values.size() != wanted)
-        throw DataError(fmt::format("{}: {} has {} numbers, expected {}", where, what, values.size(), wanted));
+        throw DataError(
+            fmt::format("{}: {} has {} numbers, expected {}", where, what, values.size(), wanted));
 }
 
-void check_reach(const std::vector<double>& values, double low, double high, const char* what, const std::string& where) {
-    const auto bad = std::find_if(values.begin(), values.end(), [&](double v) { return !(v >= low && v <= high); });
+void check_reach(const std::vector<double>& values, double low, double high, const char* what,
+                 const std::string& where) {
+    const auto bad =
+        std::find_if(values.begin(), values.end(), [&](double v) { return !(v >= low && v <= high); });
     if (bad != values.end()) {
-        throw DataError(fmt::format("{}: {} number {} is {}, expected a number in [{}, {}]", where, what, bad - values.begin(), *bad, low,
-                                    high));
+        throw DataError(fmt::format("{}: {} number {} is {}, expected a number in [{}, {}]", where, what,
+                                    bad - values.begin(), *bad, low, high));
     }
 }
 
@@ -41,7 +46,8 @@ void check(const RayColumns& c, const std::string& where) {
     if (n == 0 || n > kMaxRays || n * 3 != c.direction.size())
         throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", where, n, kMaxRays));
     if (c.rows < 1 || c.columns < 1 || std::size_t(c.rows) * std::size_t(c.columns) != n)
-        throw DataError(fmt::format("{}: found {} rays, expected {} rows of {}", where, n, c.rows, c.columns));
+        throw DataError(
+            fmt::format("{}: found {} rays, expected {} rows of {}", where, n, c.rows, c.columns));
     check_length(c.origin, 3 * n, "origin", where);
     check_length(c.time_s, n, "time", where);
     check_length(c.channel, n, "ring", where);
@@ -50,10 +56,11 @@ void check(const RayColumns& c, const std::string& where) {
     check_reach(c.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
     check_reach(c.channel, 0.0, 65535.0, "ring", where);
     check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence in radians,", where);
-    check_reach({c.limits.min_m, std::isinf(c.limits.max_m) ? kMostRange_m : c.limits.max_m}, 0.0, kMostRange_m, "range limits", where);
+    check_reach({c.limits.min_m, std::isinf(c.limits.max_m) ? kMostRange_m : c.limits.max_m}, 0.0,
+                kMostRange_m, "range limits", where);
     if (!(c.limits.min_m < c.limits.max_m))
-        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m", where, c.limits.min_m,
-                                    c.limits.max_m));
+        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m",
+                                    where, c.limits.min_m, c.limits.max_m));
 }
 
 /// One number where all rays have the same.
@@ -61,15 +68,16 @@ void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
     if (divergence_rad.empty()) return;
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) == divergence_rad.end())
         rays.divergence_rad = static_cast<float>(divergence_rad[0]);
-    else
-        rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
+    else rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
 }
 
 }  // namespace
 
-std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad, const std::string& where) {
+std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
+                                  const std::string& where) {
     if (!of_rays_rad.empty() && of_all_mrad)
-        throw DataError(fmt::format("{}: found both divergence and divergence_mrad, expected one of them", where));
+        throw DataError(
+            fmt::format("{}: found both divergence and divergence_mrad, expected one of them", where));
     if (of_all_mrad) return {1e-3 * *of_all_mrad};
     return of_rays_rad;
 }
@@ -85,11 +93,13 @@ SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::
         const glm::dvec3 direction = vector_at(c.direction, i);
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnit))
-            throw DataError(fmt::format("{}: directions number {} has length {}, expected 1", where, i, length));
+            throw DataError(
+                fmt::format("{}: directions number {} has length {}, expected 1", where, i, length));
         rays.direction.emplace_back(direction / length);
         rays.origin.emplace_back(vector_at(c.origin, i));
         rays.time_offset_s.push_back(c.time_s.empty() ? 0.0f : static_cast<float>(c.time_s[i]));
-        rays.channel.push_back(c.channel.empty() ? std::uint16_t(0) : static_cast<std::uint16_t>(c.channel[i]));
+        rays.channel.push_back(c.channel.empty() ? std::uint16_t(0)
+                                                 : static_cast<std::uint16_t>(c.channel[i]));
     }
     return {name, "", c.limits, std::move(rays)};
 }
@@ -102,16 +112,23 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
     };
     const auto one = [&](const std::string& wanted) -> std::optional<double> {
         const std::vector<double> found = values(wanted);
-        if (found.size() > 1) throw DataError(fmt::format("{}: {} has {} numbers, expected one", path, wanted, found.size()));
+        if (found.size() > 1)
+            throw DataError(fmt::format("{}: {} has {} numbers, expected one", path, wanted, found.size()));
         return found.empty() ? std::nullopt : std::optional(found[0]);
     };
     const NamedArray* directions = find_array(arrays, "directions");
-    if (!directions) throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
+    if (!directions)
+        throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
     const std::vector<std::size_t>& shape = directions->shape;
-    if ((shape.size() != 2 && shape.size() != 3) || shape.back() != 3 || shape[0] > kMaxRays || shape[1] > kMaxRays) {
-        throw DataError(fmt::format("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path, fmt::join(shape, ",")));
+    if ((shape.size() != 2 && shape.size() != 3) || shape.back() != 3 || shape[0] > kMaxRays ||
+        shape[1] > kMaxRays) {
+        throw DataError(fmt::format("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path,
+                                    fmt::join(shape, ",")));
     }
-    RayColumns c{.direction = values("directions"), .origin = values("origin"), .time_s = values("time"), .channel = values("ring")};
+    RayColumns c{.direction = values("directions"),
+                 .origin = values("origin"),
+                 .time_s = values("time"),
+                 .channel = values("ring")};
     c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
     c.columns = static_cast<int>(shape[shape.size() - 2]);
     c.divergence_rad = divergence_of(values("divergence"), one("divergence_mrad"), path);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// CSV ray tables: a header line, then a line a ray in the order of firing. A column that is not known is an error.
+// CSV ray tables: a header line, then a line a ray in the order of firing. A column that
+// is not known is an error.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -15,17 +16,33 @@
 namespace relidar::sensor_files {
 namespace {
 
-enum Field { kAzimuth, kElevation, kOriginX, kOriginY, kOriginZ, kTime, kChannel, kDivergence, kMinRange, kMaxRange, kFieldCount };
-const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m", "origin_z_m", "time_s",
-                                      "channel", "divergence_mrad", "min_range_m", "max_range_m"};
-constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};   // the same in every line
+enum Field {
+    kAzimuth,
+    kElevation,
+    kOriginX,
+    kOriginY,
+    kOriginZ,
+    kTime,
+    kChannel,
+    kDivergence,
+    kMinRange,
+    kMaxRange,
+    kFieldCount
+};
+const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
+                                      "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
+                                      "min_range_m", "max_range_m"};
+constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};  // the same in every line
 
 using Values = std::array<double, kFieldCount>;
 
 /// Values of a line; limits that are not given are those of RayColumns.
-Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells, const std::string& where) {
+Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells,
+                  const std::string& where) {
     const std::vector<std::string_view> cells = csv_cells(line);
-    if (cells.size() != n_cells) throw DataError(fmt::format("{}: {} values, expected {} as in the header", where, cells.size(), n_cells));
+    if (cells.size() != n_cells)
+        throw DataError(
+            fmt::format("{}: {} values, expected {} as in the header", where, cells.size(), n_cells));
     Values value{};
     value[kMaxRange] = RayColumns{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
@@ -33,15 +50,18 @@ Values parse_line(const std::string& line, const std::vector<int>& at, std::size
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
-            throw DataError(fmt::format("{}: {} is '{}', expected a number", where, kNames[f], excerpt(cell)));
+            throw DataError(
+                fmt::format("{}: {} is '{}', expected a number", where, kNames[f], excerpt(cell)));
         value[f] = *number;
     }
     return value;
 }
 
 void add_ray(RayColumns& rays, const Values& v) {
-    const double azimuth = v[kAzimuth] * kPi / 180.0, elevation = v[kElevation] * kPi / 180.0, c = std::cos(elevation);
-    rays.direction.insert(rays.direction.end(), {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
+    const double azimuth = v[kAzimuth] * kPi / 180.0, elevation = v[kElevation] * kPi / 180.0,
+                 c = std::cos(elevation);
+    rays.direction.insert(rays.direction.end(),
+                          {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
     rays.origin.insert(rays.origin.end(), {v[kOriginX], v[kOriginY], v[kOriginZ]});
     rays.time_s.push_back(v[kTime]);
     rays.channel.push_back(v[kChannel]);
@@ -52,10 +72,12 @@ void add_ray(RayColumns& rays, const Values& v) {
 
 SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& where) {
     const std::vector<std::string> lines = split_lines(text);
-    const std::vector<std::string_view> header = lines.empty() ? std::vector<std::string_view>{} : csv_cells(lines[0]);
+    const std::vector<std::string_view> header =
+        lines.empty() ? std::vector<std::string_view>{} : csv_cells(lines[0]);
     const std::vector<int> at = find_columns(header, kNames, where + " line 1");
     if (at[kAzimuth] < 0 || at[kElevation] < 0)
-        throw DataError(fmt::format("{} line 1: found no azimuth_deg or no elevation_deg, expected both in a ray table", where));
+        throw DataError(fmt::format(
+            "{} line 1: found no azimuth_deg or no elevation_deg, expected both in a ray table", where));
     RayColumns rays;
     Values first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
@@ -65,8 +87,9 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
         if (rays.time_s.empty()) first = v;
         for (const Field f : kOfSensor) {
             if (v[f] != first[f])
-                throw DataError(fmt::format("{}: {} is {}, expected {} as in the first line: it is the sensor's", line, kNames[f], v[f],
-                                            first[f]));
+                throw DataError(
+                    fmt::format("{}: {} is {}, expected {} as in the first line: it is the sensor's", line,
+                                kNames[f], v[f], first[f]));
         }
         add_ray(rays, v);
     }

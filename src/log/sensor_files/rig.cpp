@@ -27,8 +27,8 @@ glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const 
     if (!sensor.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor.at(key);
     glm::dvec3 v(0.0);
-    const bool numbers =
-        list.is_array() && list.size() == 3 && std::all_of(list.begin(), list.end(), [](const Json& n) { return n.is_number(); });
+    const bool numbers = list.is_array() && list.size() == 3 &&
+                         std::all_of(list.begin(), list.end(), [](const Json& n) { return n.is_number(); });
     for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
     if (!numbers || !(std::abs(v.x) <= largest && std::abs(v.y) <= largest && std::abs(v.z) <= largest))
         throw DataError(fmt::format("{}: {}: expected three numbers of at most {}", where, key, largest));
@@ -53,21 +53,30 @@ int returns_of(const Json& sensor, const std::string& where) {
     return returns.get<int>();
 }
 
-/// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it is.
+/// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it
+/// is.
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    return !known_name(sensor, sensor_names()) && (path_exists(path) || path_exists(without_columns)) ? path.string() : sensor;
+    return !known_name(sensor, sensor_names()) && (path_exists(path) || path_exists(without_columns))
+               ? path.string()
+               : sensor;
 }
 
 void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& where) {
-    const auto allowed = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_' || c == '.'; };
-    if (name.empty() || name.size() > 64 || name.starts_with('.') || !std::all_of(name.begin(), name.end(), allowed))
-        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", where, excerpt(name)));
-    if (taken.contains(name)) throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
+    const auto allowed = [](char c) {
+        return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_' || c == '.';
+    };
+    if (name.empty() || name.size() > 64 || name.starts_with('.') ||
+        !std::all_of(name.begin(), name.end(), allowed))
+        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", where,
+                                    excerpt(name)));
+    if (taken.contains(name))
+        throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
 }
 
-/// Refuses other keys: a misspelt mounting would leave a sensor at the rig's origin without a message.
+/// Refuses other keys: a misspelt mounting would leave a sensor at the rig's origin
+/// without a message.
 void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
     for (const auto& [key, value] : object.items())
         if (std::find(known.begin(), known.end(), key) == known.end())
@@ -83,11 +92,12 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     try {
         json = Json::parse(read_text(path));
     } catch (const std::exception&) {
-        return {};   // find_sensor() says what is wrong with it
+        return {};  // find_sensor() says what is wrong with it
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
     check_keys(json, {"sensors"}, path);
-    if (!json.at("sensors").is_array() || json.at("sensors").empty() || json.at("sensors").size() > kMostSensors)
+    if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
+        json.at("sensors").size() > kMostSensors)
         throw DataError(fmt::format("{}: expected a list \"sensors\" of 1 to {}", path, kMostSensors));
     std::vector<MountedSensor> rig;
     std::set<std::string> names;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the head of a spinning LiDAR pointed at each firing of one sweep, beside where it nominally does: motors are uneven, firings come
-// in packets, and a sweep begins at an azimuth of its own.
+// Where the head of a spinning LiDAR pointed at each firing of one sweep, beside where it
+// nominally does: motors are uneven, firings come in packets, and a sweep begins at an
+// azimuth of its own.
 #include <algorithm>
 #include <cmath>
 
@@ -9,13 +10,16 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kFewest = 3;       // returns of a firing that say where it pointed
-constexpr double kExact_rad = 1e-5;      // such shifts are rounding
-constexpr double kAgree_columns = 0.1;   // half of the rays are so near to their firing's median, or the beams have no head in common
+constexpr std::size_t kFewest = 3;   // returns of a firing that say where it pointed
+constexpr double kExact_rad = 1e-5;  // such shifts are rounding
+// half of the rays are so near to their firing's median, or the beams have no head in
+// common
+constexpr double kAgree_columns = 0.1;
 
 /// Azimuth from one direction to another, to the left.
 double azimuth_between(const glm::vec3& from, const glm::vec3& to) {
-    return std::atan2(double(from.x) * to.y - double(from.y) * to.x, double(from.x) * to.x + double(from.y) * to.y);
+    return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
+                      double(from.x) * to.x + double(from.y) * to.y);
 }
 
 /// Calls visit(ray, firing) for each ray of a scan of the sensor.
@@ -24,7 +28,8 @@ void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     const auto columns = std::size_t(sensor.columns);
     for (std::size_t row = 0; row < sensor.beams.size(); ++row) {
         const int shift = column_shift(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
-        for (std::size_t column = 0; column < columns; ++column) visit(row * columns + column, (column + std::size_t(shift)) % columns);
+        for (std::size_t column = 0; column < columns; ++column)
+            visit(row * columns + column, (column + std::size_t(shift)) % columns);
     }
 }
 
@@ -34,7 +39,8 @@ float median_of(std::vector<float>& values) {
     return *middle;
 }
 
-/// Firings that are not known (NAN) take what lies between their neighbours. @return whether any is known
+/// Firings that are not known (NAN) take what lies between their neighbours. @return
+/// whether any is known
 bool fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);
@@ -50,13 +56,17 @@ bool fill_shift_gaps(std::vector<float>& shift_rad) {
 
 }  // namespace
 
-std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor, const RayTable& nominal) {
+std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
+                                      const RayTable& nominal) {
     const RayTable& rays = scan.rays;
-    if (nominal.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() || rays.columns != sensor.columns) return {};
+    if (nominal.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() ||
+        rays.columns != sensor.columns)
+        return {};
     std::vector<std::vector<float>> seen(std::size_t(sensor.columns));
     visit_rays(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
-        seen[firing].push_back(static_cast<float>(azimuth_between(nominal.direction[ray], rays.direction[ray])));
+        seen[firing].push_back(
+            static_cast<float>(azimuth_between(nominal.direction[ray], rays.direction[ray])));
     });
     std::vector<float> shift_rad(seen.size(), NAN), off;
     for (std::size_t firing = 0; firing < seen.size(); ++firing) {
@@ -64,7 +74,8 @@ std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& se
         shift_rad[firing] = median_of(seen[firing]);
         for (const float shift : seen[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    if (!fill_shift_gaps(shift_rad) || median_of(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
+    if (!fill_shift_gaps(shift_rad) || median_of(off) > kAgree_columns * 2.0 * kPi / sensor.columns)
+        return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
     return shift_rad;
 }
@@ -74,7 +85,8 @@ RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std
     visit_rays(sensor, [&](std::size_t ray, std::size_t firing) {
         const double cosine = std::cos(double(shift_rad[firing])), sine = std::sin(double(shift_rad[firing]));
         for (glm::vec3* v : {&rays.direction[ray], &rays.origin[ray]}) {
-            *v = {static_cast<float>(cosine * v->x - sine * v->y), static_cast<float>(sine * v->x + cosine * v->y), v->z};
+            *v = {static_cast<float>(cosine * v->x - sine * v->y),
+                  static_cast<float>(sine * v->x + cosine * v->y), v->z};
         }
     });
     return rays;

@@ -11,10 +11,14 @@
 
 namespace relidar {
 
-/// The beam (Sequence::beam_number) of a ray that returned from within max_range_m; nothing of any other.
-inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame, std::size_t ray, double max_range_m) {
+/// The beam (Sequence::beam_number) of a ray that returned from within max_range_m;
+/// nothing of any other.
+inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame,
+                                                  std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
-    return range_m > 0.0f && range_m < max_range_m ? sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray]) : std::nullopt;
+    return range_m > 0.0f && range_m < max_range_m
+               ? sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray])
+               : std::nullopt;
 }
 
 /// The beams of all LiDARs, as Sequence::beam_number() counts them.
@@ -25,15 +29,18 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
     return beams;
 }
 
-/// read(frame) of the frames at some positions; of every n-th, where all of them have more than most_rays rays.
+/// read(frame) of the frames at some positions; of every n-th, where all of them have
+/// more than most_rays rays.
 template <class Read>
-auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays, const Read& read) {
+auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays,
+                 const Read& read) {
     std::size_t rays = 0;
     for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
     const std::size_t stride = rays / most_rays + 1;
     std::vector<decltype(read(sequence.frames.front()))> frames((positions.size() + stride - 1) / stride);
-    run_parallel(static_cast<int>(frames.size()),
-                 [&](int i) { frames[std::size_t(i)] = read(sequence.frames[std::size_t(positions[std::size_t(i) * stride])]); });
+    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+        frames[std::size_t(i)] = read(sequence.frames[std::size_t(positions[std::size_t(i) * stride])]);
+    });
     return frames;
 }
 

@@ -13,16 +13,16 @@
 namespace relidar {
 namespace {
 
-constexpr double kPlace_m = 0.1;            // small enough to be one surface, large enough to be hit again
-constexpr double kSurface_m = 0.4;          // cells whose planes say how the place lies
+constexpr double kPlace_m = 0.1;    // small enough to be one surface, large enough to be hit again
+constexpr double kSurface_m = 0.4;  // cells whose planes say how the place lies
 constexpr double kMinPoints = 8.0;
-constexpr double kMaxThickness = 0.15;      // of a surface over its narrower extent, standard deviations
+constexpr double kMaxThickness = 0.15;  // of a surface over its narrower extent, standard deviations
 constexpr std::size_t kMostCompared = 6000000;
 
 struct SeenPlace {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
-    PlaceReturn given;   ///< place and cosine are still to be found
+    PlaceReturn given;  ///< place and cosine are still to be found
 };
 
 std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) {
@@ -33,7 +33,9 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
         if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         result.push_back(
-            {w.point_m, glm::vec3(w.direction), {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
+            {w.point_m,
+             glm::vec3(w.direction),
+             {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
     }
     return result;
 }
@@ -50,9 +52,11 @@ std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const Cell
     for_each_block(cells.n_cells, [&](std::size_t cell) {
         if (double(items.of(cell).size()) < kMinPoints) return;
         PlaneSums sums;
-        for (const std::uint32_t i : items.of(cell)) sums.add(seen[i].point_m - kSurface_m * glm::floor(seen[i].point_m / kSurface_m));
+        for (const std::uint32_t i : items.of(cell))
+            sums.add(seen[i].point_m - kSurface_m * glm::floor(seen[i].point_m / kSurface_m));
         const PlaneFit fit = sums.fit();
-        if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1]) normals[cell] = glm::vec3(fit.axes[0]);
+        if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
+            normals[cell] = glm::vec3(fit.axes[0]);
     });
     return normals;
 }
@@ -60,13 +64,14 @@ std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const Cell
 }  // namespace
 
 PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<SeenPlace> seen =
-        joined(read_frames(sequence, positions, kMostCompared, [&](const Frame& frame) { return returns_of(sequence, frame); }));
+    std::vector<SeenPlace> seen = joined(read_frames(
+        sequence, positions, kMostCompared, [&](const Frame& frame) { return returns_of(sequence, frame); }));
     {
         const CellNumbers cells = cells_of(seen, kSurface_m);
         const std::vector<glm::vec3> normals = normals_of(seen, cells);
-        for_each_block(seen.size(),
-                       [&](std::size_t i) { seen[i].given.cosine = std::abs(glm::dot(normals[cells.of[i]], seen[i].direction)); });
+        for_each_block(seen.size(), [&](std::size_t i) {
+            seen[i].given.cosine = std::abs(glm::dot(normals[cells.of[i]], seen[i].direction));
+        });
         std::size_t n = 0;
         for (std::size_t i = 0; i < seen.size(); ++i)
             if (normals[cells.of[i]] != glm::vec3(0.0f)) seen[n++] = seen[i];
@@ -74,7 +79,7 @@ PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>&
     }
     const CellNumbers places = cells_of(seen, kPlace_m);
     const ItemsOfCells items(places);
-    std::vector<PlaceReturn> by_place;   // those that nobody shares left out
+    std::vector<PlaceReturn> by_place;  // those that nobody shares left out
     for (std::uint32_t place = 0; place < places.n_cells; ++place) {
         if (items.of(place).size() < 2) continue;
         for (const std::uint32_t i : items.of(place)) {

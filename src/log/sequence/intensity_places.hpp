@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What several sweeps or beams have seen of the same small places, for comparing intensities. Private to sequence.
+// What several sweeps or beams have seen of the same small places, for comparing
+// intensities. Private to sequence.
 #pragma once
 
 #include <cstdint>
@@ -14,12 +15,12 @@ struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;
     float range_m;
-    float cosine;      ///< of the angle of incidence
-    float intensity;   ///< as measured
+    float cosine;     ///< of the angle of incidence
+    float intensity;  ///< as measured
 };
 
-/// Returns of frames at some positions, of places on a surface that are hit twice or more; in the order of the
-/// places, which are numbered from 0.
+/// Returns of frames at some positions, of places on a surface that are hit twice or
+/// more; in the order of the places, which are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// How intensities fall with range and incidence, and how the beams of a sensor differ, from how differently the same places are seen.
-// Gauss-Newton for
+// How intensities fall with range and incidence, and how the beams of a sensor differ,
+// from how differently the same places are seen. Gauss-Newton for
 //   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear,
-// albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T / sum c^2, c the derivative by the place's albedo.
-// What one part explains as well as two is left to the one.
+// albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T / sum c^2,
+// c the derivative by the place's albedo. What one part explains as well as two is left
+// to the one.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -14,20 +15,23 @@
 #include <relidar/log/sequence.hpp>
 
 #include "base/parallel.hpp"
-#include "log/sequence/intensity_places.hpp"
 #include "log/sequence/beam_returns.hpp"
+#include "log/sequence/intensity_places.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
-constexpr std::size_t kReference = 3;       // of the knots: where rho is 1
-constexpr double kResponsePrior = 200.0;  // a beam starts as if so many of its returns had followed the mean beam; a knot, a straight line
+constexpr std::size_t kReference = 3;  // of the knots: where rho is 1
+// a beam starts as if so many of its returns had followed the mean beam; a knot, a
+// straight line
+constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-constexpr double kLeastResponseGain = 0.95;  // what does not bring the error down to this share of what it was is not there
+// what does not bring the error down to this share of what it was is not there
+constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
-constexpr std::size_t kChunks = 64;        // sums are added up in this many parts, whatever the number of threads
+constexpr std::size_t kChunks = 64;  // sums are added up in this many parts, whatever the number of threads
 
 struct Response {
     double gain = 1.0;
@@ -35,8 +39,9 @@ struct Response {
 };
 
 struct Model {
-    std::vector<double> albedo;                                    ///< [places]
-    IntensityResponse shared{{kKnots_m.begin(), kKnots_m.end()}, std::vector<double>(kKnots_m.size(), 1.0), 0.0};
+    std::vector<double> albedo;  ///< [places]
+    IntensityResponse shared{
+        {kKnots_m.begin(), kKnots_m.end()}, std::vector<double>(kKnots_m.size(), 1.0), 0.0};
     std::vector<Response> beams;
     double rms = 0.0;
 };
@@ -45,14 +50,17 @@ struct Parts {
     bool shared, beams;
 };
 
-/// The knot at or before a range, and how far on to the next one it is. The first and last segment go on.
+/// The knot at or before a range, and how far on to the next one it is. The first and
+/// last segment go on.
 std::pair<std::size_t, double> knot_at(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
-    const std::size_t left = std::size_t(std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
+    const std::size_t left = std::size_t(
+        std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Where the chunks of some returns begin, and their end; all returns of a place are in one chunk.
+/// Where the chunks of some returns begin, and their end; all returns of a place are in
+/// one chunk.
 std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -90,30 +98,34 @@ void fit_albedos(Model& m, const PlaceReturns& returns) {
     });
 }
 
-/// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and offset of each beam.
+/// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and
+/// offset of each beam.
 struct Layout {
     Parts parts;
     std::size_t n_beams;
     Eigen::Index factor(std::size_t knot) const { return Eigen::Index(knot); }
     Eigen::Index incidence() const { return Eigen::Index(kKnots_m.size()); }
-    Eigen::Index gain(std::size_t beam) const { return (parts.shared ? incidence() + 1 : 0) + 2 * Eigen::Index(beam); }
+    Eigen::Index gain(std::size_t beam) const {
+        return (parts.shared ? incidence() + 1 : 0) + 2 * Eigen::Index(beam);
+    }
     Eigen::Index offset(std::size_t beam) const { return gain(beam) + 1; }
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// The derivatives of what is expected of one return, by the few unknowns that it depends on, in ascending order.
+/// The derivatives of what is expected of one return, by the few unknowns that it depends
+/// on, in ascending order.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    double by_albedo, error;   ///< error: measured - expected
+    double by_albedo, error;  ///< error: measured - expected
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
 
 Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
     const Response& beam = m.beams[r.beam];
     const auto [knot, s] = knot_at(r.range_m);
-    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine), albedo = m.albedo[r.place],
-                 mean_beam = albedo * rho * kappa;
+    const double rho = m.shared.at_range(r.range_m), kappa = m.shared.at_cosine(r.cosine),
+                 albedo = m.albedo[r.place], mean_beam = albedo * rho * kappa;
     Row row{{}, 0, beam.gain * rho * kappa, double(r.intensity) - beam.gain * mean_beam - beam.offset};
     if (at.parts.shared) {
         row.add(at.factor(knot), beam.gain * albedo * kappa * (1.0 - s));
@@ -128,17 +140,18 @@ Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
 }
 
 struct System {
-    Eigen::MatrixXd h;   ///< its lower half
+    Eigen::MatrixXd h;  ///< its lower half
     Eigen::VectorXd g;
-    double mean = 0.0, spread = 0.0;   ///< of what the mean beam measures
+    double mean = 0.0, spread = 0.0;  ///< of what the mean beam measures
 };
 
-/// Sums over the places of a chunk; of the symmetric h its lower half. In cache lines of its own: threads write side by side.
+/// Sums over the places of a chunk; of the symmetric h its lower half. In cache lines of
+/// its own: threads write side by side.
 struct alignas(64) Sums {
     System system;
-    std::vector<double> coupling;          // of the place at hand with each unknown; zero between places
-    std::vector<Eigen::Index> touched;     // of its unknowns
-    double sum = 0.0, squares = 0.0;       // of what is expected
+    std::vector<double> coupling;       // of the place at hand with each unknown; zero between places
+    std::vector<Eigen::Index> touched;  // of its unknowns
+    double sum = 0.0, squares = 0.0;    // of what is expected
 
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
@@ -153,7 +166,8 @@ struct alignas(64) Sums {
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
                 coupling[std::size_t(unknown)] += derivative * row.by_albedo;
                 system.g[unknown] += derivative * row.error;
-                for (std::size_t j = 0; j <= i; ++j) system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
+                for (std::size_t j = 0; j <= i; ++j)
+                    system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
             }
             cc += row.by_albedo * row.by_albedo, ce += row.by_albedo * row.error;
             const double expected = m.albedo[r.place] * row.by_albedo;
@@ -170,7 +184,9 @@ struct alignas(64) Sums {
 
 System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) {
     std::vector<Sums> sums(kChunks, Sums(at.size()));
-    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) { sums[chunk].add(m, at, place); });
+    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
+        sums[chunk].add(m, at, place);
+    });
     for (std::size_t c = 1; c < kChunks; ++c) {
         sums[0].system.h += sums[c].system.h, sums[0].system.g += sums[c].system.g;
         sums[0].sum += sums[c].sum, sums[0].squares += sums[c].squares;
@@ -183,9 +199,12 @@ System system_of(const Model& m, const Layout& at, const PlaceReturns& returns) 
 }
 
 void add_priors(System& sys, const Model& m, const Layout& at) {
-    const auto pull = [&](Eigen::Index i, double weight, double error) { sys.h(i, i) += weight, sys.g[i] += weight * error; };
+    const auto pull = [&](Eigen::Index i, double weight, double error) {
+        sys.h(i, i) += weight, sys.g[i] += weight * error;
+    };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
-    for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {  // what few returns say continues the line of its neighbours
+    // what few returns say continues the line of its neighbours
+    for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
                               now(m.shared.factor[k - 1], m.shared.factor[k], m.shared.factor[k + 1]);
@@ -193,8 +212,10 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (at.parts.shared) {
-        pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);   // the scale of albedos is free
-        for (std::size_t k = 0; k < kKnots_m.size(); ++k) pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
+        // the scale of albedos is free
+        pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);
+        for (std::size_t k = 0; k < kKnots_m.size(); ++k)
+            pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
         pull(at.incidence(), 1e-3 * prior, -m.shared.incidence);
     }
     for (std::size_t b = 0; at.parts.beams && b < m.beams.size(); ++b)
@@ -218,12 +239,14 @@ void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     }
 }
 
-/// One scale and one shift of all albedos are free: the mean beam, by returns, has gain 1 and offset 0.
+/// One scale and one shift of all albedos are free: the mean beam, by returns, has gain 1
+/// and offset 0.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
-    for (std::size_t b = 0; b < beams.size(); ++b) all += n[b], gain += n[b] * beams[b].gain, offset += n[b] * beams[b].offset;
+    for (std::size_t b = 0; b < beams.size(); ++b)
+        all += n[b], gain += n[b] * beams[b].gain, offset += n[b] * beams[b].offset;
     for (Response& r : beams) {
         r.gain *= all / gain;
         r.offset -= r.gain * offset / all;
@@ -231,14 +254,15 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
 }
 
 double error_of(const Model& m, const PlaceReturns& returns) {
-    struct alignas(64) Sum {   // a cache line each: threads write side by side
+    struct alignas(64) Sum {  // a cache line each: threads write side by side
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;
     for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
         for (const PlaceReturn& r : place) {
             const Response& beam = m.beams[r.beam];
-            const double mean_beam = m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine),
+            const double mean_beam =
+                             m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine),
                          error = beam.gain * mean_beam + beam.offset - double(r.intensity);
             squares[chunk].of += error * error;
         }
@@ -256,7 +280,7 @@ Model fitted(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {
     m.rms = error_of(m, returns);
     const Layout at{parts, n_beams};
     double damping = kDamping;
-    for (int i = 0; i < kSteps && at.size() > 0; ++i) {   // Levenberg and Marquardt
+    for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg and Marquardt
         System sys = system_of(m, at, returns);
         add_priors(sys, m, at);
         sys.h.diagonal() *= 1.0 + damping;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scatter of ranges by range and incidence, from second differences along a beam's own sweep, which hold no pose, no other beam and, on
-// what is smooth for three firings, no surface:
+// Scatter of ranges by range and incidence, from second differences along a beam's own
+// sweep, which hold no pose, no other beam and, on what is smooth for three firings, no
+// surface:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
@@ -19,28 +20,34 @@ constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
-constexpr float kEdge_m = 0.5f;        // larger differences are edges, not noise
-constexpr double kOfMedian = 1.4826;   // a normal deviate's standard deviation over its median absolute value
+constexpr float kEdge_m = 0.5f;  // larger differences are edges, not noise
+// a normal deviate's standard deviation over its median absolute value
+constexpr double kOfMedian = 1.4826;
 
 using Differences = std::array<std::vector<float>, kBins>;
 
 std::size_t bin(const auto& upper_ends, double value) {
-    return std::min<std::size_t>(std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()),
-                                 upper_ends.size() - 1);
+    return std::min<std::size_t>(
+        std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()),
+        upper_ends.size() - 1);
 }
 
 Differences differences_of(const Frame& frame) {
     Differences result;
     const Scan& scan = frame.scan;
-    const ImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction, scan.range_m};
+    const ImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction,
+                          scan.range_m};
     const auto columns = std::size_t(std::max(scan.rays.columns, 1));
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const double cosine = incidence_cosine(image, i);
-        const std::size_t row = i / columns * columns, left = row + (i + columns - 1) % columns, right = row + (i + 1) % columns;
+        const std::size_t row = i / columns * columns, left = row + (i + columns - 1) % columns,
+                          right = row + (i + 1) % columns;
         if (cosine < 0.0 || !(scan.range_m[left] > 0.0f && scan.range_m[right] > 0.0f)) continue;
-        const float difference_m = std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
+        const float difference_m =
+            std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
         if (difference_m > kEdge_m) continue;
-        const std::size_t b = bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() + bin(kCosines, cosine);
+        const std::size_t b =
+            bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() + bin(kCosines, cosine);
         result[b].push_back(difference_m);
     }
     return result;
@@ -52,20 +59,26 @@ double sigma_of(std::vector<float>& differences_m) {
     return kOfMedian * double(*middle) / std::sqrt(6.0);
 }
 
-/// What no bin of its row or column has seen is as its neighbour: nearer first, then squarer.
+/// What no bin of its row or column has seen is as its neighbour: nearer first, then
+/// squarer.
 void fill_gaps(RangeNoise& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
         if (noise.sigma_m[i] == 0.0 && i >= n_cosines) noise.sigma_m[i] = noise.sigma_m[i - n_cosines];
     for (std::size_t i = noise.sigma_m.size(); i-- > 0;)
-        if (noise.sigma_m[i] == 0.0 && i + n_cosines < noise.sigma_m.size()) noise.sigma_m[i] = noise.sigma_m[i + n_cosines];
+        if (noise.sigma_m[i] == 0.0 && i + n_cosines < noise.sigma_m.size())
+            noise.sigma_m[i] = noise.sigma_m[i + n_cosines];
     for (std::size_t i = noise.sigma_m.size(); i-- > 0;)
-        if (noise.sigma_m[i] == 0.0) noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
+        if (noise.sigma_m[i] == 0.0)
+            noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// What the frames of one LiDAR say, and of how many returns; none where no bin has seen enough.
+/// What the frames of one LiDAR say, and of how many returns; none where no bin has seen
+/// enough.
 std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& frames) {
-    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()}, {kCosines.begin(), kCosines.end()}, std::vector<double>(kBins, 0.0)};
+    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
+                     {kCosines.begin(), kCosines.end()},
+                     std::vector<double>(kBins, 0.0)};
     std::size_t n = 0;
     for (std::size_t b = 0; b < kBins; ++b) {
         std::vector<float> all;
@@ -91,7 +104,8 @@ std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& posi
         std::vector<int> own;
         for (const int position : positions)
             if (sequence.frames[std::size_t(position)].lidar == int(i)) own.push_back(position);
-        const auto [noise, n_returns] = noise_of(read_frames(sequence, own, kMostNoiseReturns, differences_of));
+        const auto [noise, n_returns] =
+            noise_of(read_frames(sequence, own, kMostNoiseReturns, differences_of));
         sequence.lidars[i].range_noise = noise;
         n += n_returns;
     }

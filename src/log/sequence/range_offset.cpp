@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range offsets of the beams of a log: what each adds to every range, from planes that several beams have seen.
+// Range offsets of the beams of a log: what each adds to every range, from planes that
+// several beams have seen.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -16,19 +17,23 @@
 namespace relidar {
 namespace {
 
-constexpr double kCell_m = 0.3;             // large enough for a plane to be told from noise, small enough for a street to be flat in
-constexpr double kMaxRange_m = 40.0;        // farther out a cell has too few returns
+// large enough for a plane to be told from noise, small enough for a street to be flat in
+constexpr double kCell_m = 0.3;
+constexpr double kMaxRange_m = 40.0;  // farther out a cell has too few returns
 constexpr std::size_t kMostOffsetReturns = 6000000;
-constexpr int kMinReturns = 20;             // of a cell that may be a plane
-constexpr double kMaxThickness_m = 0.05;    // standard deviation across a plane, and at least along it
-constexpr double kMaxResidual_m = 0.15;     // what lies farther off its cell's plane belongs to something else
-constexpr double kPriorReturns = 20.0;      // a beam starts as if so many of its returns, met squarely, had shown no offset
-constexpr double kLeastGain = 0.97;         // beams whose planes do not get this much thinner have no offsets: what was found is noise
-constexpr int kRounds = 30;                // planes that few beams share follow them only slowly
+constexpr int kMinReturns = 20;           // of a cell that may be a plane
+constexpr double kMaxThickness_m = 0.05;  // standard deviation across a plane, and at least along it
+constexpr double kMaxResidual_m = 0.15;   // what lies farther off its cell's plane belongs to something else
+// a beam starts as if so many of its returns, met squarely, had shown no offset
+constexpr double kPriorReturns = 20.0;
+// beams whose planes do not get this much thinner have no offsets: what was found is
+// noise
+constexpr double kLeastGain = 0.97;
+constexpr int kRounds = 30;  // planes that few beams share follow them only slowly
 
 /// One return in the world, by its beam's own word.
 struct Observation {
-    glm::vec3 point_m;       ///< from the world's origin, which is in the middle of the log
+    glm::vec3 point_m;  ///< from the world's origin, which is in the middle of the log
     glm::vec3 direction;
     std::uint32_t beam;
 };
@@ -44,23 +49,30 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
     return result;
 }
 
-/// Returns cell by cell, in the order of their frames. A cell keeps its returns while they move by centimetres.
+/// Returns cell by cell, in the order of their frames. A cell keeps its returns while
+/// they move by centimetres.
 struct Cells {
     std::vector<Observation> seen;
-    std::vector<std::size_t> first;   ///< [cells + 1] in `seen`
+    std::vector<std::size_t> first;  ///< [cells + 1] in `seen`
 
     std::size_t size() const { return first.size() - 1; }
-    std::span<const Observation> of(std::size_t cell) const { return std::span(seen).subspan(first[cell], first[cell + 1] - first[cell]); }
+    std::span<const Observation> of(std::size_t cell) const {
+        return std::span(seen).subspan(first[cell], first[cell + 1] - first[cell]);
+    }
 };
 
 Cells gather(const Sequence& sequence, const std::vector<int>& positions) {
     const std::vector<Observation> all =
-        joined(read_frames(sequence, positions, kMostOffsetReturns, [&](const Frame& frame) { return observations_of(sequence, frame); }));
-    const ItemsOfCells items(number_cells(all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i].point_m), kCell_m); }));
+        joined(read_frames(sequence, positions, kMostOffsetReturns,
+                           [&](const Frame& frame) { return observations_of(sequence, frame); }));
+    const ItemsOfCells items(number_cells(
+        all.size(), [&](std::size_t i) { return cell_key(glm::dvec3(all[i].point_m), kCell_m); }));
     Cells cells{std::vector<Observation>(all.size()), {0}};
-    for (std::size_t cell = 0; cell < items.size(); ++cell) cells.first.push_back(cells.first.back() + items.of(cell).size());
+    for (std::size_t cell = 0; cell < items.size(); ++cell)
+        cells.first.push_back(cells.first.back() + items.of(cell).size());
     for_each_block(items.size(), [&](std::size_t cell) {
-        for (std::size_t k = 0; k < items.of(cell).size(); ++k) cells.seen[cells.first[cell] + k] = all[items.of(cell)[k]];
+        for (std::size_t k = 0; k < items.of(cell).size(); ++k)
+            cells.seen[cells.first[cell] + k] = all[items.of(cell)[k]];
     });
     return cells;
 }
@@ -81,11 +93,14 @@ std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vect
     PlaneSums sums;
     for (const Observation& o : seen) sums.add(moved(o, offset_m) - about);
     const PlaneFit fit = sums.fit();
-    if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m || fit.variance[1] < kMaxThickness_m * kMaxThickness_m) return std::nullopt;
+    if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
+        fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
+        return std::nullopt;
     return Plane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums of one beam's returns: residuals across their planes, by how squarely they were met.
+/// Sums of one beam's returns: residuals across their planes, by how squarely they were
+/// met.
 struct OffsetFit {
     double weight = 0.0;
     double sum = 0.0;
@@ -93,7 +108,7 @@ struct OffsetFit {
 
 /// Sums over the residuals of some cells.
 struct Residuals {
-    std::vector<OffsetFit> fits;   ///< [beams]
+    std::vector<OffsetFit> fits;  ///< [beams]
     std::size_t n = 0;
     double squares = 0.0;
 
@@ -118,7 +133,8 @@ struct Residuals {
     }
 };
 
-/// Residuals across the planes as they are with these offsets. Blocks of cells on all cores; their sums are added in order.
+/// Residuals across the planes as they are with these offsets. Blocks of cells on all
+/// cores; their sums are added in order.
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
@@ -135,7 +151,8 @@ Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) 
     return all;
 }
 
-/// One step of every beam's offset towards the planes. @return count and mean square of the residuals that come in
+/// One step of every beam's offset towards the planes. @return count and mean square of
+/// the residuals that come in
 std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
     const Residuals r = residuals_of(cells, offset_m);
     double mean = 0.0, weight = 0.0;
@@ -144,7 +161,8 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
         mean += r.fits[b].weight * offset_m[b];
         weight += r.fits[b].weight;
     }
-    for (double& offset : offset_m) offset -= mean / weight;   // all ranges longer by the same: hardly to be told from another scene
+    // all ranges longer by the same: hardly to be told from another scene
+    for (double& offset : offset_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }
 

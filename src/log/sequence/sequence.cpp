@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses and boxes between their observations, rays in the world, and the train/test split (paper Sec. 4).
+// Poses and boxes between their observations, rays in the world, and the train/test split
+// (paper Sec. 4).
 //   pose(t) = slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
 #include <relidar/log/sequence.hpp>
 
@@ -22,7 +23,8 @@ namespace {
 TrackPlace find_place(const std::vector<double>& time_s, double t_s) {
     const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
     const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
-    const std::size_t left = static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - time_s.begin() - 1, 0, last));
+    const std::size_t left =
+        static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - time_s.begin() - 1, 0, last));
     const double span = time_s[left + 1] - time_s[left];
     return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
 }
@@ -32,7 +34,8 @@ TrackPlace find_place(const std::vector<double>& time_s, double t_s) {
 bool BoxTrack::present(double t_s) const {
     const PoseTrack& track = world_from_box;
     if (track.pose.size() < 2) return track.covers(t_s);
-    const double half_step = 0.5 * (track.time_s.back() - track.time_s.front()) / static_cast<double>(track.time_s.size() - 1);
+    const double half_step =
+        0.5 * (track.time_s.back() - track.time_s.front()) / static_cast<double>(track.time_s.size() - 1);
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
@@ -40,7 +43,8 @@ BoxTrack BoxTrack::labelled_part() const {
     BoxTrack part = *this;
     part.n_before = part.n_after = 0;
     const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
-    part.world_from_box.time_s = {world_from_box.time_s.begin() + first, world_from_box.time_s.begin() + last};
+    part.world_from_box.time_s = {world_from_box.time_s.begin() + first,
+                                  world_from_box.time_s.begin() + last};
     part.world_from_box.pose = {world_from_box.pose.begin() + first, world_from_box.pose.begin() + last};
     return part;
 }
@@ -50,7 +54,8 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
     const PoseTrack& track = world_from_box;
     if (track.pose.size() > 1) {  // the centre alone rules most points out, without a slerp
         const TrackPlace at = find_place(track.time_s, t_s);
-        const glm::dvec3 centre = glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
+        const glm::dvec3 centre =
+            glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
         if (glm::dot(d, d) > glm::dot(half, half)) return false;
     }
@@ -60,7 +65,8 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
 
 TrackPlace PoseTrack::place(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
-        throw DataError(fmt::format("pose track: {} poses at {} times, expected at least one of each", pose.size(), time_s.size()));
+        throw DataError(fmt::format("pose track: {} poses at {} times, expected at least one of each",
+                                    pose.size(), time_s.size()));
     }
     return pose.size() == 1 ? TrackPlace{} : find_place(time_s, t_s);
 }
@@ -72,18 +78,22 @@ Pose PoseTrack::at(double t_s) const {
 
 Pose PoseTrack::at(double t_s, const Pose& mounted) const {
     const auto [left, s] = place(t_s);
-    return pose.size() == 1 ? pose.front() * mounted : interpolate(pose[left] * mounted, pose[left + 1] * mounted, s);
+    return pose.size() == 1 ? pose.front() * mounted
+                            : interpolate(pose[left] * mounted, pose[left + 1] * mounted, s);
 }
 
 std::size_t Scan::count_returns() const {
-    return static_cast<std::size_t>(std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
+    return static_cast<std::size_t>(
+        std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
 }
 
 void drop_outside(Scan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) scan.range_m[i] = scan.intensity[i] = 0.0f;
+        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i]))
+            scan.range_m[i] = scan.intensity[i] = 0.0f;
         for (SecondReturn& f : scan.second_returns)
-            if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i])) f.range_m[i] = f.intensity[i] = 0.0f;
+            if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i]))
+                f.range_m[i] = f.intensity[i] = 0.0f;
     }
 }
 
@@ -91,8 +101,9 @@ std::size_t Sequence::pose_of(const Frame& frame) const {
     const std::vector<double>& times = world_from_vehicle.time_s;
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
-        throw DataError(fmt::format("{}: {} poses of the vehicle at {} times, none of frame {} at {} s, expected one", name,
-                                    world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
+        throw DataError(
+            fmt::format("{}: {} poses of the vehicle at {} times, none of frame {} at {} s, expected one",
+                        name, world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
     return std::size_t(at - times.begin());
 }
 
@@ -105,7 +116,8 @@ int find_lidar(const Sequence& sequence, const std::string& name) {
     for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
     const auto it = std::find(known.begin(), known.end(), name);
     if (it == known.end() && !name.empty()) {
-        const std::string expected = known.size() == 1 ? "none: the log has one LiDAR" : fmt::format("one of {}", fmt::join(known, ", "));
+        const std::string expected = known.size() == 1 ? "none: the log has one LiDAR"
+                                                       : fmt::format("one of {}", fmt::join(known, ", "));
         throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
     }
     return name.empty() ? 0 : static_cast<int>(it - known.begin());
@@ -151,7 +163,8 @@ PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
 }
 
 PoseTrack with_fine_turns(const PoseTrack& track) {
-    constexpr double kTurn_rad = 5e-3;   // between two poses: the chord of a thing 10 m away is 0.03 mm off its arc
+    // between two poses: the chord of a thing 10 m away is 0.03 mm off its arc
+    constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (i > 0) {
@@ -182,7 +195,8 @@ std::optional<glm::dvec3> mean_place(const PoseTrack& track, double first_s, dou
     constexpr double kSame_s = 1e-6;
     glm::dvec3 sum(0.0);
     std::size_t n = 0;
-    for (auto i = std::size_t(std::ranges::lower_bound(track.time_s, first_s - kSame_s) - track.time_s.begin());
+    for (auto i =
+             std::size_t(std::ranges::lower_bound(track.time_s, first_s - kSame_s) - track.time_s.begin());
          i < track.time_s.size() && track.time_s[i] <= last_s + kSame_s; ++i, ++n)
         sum += track.pose[i].translation;
     return n == 0 ? std::nullopt : std::optional(sum / double(n));
@@ -197,12 +211,16 @@ bool BoxTrack::moves() const {
     const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front())), last_s = t.back() - window_s;
     const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
-    const auto place = [&](double first_s) { return mean_place(world_from_box, first_s, first_s + window_s); };
+    const auto place = [&](double first_s) {
+        return mean_place(world_from_box, first_s, first_s + window_s);
+    };
     const std::optional<glm::dvec3> start = place(t.front());
     for (const double time_s : t) {
-        const double first_s = std::min(time_s, last_s);   // the last window ends with the track
-        const std::optional<glm::dvec3> here = place(first_s), next = place(std::min(first_s + window_s, last_s));
-        if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m)) return true;
+        const double first_s = std::min(time_s, last_s);  // the last window ends with the track
+        const std::optional<glm::dvec3> here = place(first_s),
+                                        next = place(std::min(first_s + window_s, last_s));
+        if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m))
+            return true;
         if (time_s >= last_s) break;
     }
     return false;
@@ -213,7 +231,8 @@ void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             box.world_from_box.pose[k] =
-                world_from_vehicle.at(t_s) * (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
+                world_from_vehicle.at(t_s) *
+                (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
         }
     sequence.world_from_vehicle = std::move(world_from_vehicle);
 }
@@ -225,22 +244,24 @@ double firing_time(double time_s, const RayTable& rays, std::size_t ray, bool ro
 }
 
 WorldRay placed_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
-    return {pose * glm::dvec3(rays.origin[ray]), glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
+    return {pose * glm::dvec3(rays.origin[ray]),
+            glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
 }
 
 }  // namespace
 
-WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
+WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray,
+                   bool rolling_shutter) {
     return placed_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
 }
 
 namespace {
 
-constexpr double kUsual = 0.02;     // of a period: so near to the usual start is the usual start
+constexpr double kUsual = 0.02;  // of a period: so near to the usual start is the usual start
 
 /// What rays tell of the turn of a head.
 struct HeadTurn {
-    std::complex<double> at_zero = 0.0;   ///< sum over some rays of the azimuth that the head had at time 0
+    std::complex<double> at_zero = 0.0;  ///< sum over some rays of the azimuth that the head had at time 0
     float first_s = std::numeric_limits<float>::infinity();
 
     HeadTurn& operator+=(const HeadTurn& other) {
@@ -253,7 +274,8 @@ struct HeadTurn {
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
-    constexpr double kTogether = 0.9;   // resultant of the phases: beams' own azimuths and uneven turns take little of it
+    // resultant of the phases: beams' own azimuths and uneven turns take little of it
+    constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
@@ -264,14 +286,15 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
             const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
             part.at_zero += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
         }
-        for (std::size_t i = begin * step; i < last; ++i) part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
+        for (std::size_t i = begin * step; i < last; ++i)
+            part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
         return part;
     });
     const float first_s = turn.first_s;
     if (std::abs(turn.at_zero) < kTogether * double(n)) return {};
     const double at_zero = std::arg(turn.at_zero);
-    const bool usual =
-        std::abs(at_zero) < 2.0 * kPi * kUsual && std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
+    const bool usual = std::abs(at_zero) < 2.0 * kPi * kUsual &&
+                       std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
     if (usual) return {};
     return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
 }
@@ -281,7 +304,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    if (first == last) return {};   // of a motion-compensated scan
+    if (first == last) return {};  // of a motion-compensated scan
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
     return SweepStart{0.0, first_s};
@@ -299,7 +322,8 @@ double facing_offset(const FixedPattern& pattern, double azimuth, const std::opt
     const double period_s = period_of(pattern), middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
     const auto* window = std::get_if<ScanningWindow>(&pattern);
     if (!window || window->columns < 2) return middle_s;
-    const double share = glm::clamp((azimuth - window->left_rad) / (window->right_rad - window->left_rad), 0.0, 1.0);
+    const double share =
+        glm::clamp((azimuth - window->left_rad) / (window->right_rad - window->left_rad), 0.0, 1.0);
     return middle_s + (share - 0.5) * period_s * (window->columns - 1) / window->columns;
 }
 
@@ -312,32 +336,41 @@ double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const Sw
     const double azimuth = std::atan2(point_m.y, point_m.x);
     if (lidar.pattern) return sweep.time_s + facing_offset(*lidar.pattern, azimuth, sweep.start);
     if (sweep.start) {
-        const double turned = (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
+        const double turned =
+            (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
         return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
     }
     const double after_s = azimuth / (2.0 * kPi) * sensor.period_s;
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
-SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
+SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
+                             std::size_t number) {
     const Scan& scan = frame.scan;
     const Beam& beam = beam_of(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
     const double measured_m = number == 0 ? scan.range_m[ray] : scan.second_returns[number - 1].range_m[ray],
-                 measured = number == 0 ? scan.intensity[ray] : scan.second_returns[number - 1].intensity[ray];
+                 measured =
+                     number == 0 ? scan.intensity[ray] : scan.second_returns[number - 1].intensity[ray];
     const float range_m = static_cast<float>(beam.surface_range(measured_m));
-    return {range_m, static_cast<float>(beam.surface_intensity(measured, sequence.intensity_response.at_range(double(range_m))))};
+    return {range_m, static_cast<float>(beam.surface_intensity(
+                         measured, sequence.intensity_response.at_range(double(range_m))))};
 }
 
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
     const double t_s = firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-    const WorldRay w = placed_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor), frame.scan.rays, ray);
+    const WorldRay w =
+        placed_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
+                   frame.scan.rays, ray);
     const SurfaceReturn surface = surface_return(sequence, frame, ray, number);
-    return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s, surface.intensity};
+    return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
+            surface.intensity};
 }
 
-bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s, double margin_m) {
-    return std::any_of(boxes.begin(), boxes.end(),
-                       [&](const BoxTrack& box) { return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.moves(); });
+bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
+                   double margin_m) {
+    return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
+        return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.moves();
+    });
 }
 
 }  // namespace relidar

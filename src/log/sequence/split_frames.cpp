@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which frames of a log are held out of training: every so many, or those that a list names.
+// Which frames of a log are held out of training: every so many, or those that a list
+// names.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -17,7 +18,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kPublishedEvery = 10;   // what papers say of their splits, whatever the first frame
+constexpr int kPublishedEvery = 10;  // what papers say of their splits, whatever the first frame
 constexpr const char* kSetting = "dataset.test_frames";
 
 /// Indices from first to before end.
@@ -29,11 +30,13 @@ struct IndexRange {
 IndexRange parse_range(std::string_view text) {
     const std::size_t colon = text.find(':');
     const std::optional<int> first = file_number(std::string(text.substr(0, colon)));
-    const std::optional<int> end =
-        colon == std::string_view::npos ? first.value_or(0) + 1 : file_number(std::string(text.substr(colon + 1)));
+    const std::optional<int> end = colon == std::string_view::npos
+                                       ? first.value_or(0) + 1
+                                       : file_number(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
-        throw UsageError(fmt::format("{}: found \"{}\", expected a frame's number, or first:end with first < end, as in 13,26,40:45",
-                                     kSetting, excerpt(text)));
+        throw UsageError(fmt::format(
+            "{}: found \"{}\", expected a frame's number, or first:end with first < end, as in 13,26,40:45",
+            kSetting, excerpt(text)));
     return {*first, *end};
 }
 
@@ -49,9 +52,11 @@ std::vector<int> sweeps_of(const Sequence& sequence) {
 /// Every so many, the first excepted. @throws UsageError
 std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
-        throw UsageError(fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
+        throw UsageError(
+            fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
     std::set<int> held_out;
-    for (auto i = std::size_t(test_every); test_every > 0 && i < sweeps.size(); i += std::size_t(test_every)) held_out.insert(sweeps[i]);
+    for (auto i = std::size_t(test_every); test_every > 0 && i < sweeps.size(); i += std::size_t(test_every))
+        held_out.insert(sweeps[i]);
     return held_out;
 }
 
@@ -71,14 +76,16 @@ std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
         const IndexRange range = parse_range(cell);
         for (int index = range.first; index < range.end; ++index) {
             if (!known.contains(index))
-                throw UsageError(
-                    fmt::format("{}: found {}, expected frames that are read of the log: {}", kSetting, index, list_text(sweeps)));
-            if (!held_out.insert(index).second) throw UsageError(fmt::format("{}: found {} twice, expected it once", kSetting, index));
+                throw UsageError(fmt::format("{}: found {}, expected frames that are read of the log: {}",
+                                             kSetting, index, list_text(sweeps)));
+            if (!held_out.insert(index).second)
+                throw UsageError(fmt::format("{}: found {} twice, expected it once", kSetting, index));
         }
     }
     if (held_out.size() == known.size())
-        throw UsageError(fmt::format("{}: found all frames of the log, expected some to be left to train on: {}", kSetting,
-                                     list_text(sweeps)));
+        throw UsageError(
+            fmt::format("{}: found all frames of the log, expected some to be left to train on: {}", kSetting,
+                        list_text(sweeps)));
     return held_out;
 }
 
@@ -86,7 +93,8 @@ std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
 
 Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames) {
     const std::vector<int> sweeps = sweeps_of(sequence);
-    const bool as_published = test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
+    const bool as_published =
+        test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
     const std::set<int> held_out = as_published          ? published(sequence.test_frames, sweeps)
                                    : test_frames.empty() ? every(test_every, sweeps)
                                                          : named(test_frames, sweeps);

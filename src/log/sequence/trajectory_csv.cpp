@@ -15,9 +15,10 @@ namespace {
 
 /// Angles of R = Rz(yaw) Ry(pitch) Rx(roll), degrees.
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
-    const glm::dmat3 r = glm::mat3_cast(rotation);   // r[column][row]
+    const glm::dmat3 r = glm::mat3_cast(rotation);  // r[column][row]
     return 180.0 / kPi *
-           glm::dvec3(std::atan2(r[0][1], r[0][0]), std::atan2(-r[0][2], std::hypot(r[0][0], r[0][1])), std::atan2(r[1][2], r[2][2]));
+           glm::dvec3(std::atan2(r[0][1], r[0][0]), std::atan2(-r[0][2], std::hypot(r[0][0], r[0][1])),
+                      std::atan2(r[1][2], r[2][2]));
 }
 
 }  // namespace
@@ -26,7 +27,8 @@ void write_trajectory(const std::filesystem::path& path, const PoseTrack& track)
     std::string text = "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dvec3 p = track.pose[i].translation, angles = yaw_pitch_roll(track.pose[i].rotation);
-        text += fmt::format("{},{},{},{},{},{},{}\n", track.time_s[i], p.x, p.y, p.z, angles.x, angles.y, angles.z);
+        text += fmt::format("{},{},{},{},{},{},{}\n", track.time_s[i], p.x, p.y, p.z, angles.x, angles.y,
+                            angles.z);
     }
     write_text(path, text);
 }

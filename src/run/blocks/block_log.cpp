@@ -7,31 +7,35 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "run/blocks/frame_places.hpp"
 #include "base/list_text.hpp"
+#include "run/blocks/frame_places.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr double kSeen_m = 100.0;   // of a box from the sensor: what lies farther out has hardly a return
+constexpr double kSeen_m = 100.0;  // of a box from the sensor: what lies farther out has hardly a return
 
 /// Frames that train, and own ones that are held out, in the order of the log.
 std::vector<int> frames_of(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)
-        if (std::find(split.test.begin(), split.test.end(), position) != split.test.end()) frames.push_back(position);
+        if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
+            frames.push_back(position);
     std::sort(frames.begin(), frames.end());
     return frames;
 }
 
-/// Poses at the times of some frames, and one before and after each, so that a sweep beside a gap moves as it did in the log.
+/// Poses at the times of some frames, and one before and after each, so that a sweep
+/// beside a gap moves as it did in the log.
 PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> wanted(all.time_s.size(), false);
     for (const int position : frames) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
-        const auto at = std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
-        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, wanted.size() - 1); ++i) wanted[i] = true;
+        const auto at =
+            std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
+        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, wanted.size() - 1); ++i)
+            wanted[i] = true;
     }
     PoseTrack track;
     for (std::size_t i = 0; i < wanted.size(); ++i)
@@ -40,15 +44,18 @@ PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames)
 }
 
 bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector<int>& frames) {
-    return std::any_of(frames.begin(), frames.end(), [&](int position) { return is_within(box, sequence, position, kSeen_m); });
+    return std::any_of(frames.begin(), frames.end(),
+                       [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
 
-/// The words of a list that name a box. Where none is left, no class is wanted either: the list has named others alone.
+/// The words of a list that name a box. Where none is left, no class is wanted either:
+/// the list has named others alone.
 void keep_known(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;
     for (const std::string& track : words_of(options.actor_tracks))
-        if (std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; })) kept.push_back(track);
+        if (std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; }))
+            kept.push_back(track);
     options.actor_tracks = fmt::format("{}", fmt::join(kept, ","));
     if (kept.empty()) options.actor_classes.clear();
 }

@@ -5,14 +5,15 @@ namespace relidar {
 
 std::vector<glm::dvec3> frame_places(const Sequence& sequence) {
     std::vector<glm::dvec3> places;
-    for (const Frame& frame : sequence.frames) places.push_back(sequence.world_from_vehicle.at(frame.time_s).translation);
+    for (const Frame& frame : sequence.frames)
+        places.push_back(sequence.world_from_vehicle.at(frame.time_s).translation);
     return places;
 }
 
 bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres) {
     const double time_s = sequence.frames[std::size_t(position)].time_s;
-    return box.present(time_s) &&
-           glm::distance(box.world_from_box.at(time_s).translation, sequence.world_from_vehicle.at(time_s).translation) <= metres;
+    return box.present(time_s) && glm::distance(box.world_from_box.at(time_s).translation,
+                                                sequence.world_from_vehicle.at(time_s).translation) <= metres;
 }
 
 }  // namespace relidar

@@ -16,12 +16,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kWellSeen_m = 60.0;   // of a box from the sensor: what lies farther out has a few returns
+constexpr double kWellSeen_m = 60.0;  // of a box from the sensor: what lies farther out has a few returns
 
 /// Training frames of a block that have a box near enough to teach what is in it.
 std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
-    return std::size_t(std::count_if(block.train.begin(), block.train.end(),
-                                     [&](int position) { return is_within(box, sequence, position, kWellSeen_m); }));
+    return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
+        return is_within(box, sequence, position, kWellSeen_m);
+    }));
 }
 
 /// Surfels of a block's background with the box around them.
@@ -29,7 +30,8 @@ SceneBlock background_of(const Scene& scene, const fs::path& file) {
     SceneBlock block{file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
         const glm::vec2 log_scale = scene.surfels.log_scale[i];
-        const glm::vec3 reach(3.0f * std::exp(std::max(log_scale.x, log_scale.y))), mean = scene.surfels.mean[i];
+        const glm::vec3 reach(3.0f * std::exp(std::max(log_scale.x, log_scale.y))),
+            mean = scene.surfels.mean[i];
         block.low_m = i == 0 ? mean - reach : glm::min(block.low_m, mean - reach);
         block.high_m = i == 0 ? mean + reach : glm::max(block.high_m, mean + reach);
     }
@@ -41,8 +43,10 @@ class MeanDrop {
 public:
     void add(const DropTable& table, std::size_t n_frames) {
         if (table.empty()) return;
-        if (sum_.empty()) sum_ = {table.channels, table.bins, std::vector<float>(table.probability.size(), 0.0f)};
-        for (std::size_t i = 0; i < sum_.probability.size(); ++i) sum_.probability[i] += float(n_frames) * table.probability[i];
+        if (sum_.empty())
+            sum_ = {table.channels, table.bins, std::vector<float>(table.probability.size(), 0.0f)};
+        for (std::size_t i = 0; i < sum_.probability.size(); ++i)
+            sum_.probability[i] += float(n_frames) * table.probability[i];
         n_frames_ += n_frames;
     }
     DropTable mean() const {
@@ -65,12 +69,14 @@ struct Candidate {
 };
 
 /// Those of a block that are better than what blocks before had.
-void take_actors(const Run& part, const Sequence& sequence, const Block& block, std::map<std::string, Candidate>& best) {
+void take_actors(const Run& part, const Sequence& sequence, const Block& block,
+                 std::map<std::string, Candidate>& best) {
     for (const Instance& instance : part.scene.instances) {
         if (instance.track.empty()) continue;
         const BoxTrack* box = find_box(part.sequence, instance.track);
         if (!box)
-            throw DataError(fmt::format("{}: instance \"{}\" has no box, expected one", part.folder.string(), instance.track));
+            throw DataError(fmt::format("{}: instance \"{}\" has no box, expected one", part.folder.string(),
+                                        instance.track));
         const std::size_t sightings = count_sightings(*box, sequence, block);
         Candidate& candidate = best[instance.track];
         if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;
@@ -86,8 +92,11 @@ void take_poses(const Run& part, const Sequence& sequence, const Block& block, P
         const PoseTrack& found = part.sequence.world_from_vehicle;
         const auto from = std::lower_bound(found.time_s.begin(), found.time_s.end(), time_s);
         const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
-        if (from == found.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s) continue;   // an unused frame
-        track.pose[std::size_t(to - track.time_s.begin())] = found.pose[std::size_t(from - found.time_s.begin())];
+        // an unused frame
+        if (from == found.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
+            continue;
+        track.pose[std::size_t(to - track.time_s.begin())] =
+            found.pose[std::size_t(from - found.time_s.begin())];
     }
 }
 
@@ -109,7 +118,7 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
     }
     scene.sensor_drop = drop.mean();
     run.sequence.world_from_vehicle = std::move(poses);
-    for (BoxTrack& box : run.sequence.boxes) {   // in the order of the log, as a scene in one piece has them
+    for (BoxTrack& box : run.sequence.boxes) {  // in the order of the log, as a scene in one piece has them
         const auto found = actors.find(box.id);
         if (found == actors.end()) continue;
         Candidate& actor = found->second;

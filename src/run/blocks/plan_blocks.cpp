@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which sweeps a block of street has, and which surfels: those that lie nearest to its sweeps.
+// Which sweeps a block of street has, and which surfels: those that lie nearest to its
+// sweeps.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -9,8 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
-#include "run/blocks/frame_places.hpp"
 #include "base/nearest_place.hpp"
+#include "run/blocks/frame_places.hpp"
 
 namespace relidar {
 namespace {
@@ -18,7 +19,8 @@ namespace {
 /// Metres driven up to each place.
 std::vector<double> driven(const std::vector<glm::dvec3>& places) {
     std::vector<double> metres(places.size(), 0.0);
-    for (std::size_t i = 1; i < places.size(); ++i) metres[i] = metres[i - 1] + glm::distance(places[i - 1], places[i]);
+    for (std::size_t i = 1; i < places.size(); ++i)
+        metres[i] = metres[i - 1] + glm::distance(places[i - 1], places[i]);
     return metres;
 }
 
@@ -30,14 +32,17 @@ std::vector<Block> cut(const std::vector<double>& metres, double length_m) {
     for (std::size_t i = 0; i < metres.size(); ++i) {
         const double k = way_m > 0.0 ? std::min(n - 1.0, std::floor(metres[i] / way_m * n)) : 0.0;
         const double begin_m = way_m * k / n;
-        if (blocks.empty() || blocks.back().begin_m < begin_m) blocks.push_back({begin_m, way_m * (k + 1.0) / n, {}, {}});
+        if (blocks.empty() || blocks.back().begin_m < begin_m)
+            blocks.push_back({begin_m, way_m * (k + 1.0) / n, {}, {}});
         blocks.back().own.push_back(static_cast<int>(i));
     }
     return blocks;
 }
 
-bool is_near_any(const glm::dvec3& place, const std::vector<glm::dvec3>& places, const std::vector<int>& of, double within_m) {
-    return std::any_of(of.begin(), of.end(), [&](int i) { return glm::distance(place, places[std::size_t(i)]) <= within_m; });
+bool is_near_any(const glm::dvec3& place, const std::vector<glm::dvec3>& places, const std::vector<int>& of,
+                 double within_m) {
+    return std::any_of(of.begin(), of.end(),
+                       [&](int i) { return glm::distance(place, places[std::size_t(i)]) <= within_m; });
 }
 
 }  // namespace
@@ -47,17 +52,20 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
     std::vector<Block> blocks = cut(driven(places), options.length_m);
     for (Block& block : blocks) {
         for (const int position : split.train)
-            if (is_near_any(places[std::size_t(position)], places, block.own, options.halo_m)) block.train.push_back(position);
+            if (is_near_any(places[std::size_t(position)], places, block.own, options.halo_m))
+                block.train.push_back(position);
         if (block.train.empty())
             throw DataError(
-                fmt::format("cutting {} into blocks: found no training frame within {:g} m of metres {:.0f} to {:.0f} of its trajectory, "
+                fmt::format("cutting {} into blocks: found no training frame within {:g} m of metres {:.0f} "
+                            "to {:.0f} of its trajectory, "
                             "expected one: dataset.test_every and dataset.test_frames say which are held out",
                             sequence.name, options.halo_m, block.begin_m, block.end_m));
     }
     return blocks;
 }
 
-void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks, std::size_t block) {
+void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
+                      std::size_t block) {
     std::vector<bool> is_own(sequence.frames.size(), false);
     for (const int position : blocks[block].own) is_own[std::size_t(position)] = true;
     const NearestPlace<double> nearest(frame_places(sequence));

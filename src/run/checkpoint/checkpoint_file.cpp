@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A checkpoint as a safetensors file with a checksum over all it says: a flipped bit anywhere is noticed, in numbers and texts alike.
+// A checkpoint as a safetensors file with a checksum over all it says: a flipped bit
+// anywhere is noticed, in numbers and texts alike.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
@@ -10,8 +11,8 @@
 #include <fmt/ranges.h>
 #include <zlib.h>
 
-#include "base/files.hpp"
 #include <relidar/base/error.hpp>
+#include "base/files.hpp"
 
 namespace relidar {
 namespace {
@@ -25,9 +26,10 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void add(const void* bytes, std::size_t n) {
-        if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);   // for a null pointer zlib would start over
+        // for a null pointer zlib would start over
+        if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);
     }
-    void add(const std::string& text) { add(text.c_str(), text.size() + 1); }   // the end of a text counts
+    void add(const std::string& text) { add(text.c_str(), text.size() + 1); }  // the end of a text counts
     std::string hex() const { return fmt::format("{:08x}", crc_); }
 
 private:
@@ -60,7 +62,8 @@ std::string take(Texts& texts, const std::string& key) {
 }
 
 void expect(const std::string& what, const std::string& found, const std::string& expected) {
-    if (found != expected) throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", what, excerpt(found), expected));
+    if (found != expected)
+        throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", what, excerpt(found), expected));
 }
 
 int iteration_of(const std::string& text) {
@@ -88,7 +91,8 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
 /// Iteration in the name of a checkpoint, or nothing for any other file.
 std::optional<int> iteration_in_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
-    if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size()) return std::nullopt;
+    if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
+        return std::nullopt;
     int iteration = 0;
     const char* last = name.data() + name.size() - end.size();
     const auto [stop, error] = std::from_chars(name.data() + start.size(), last, iteration);
@@ -123,14 +127,16 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
         if (iteration_in_name(entry.path())) paths.push_back(entry.path());
     }
-    std::sort(paths.begin(), paths.end(), [](const auto& a, const auto& b) { return *iteration_in_name(a) < *iteration_in_name(b); });
+    std::sort(paths.begin(), paths.end(),
+              [](const auto& a, const auto& b) { return *iteration_in_name(a) < *iteration_in_name(b); });
     return paths;
 }
 
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
     std::error_code failed;
-    std::filesystem::create_directories(folder, failed);   // where that fails, writing says so
-    const std::filesystem::path path = folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
+    std::filesystem::create_directories(folder, failed);  // where that fails, writing says so
+    const std::filesystem::path path =
+        folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
     write_checkpoint(path, checkpoint);
     std::vector<std::filesystem::path> older;
     for (const std::filesystem::path& other : list_checkpoints(folder)) {
@@ -142,7 +148,8 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
 }
 
-std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder, const std::function<void(const std::string&)>& note) {
+std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder,
+                                                 const std::function<void(const std::string&)>& note) {
     const std::vector<std::filesystem::path> paths = list_checkpoints(folder);
     for (auto path = paths.rbegin(); path != paths.rend(); ++path) {
         try {
@@ -153,14 +160,15 @@ std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& fo
     }
     if (!paths.empty())
         throw DataError(
-            fmt::format("resuming from {}: found {} checkpoints and none that can be read, expected one", folder.string(), paths.size()));
+            fmt::format("resuming from {}: found {} checkpoints and none that can be read, expected one",
+                        folder.string(), paths.size()));
     return std::nullopt;
 }
 
 void remove_checkpoints(const std::filesystem::path& folder) {
     std::error_code failed;
     for (const std::filesystem::path& path : list_checkpoints(folder)) std::filesystem::remove(path, failed);
-    std::filesystem::remove(folder, failed);   // refuses where something else is in it
+    std::filesystem::remove(folder, failed);  // refuses where something else is in it
 }
 
 }  // namespace relidar

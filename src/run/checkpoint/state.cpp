@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// State into named arrays and back; every array is checked for type and shape on the way back.
+// State into named arrays and back; every array is checked for type and shape on the way
+// back.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
@@ -22,7 +23,8 @@ void check_finite(const NamedArray& array) {
         std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
         if (std::isfinite(value)) continue;
         const std::size_t rows = array.shape.empty() ? 1 : array.shape[0];
-        throw DataError(fmt::format("array {}: row {} holds {}, expected finite numbers", array.name, i / (n / rows), value));
+        throw DataError(fmt::format("array {}: row {} holds {}, expected finite numbers", array.name,
+                                    i / (n / rows), value));
     }
 }
 
@@ -30,17 +32,22 @@ void check_finite(const NamedArray& array) {
 
 const NamedArray& Checkpoint::array(const std::string& name) const {
     const NamedArray* found = find_array(arrays, name);
-    if (!found) throw DataError(fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
+    if (!found)
+        throw DataError(
+            fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
     return *found;
 }
 
 const std::string& Checkpoint::text(const std::string& name) const {
     const auto it = texts.find(name);
-    if (it == texts.end()) throw DataError(fmt::format("checkpoint of iteration {}: text {}: missing, expected it", iteration, name));
+    if (it == texts.end())
+        throw DataError(
+            fmt::format("checkpoint of iteration {}: text {}: missing, expected it", iteration, name));
     return it->second;
 }
 
-void StateWriter::put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values) {
+void StateWriter::put(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
+                      const void* values) {
     NamedArray& array = checkpoint_.arrays.emplace_back(NamedArray{name, dtype, std::move(shape), {}});
     array.bytes.resize(array.count() * static_cast<std::size_t>(dtype[1] - '0'));
     if (!array.bytes.empty()) std::memcpy(array.bytes.data(), values, array.bytes.size());
@@ -53,11 +60,13 @@ void StateWriter::operator()(const std::string& name, const SurfelArrays& surfel
     checkpoint_.texts[name + "/" + kPrimitiveKey] = kind_of(surfels.primitive).name;
 }
 
-const NamedArray& StateReader::find(const std::string& name, const char* dtype, const std::vector<std::size_t>& shape) const {
+const NamedArray& StateReader::find(const std::string& name, const char* dtype,
+                                    const std::vector<std::size_t>& shape) const {
     const NamedArray& array = checkpoint_.array(name);
     if (array.dtype != dtype || array.shape != shape)
-        throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]", checkpoint_.iteration, name,
-                                    array.dtype, fmt::join(array.shape, ", "), dtype, fmt::join(shape, ", ")));
+        throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]",
+                                    checkpoint_.iteration, name, array.dtype, fmt::join(array.shape, ", "),
+                                    dtype, fmt::join(shape, ", ")));
     return array;
 }
 
@@ -71,10 +80,10 @@ Surfels StateReader::surfels(const std::string& name) const {
 }
 
 Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
-    const ParameterSet parameters = stored_parameters(checkpoint_.texts, name + "/" + kPrimitiveKey, [&](const char* group) {
-        return find_array(checkpoint_.arrays, name + "/" + group) != nullptr;
-    });
-    for (const ParameterGroup& group : groups_of(parameters))   // before anything is allocated
+    const ParameterSet parameters = stored_parameters(
+        checkpoint_.texts, name + "/" + kPrimitiveKey,
+        [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
+    for (const ParameterGroup& group : groups_of(parameters))  // before anything is allocated
         find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;
     host.resize(n, parameters);

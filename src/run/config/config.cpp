@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings from text, TOML and back, all by walking the one table of fields.hpp. TOML tables are the first part of a key.
+// Settings from text, TOML and back, all by walking the one table of fields.hpp. TOML
+// tables are the first part of a key.
 #include <relidar/run/config.hpp>
 
 #include <algorithm>
@@ -14,11 +15,11 @@
 #define TOML_EXCEPTIONS 1
 #include <toml++/toml.h>
 
-#include "run/config/field_text.hpp"
+#include <relidar/base/error.hpp>
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/toml_depth.hpp"
-#include <relidar/base/error.hpp>
+#include "run/config/field_text.hpp"
 
 namespace relidar {
 namespace {
@@ -31,7 +32,8 @@ using config_detail::is_text;
 using config_detail::to_text;
 using config_detail::visit;
 
-/// A value as it was found: text, and whether it stood in quotes (a TOML file says; a command line does not).
+/// A value as it was found: text, and whether it stood in quotes (a TOML file says; a
+/// command line does not).
 struct Found {
     std::string text;
     enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
@@ -39,13 +41,15 @@ struct Found {
 
 std::vector<std::string> all_keys() {
     std::vector<std::string> keys;
-    visit(static_cast<const Config&>(Config{}), [&](const char* key, const auto&, const Accepts&, const Help&) { keys.emplace_back(key); });
+    visit(static_cast<const Config&>(Config{}),
+          [&](const char* key, const auto&, const Accepts&, const Help&) { keys.emplace_back(key); });
     return keys;
 }
 
 std::string unknown_key(const std::string& key) {
-    return fmt::format("setting {}: unknown key{}", excerpt(key),
-                       did_you_mean(key, all_keys(), "", ", expected one that `relidar list settings --all` lists"));
+    return fmt::format(
+        "setting {}: unknown key{}", excerpt(key),
+        did_you_mean(key, all_keys(), "", ", expected one that `relidar list settings --all` lists"));
 }
 
 template <class T>
@@ -53,7 +57,8 @@ void assign(T& field, const std::string& key, const Accepts& accepts, const Foun
     const bool wrong_kind = found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
     if (wrong_kind || !from_text(found.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text), describe<T>(accepts), hint));
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text),
+                                     describe<T>(accepts), hint));
     }
 }
 
@@ -71,12 +76,15 @@ void set_found(Config& config, const std::string& key, const Found& found) {
 /// A TOML scalar as text.
 Found found_in(const toml::node& node, const std::string& key) {
     if (const auto* text = node.as_string()) return {text->get(), Found::Quotes::yes};
-    if (const auto* integer = node.as_integer()) return {fmt::format("{}", integer->get()), Found::Quotes::no};
+    if (const auto* integer = node.as_integer())
+        return {fmt::format("{}", integer->get()), Found::Quotes::no};
     if (const auto* number = node.as_floating_point()) return {number_text(number->get()), Found::Quotes::no};
-    if (const auto* boolean = node.as_boolean()) return {boolean->get() ? "true" : "false", Found::Quotes::no};
+    if (const auto* boolean = node.as_boolean())
+        return {boolean->get() ? "true" : "false", Found::Quotes::no};
     std::ostringstream kind;
     kind << node.type();
-    throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
+    throw UsageError(
+        fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
 }
 
 /// All of a table, in the order of the alphabet.
@@ -88,12 +96,14 @@ void flatten(const toml::table& table, const std::string& prefix, std::map<std::
     }
 }
 
-/// @throws UsageError unless the file names every setting and nothing else, as to_toml() writes it
+/// @throws UsageError unless the file names every setting and nothing else, as to_toml()
+/// writes it
 void check_complete(const std::map<std::string, Found>& settings) {
     constexpr const char* kAdvice = "a run of another version of relidar must be trained again";
     const std::vector<std::string> keys = all_keys();
     for (const auto& [key, found] : settings)
-        if (std::ranges::find(keys, key) == keys.end()) throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
+        if (std::ranges::find(keys, key) == keys.end())
+            throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
     for (const std::string& key : keys)
         if (!settings.contains(key))
             throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
@@ -123,12 +133,15 @@ std::vector<ConfigKey> config_keys(const Config& config) {
     std::vector<ConfigKey> keys;
     visit(config, [&](const char* key, const auto& field, const Accepts& accepts, const Help& help) {
         using T = std::decay_t<decltype(field)>;
-        keys.push_back({key, to_text(field, accepts), fmt::format("{} ({})", help.text, describe<T>(accepts)), help.expert});
+        keys.push_back({key, to_text(field, accepts), fmt::format("{} ({})", help.text, describe<T>(accepts)),
+                        help.expert});
     });
     return keys;
 }
 
-void set_key(Config& config, const std::string& key, const std::string& value) { set_found(config, key, {value, Found::Quotes::unknown}); }
+void set_key(Config& config, const std::string& key, const std::string& value) {
+    set_found(config, key, {value, Found::Quotes::unknown});
+}
 
 namespace {
 
@@ -137,7 +150,7 @@ template <class Check>
 void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
     const std::string text = read_text(path);
     check_toml_depth(text, path.string());
-    Config result = config;   // all or nothing
+    Config result = config;  // all or nothing
     try {
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, Found> settings;
@@ -146,7 +159,8 @@ void read_config(Config& config, const std::filesystem::path& path, const Check&
         if (const auto preset = settings.extract("preset")) set_found(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) set_found(result, key, found);
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line, excerpt(error.description())));
+        throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
+                                    excerpt(error.description())));
     } catch (const UsageError& error) {
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }
@@ -182,7 +196,8 @@ std::string toml_of(const Config& config, const Shown& is_shown) {
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
-        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe<T>(accepts), key.substr(dot + 1), toml_value(field, accepts));
+        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe<T>(accepts), key.substr(dot + 1),
+                            toml_value(field, accepts));
     });
     return text;
 }
@@ -200,7 +215,10 @@ std::string to_short_toml(const Config& config) {
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
     return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
-           fmt::format("\n# {} expert settings, all as the preset has them, are not shown: relidar list settings --all\n", left_out.size());
+           fmt::format(
+               "\n# {} expert settings, all as the preset has them, are not shown: relidar list settings "
+               "--all\n",
+               left_out.size());
 }
 
 }  // namespace relidar

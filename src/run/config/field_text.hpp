@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A setting's value as text and back: shortest decimal form that reads back to the same value, and one clear line where a
-// text is not what the setting accepts. Private to config.
+// A setting's value as text and back: shortest decimal form that reads back to the same
+// value, and one clear line where a text is not what the setting accepts. Private to
+// config.
 #pragma once
 
 #include <algorithm>
@@ -12,9 +13,9 @@
 
 #include <fmt/format.h>
 
-#include "run/config/fields.hpp"
 #include "base/list_text.hpp"
 #include "base/number_text.hpp"
+#include "run/config/fields.hpp"
 
 namespace relidar::config_detail {
 
@@ -33,11 +34,13 @@ std::string to_text(const T& value, const Accepts& accepts) {
 template <class T>
 std::string describe(const Accepts& accepts) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
-    if (accepts.several) return fmt::format("some of {}, separated by commas", fmt::join(accepts.choices, ", "));
+    if (accepts.several)
+        return fmt::format("some of {}, separated by commas", fmt::join(accepts.choices, ", "));
     if (!accepts.choices.empty()) return fmt::format("one of {}", fmt::join(accepts.choices, ", "));
     if constexpr (is_text<T>) return "text";
     const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
-    const bool open_end = accepts.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
+    const bool open_end =
+        accepts.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
     const char* above = accepts.above_low ? ">" : ">=";
     if (open_end) return fmt::format("{} {} {:.15g}", kind, above, accepts.low);
     if (accepts.above_low) return fmt::format("{} > {:.15g} and <= {:.15g}", kind, accepts.low, accepts.high);
@@ -56,18 +59,23 @@ bool parse_number(const std::string& text, const Accepts& accepts, T& value) {
         if (!std::isfinite(parsed)) return false;
     }
     const auto number = static_cast<double>(parsed);
-    if (number > accepts.high || number < accepts.low || (accepts.above_low && number <= accepts.low)) return false;
+    if (number > accepts.high || number < accepts.low || (accepts.above_low && number <= accepts.low))
+        return false;
     value = parsed;
     return true;
 }
 
-/// @return whether the text is a value the field accepts; the field is unchanged where it is not
+/// @return whether the text is a value the field accepts; the field is unchanged where it
+/// is not
 template <class T>
 bool from_text(const std::string& text, const Accepts& accepts, T& value) {
-    const auto find = [&](const std::string& word) { return std::find(accepts.choices.begin(), accepts.choices.end(), word); };
+    const auto find = [&](const std::string& word) {
+        return std::find(accepts.choices.begin(), accepts.choices.end(), word);
+    };
     const auto choice = find(text);
     const auto is_choice = [&](const std::string& word) { return find(word) != accepts.choices.end(); };
-    if (accepts.several ? !std::ranges::all_of(words_of(text), is_choice) : !accepts.choices.empty() && choice == accepts.choices.end())
+    if (accepts.several ? !std::ranges::all_of(words_of(text), is_choice)
+                        : !accepts.choices.empty() && choice == accepts.choices.end())
         return false;
     if constexpr (std::is_enum_v<T>) {
         value = static_cast<T>(choice - accepts.choices.begin());

@@ -21,51 +21,60 @@ bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
             if (std::abs(origin_m[axis]) > half_m) return false;
             continue;
         }
-        const double a = (-half_m - origin_m[axis]) / direction[axis], b = (half_m - origin_m[axis]) / direction[axis];
+        const double a = (-half_m - origin_m[axis]) / direction[axis],
+                     b = (half_m - origin_m[axis]) / direction[axis];
         begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
     }
     return begin <= end;
 }
 
-/// Whether the line of a ray comes into the ball around a box: most do not, and that is quickly found.
-bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m, float radius_m) {
+/// Whether the line of a ray comes into the ball around a box: most do not, and that is
+/// quickly found.
+bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m,
+                float radius_m) {
     const glm::vec3 to_centre = centre_m - origin_m;
     const float along_m = glm::dot(to_centre, direction), distance2 = glm::dot(to_centre, to_centre);
-    return distance2 <= radius_m * radius_m || (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
+    return distance2 <= radius_m * radius_m ||
+           (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
 }
 
 }  // namespace
 
-ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction, const Pose& box_from_sensor,
-                         const glm::dvec3& size_m, std::size_t surfels) {
+ActorDetail actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
+                         const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels) {
     ActorDetail detail{glm::length(box_from_sensor.translation), 0.0, 0, surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
     for (std::size_t i = 0; i < direction.size(); ++i)
         if (comes_near(origin[i], direction[i], centre_m, radius_m))
-            detail.rays +=
-                meets_box(box_from_sensor * glm::dvec3(origin[i]), box_from_sensor.rotation * glm::dvec3(direction[i]), size_m);
+            detail.rays += meets_box(box_from_sensor * glm::dvec3(origin[i]),
+                                     box_from_sensor.rotation * glm::dvec3(direction[i]), size_m);
     return detail;
 }
 
 ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, int lidar) {
     const Sequence& log = driving.sequence;
-    const auto instance = std::ranges::find_if(driving.scene.instances, [&](const Instance& i) { return i.track == track; });
+    const auto instance =
+        std::ranges::find_if(driving.scene.instances, [&](const Instance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (instance == driving.scene.instances.end() || box == log.boxes.end())
-        throw UsageError(fmt::format("looking at actor \"{}\": found no such track, expected one of the scene's actors", track));
-    ActorDetail detail{std::numeric_limits<double>::infinity(), 0.0, 0, driving.scene.models[instance->model].count};
+        throw UsageError(fmt::format(
+            "looking at actor \"{}\": found no such track, expected one of the scene's actors", track));
+    ActorDetail detail{std::numeric_limits<double>::infinity(), 0.0, 0,
+                       driving.scene.models[instance->model].count};
     const PoseTrack world_from_sensor = log.world_from_sensor(lidar);
     Pose box_from_sensor;
     for (const Frame& frame : log.frames) {
         if (frame.lidar != lidar || !box->present(frame.time_s)) continue;
-        const Pose nearer = inverse(box->world_from_box.at(frame.time_s)) * world_from_sensor.at(frame.time_s);
+        const Pose nearer =
+            inverse(box->world_from_box.at(frame.time_s)) * world_from_sensor.at(frame.time_s);
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m)
             box_from_sensor = nearer, detail.nearest_m = distance_m, detail.time_s = frame.time_s;
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
     const RayTable rays = nominal_rays(log.lidars[std::size_t(lidar)], detail.time_s);
-    detail.rays = actor_detail(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
+    detail.rays =
+        actor_detail(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
     return detail;
 }
 

@@ -8,44 +8,48 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/error.hpp>
 #include "base/csv.hpp"
 #include "base/files.hpp"
-#include <relidar/base/error.hpp>
 
 namespace relidar {
 
 namespace {
 
 enum Field { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-constexpr std::size_t kUnnamed = 7;   // fields that a file without a header has, in this order
+constexpr std::size_t kUnnamed = 7;  // fields that a file without a header has, in this order
 constexpr std::size_t kNeeded = 5;
-constexpr double kLargest = 1e10;   // metres of any world, degrees, and seconds since 1970
-const std::vector<std::string> kNames{"time_s",   "x",       "y",         "z",       "yaw_deg", "pitch_deg",
-                                      "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
+constexpr double kLargest = 1e10;  // metres of any world, degrees, and seconds since 1970
+const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
+                                      "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
 /// Where the cells of a line hold each field, or -1.
 using FieldPlaces = std::vector<int>;
 
-/// @throws DataError for a name that is not known, a field that is missing, or an angle in both units
+/// @throws DataError for a name that is not known, a field that is missing, or an angle
+/// in both units
 FieldPlaces places_of_header(const std::vector<std::string_view>& header, const std::string& where) {
     FieldPlaces at = find_columns(header, kNames, where);
     for (const Field field : {kTime, kX, kY, kZ})
-        if (at[field] < 0) throw DataError(fmt::format("{}: found no column '{}', expected it", where, kNames[field]));
+        if (at[field] < 0)
+            throw DataError(fmt::format("{}: found no column '{}', expected it", where, kNames[field]));
     if (at[kYaw] < 0 && at[kYawRad] < 0)
-        throw DataError(fmt::format("{}: found no column 'yaw_deg' or 'yaw_rad', expected one of them", where));
+        throw DataError(
+            fmt::format("{}: found no column 'yaw_deg' or 'yaw_rad', expected one of them", where));
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
-            throw DataError(fmt::format("{}: found both '{}' and '{}', expected one of them", where, kNames[angle],
-                                        kNames[other]));
+            throw DataError(fmt::format("{}: found both '{}' and '{}', expected one of them", where,
+                                        kNames[angle], kNames[other]));
     return at;
 }
 
 /// Columns of a file without a header. @throws DataError if there are too few or too many
 FieldPlaces places_without_header(std::size_t n_cells, const std::string& where) {
     if (n_cells < kNeeded || n_cells > kUnnamed)
-        throw DataError(fmt::format("{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally "
-                                    "pitch_deg,roll_deg, or a header with names",
-                                    where, n_cells));
+        throw DataError(
+            fmt::format("{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally "
+                        "pitch_deg,roll_deg, or a header with names",
+                        where, n_cells));
     FieldPlaces at(kFieldCount, -1);
     for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
     return at;
@@ -60,20 +64,23 @@ std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& ce
         const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
         if (at[f] < 0 || (may_be_absent && static_cast<std::size_t>(at[f]) >= cells.size())) continue;
         if (static_cast<std::size_t>(at[f]) >= cells.size())
-            throw DataError(fmt::format("{}: found {} columns, expected {}: '{}' is missing", where, cells.size(),
-                                        std::ranges::count_if(at, [](int place) { return place >= 0; }), kNames[f]));
+            throw DataError(
+                fmt::format("{}: found {} columns, expected {}: '{}' is missing", where, cells.size(),
+                            std::ranges::count_if(at, [](int place) { return place >= 0; }), kNames[f]));
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
-            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where, kNames[f],
-                                        excerpt(cell), kLargest));
+            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where,
+                                        kNames[f], excerpt(cell), kLargest));
         row[f] = *value;
     }
     return row;
 }
 
 Pose pose_of(const std::array<double, kFieldCount>& row) {
-    const auto angle = [&](Field degrees, Field radians) { return row[degrees] * kPi / 180.0 + row[radians]; };
+    const auto angle = [&](Field degrees, Field radians) {
+        return row[degrees] * kPi / 180.0 + row[radians];
+    };
     return {rotation_of(angle(kYaw, kYawRad), angle(kPitch, kPitchRad), angle(kRoll, kRollRad)),
             {row[kX], row[kY], row[kZ]}};
 }
@@ -96,16 +103,18 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
             if (is_header) continue;
         }
         if (cells.size() > n_cells)
-            throw DataError(fmt::format("{}: found {} columns, expected {} at most", where, cells.size(), n_cells));
+            throw DataError(
+                fmt::format("{}: found {} columns, expected {} at most", where, cells.size(), n_cells));
         const auto row = read_row(cells, at, where);
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
-            throw DataError(fmt::format("{}: time_s: found {} after {}, expected times that rise", where, row[kTime],
-                                        track.time_s.back()));
+            throw DataError(fmt::format("{}: time_s: found {} after {}, expected times that rise", where,
+                                        row[kTime], track.time_s.back()));
         track.time_s.push_back(row[kTime]);
         track.pose.push_back(pose_of(row));
     }
     if (track.pose.size() < 2)
-        throw DataError(fmt::format("{}: found {} poses, expected at least two", path.string(), track.pose.size()));
+        throw DataError(
+            fmt::format("{}: found {} poses, expected at least two", path.string(), track.pose.size()));
     return track;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits of instances and tracks. The surfels of a model are copied only into a scene that has not got it, and left out once no
-// instance places them.
+// Edits of instances and tracks. The surfels of a model are copied only into a scene that
+// has not got it, and left out once no instance places them.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -19,10 +19,12 @@ namespace {
 /// Why a labelled box cannot be edited, and what to set so that it can.
 std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
-    return fmt::format("editing track \"{}\": the log has its box, but it has no surfels of its own: it is parked, of a class that "
-                       "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with "
-                       "init.actor_tracks = {}, which makes actors of these tracks whether they move or not",
-                       track, fmt::join(actors, ","));
+    return fmt::format(
+        "editing track \"{}\": the log has its box, but it has no surfels of its own: it is parked, of a "
+        "class that "
+        "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with "
+        "init.actor_tracks = {}, which makes actors of these tracks whether they move or not",
+        track, fmt::join(actors, ","));
 }
 
 /// Index of the instance with a track.
@@ -36,14 +38,17 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
     const std::string found = fmt::format("editing track \"{}\": found no such track", track);
     if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
-    throw UsageError(fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
+    throw UsageError(
+        fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
     find_actor(driving, track);
     std::vector<BoxTrack>& boxes = driving.sequence.boxes;
-    if (const BoxTrack* box = find_box(driving.sequence, track)) return boxes[std::size_t(box - boxes.data())];
-    throw DataError(fmt::format("editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
+    if (const BoxTrack* box = find_box(driving.sequence, track))
+        return boxes[std::size_t(box - boxes.data())];
+    throw DataError(fmt::format(
+        "editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
 }
 
 /// Leaves out models that no instance places; the background stays.
@@ -53,8 +58,8 @@ void drop_unused_models(Scene& scene) {
     std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
     for (std::size_t m = 0; m < scene.models.size(); ++m) {
         const Model& model = scene.models[m];
-        const bool used =
-            m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(), [&](const Instance& i) { return i.model == m; });
+        const bool used = m == 0 || std::any_of(scene.instances.begin(), scene.instances.end(),
+                                                [&](const Instance& i) { return i.model == m; });
         if (!used) continue;
         moved_to[m] = static_cast<std::uint32_t>(models.size());
         models.push_back(model);
@@ -79,7 +84,8 @@ void keep_instances(DrivingScene& driving, const Keep& keep) {
 }
 
 bool is_taken(const DrivingScene& driving, const std::string& id) {
-    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == id; });
+    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(),
+                       [&](const BoxTrack& b) { return b.id == id; });
 }
 
 std::string free_id(const DrivingScene& driving, const std::string& stem) {
@@ -93,8 +99,10 @@ PoseTrack straight_track(const Sequence& sequence, const Start& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
         Pose pose = start.dataset_from_box;
-        pose.translation += pose.rotation * glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) -
-                            sequence.world_offset_m;
+        pose.translation +=
+            pose.rotation *
+                glm::dvec3(start.speed_mps * (frame.time_s - sequence.frames.front().time_s), 0.0, 0.0) -
+            sequence.world_offset_m;
         track.time_s.push_back(frame.time_s);
         track.pose.push_back(pose);
     }
@@ -112,11 +120,13 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
         if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))
             fail(fmt::format("entry {} is not finite", i + 1), "finite numbers");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1]))
-            fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]), "times that rise");
+            fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]),
+                 "times that rise");
     }
 }
 
-/// The same trajectory with entries no farther apart than a step, so that half a step beside its ends is no more than half a turn.
+/// The same trajectory with entries no farther apart than a step, so that half a step
+/// beside its ends is no more than half a turn.
 PoseTrack refined(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -160,16 +170,19 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 
 std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
     const BoxTrack* box = find_box(edited, before.id);
-    std::set<int> lost;   // LiDARs that sweep together share a number
+    std::set<int> lost;  // LiDARs that sweep together share a number
     for (const Frame& frame : edited.frames)
         if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);
     if (lost.empty()) return "";
     const std::vector<double>& times_s = box->world_from_box.time_s;
-    return fmt::format("track {} is absent from {} frames in which it was present, of {} to {}: it is there from {:.2f} to {:.2f} s now",
-                       before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
+    return fmt::format(
+        "track {} is absent from {} frames in which it was present, of {} to {}: it is there from {:.2f} to "
+        "{:.2f} s now",
+        before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 
-DrivingScene replace_trajectory(DrivingScene driving, const std::string& track, const PoseTrack& dataset_from_box) {
+DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
+                                const PoseTrack& dataset_from_box) {
     BoxTrack& box = box_of(driving, track);
     check_trajectory(dataset_from_box, track);
     box.n_before = box.n_after = 0;
@@ -186,12 +199,15 @@ DrivingScene copy_track(DrivingScene driving, const std::string& track, const St
     return driving;
 }
 
-DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track, const Start& start) {
+DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track,
+                          const Start& start) {
     DrivingScene source = other;
     BoxTrack box = box_of(source, track);
     if (is_taken(driving, box.id)) box.id = free_id(driving, track + "-insert");
-    add_instance(driving, append_model(driving.scene, other.scene, other.scene.instances[find_actor(other, track)].model), std::move(box),
-                 start);
+    add_instance(
+        driving,
+        append_model(driving.scene, other.scene, other.scene.instances[find_actor(other, track)].model),
+        std::move(box), start);
     return driving;
 }
 

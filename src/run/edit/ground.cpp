@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ground below a place, from the surfels of the background: the plane that most of the level ones under a box lie on (random samples of
-// three, scored by distance, as MSAC of Torr and Zisserman 2000 does; then least squares).
+// The ground below a place, from the surfels of the background: the plane that most of
+// the level ones under a box lie on (random samples of three, scored by distance, as MSAC
+// of Torr and Zisserman 2000 does; then least squares).
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -12,26 +13,31 @@
 
 #include <fmt/format.h>
 
-#include "base/plane_sums.hpp"
-#include "base/random.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
+#include "base/plane_sums.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr double kLevelSurfel = 0.75;             // least |z| of a level surfel's normal: 41 degrees, noise of normals included
-constexpr double kLevelPlane = 0.85;              // of the ground: 32 degrees
-constexpr double kFaintLogit = -3.0;              // opacity 0.05: what is fainter is no surface
-constexpr double kSteepest = 0.25;                // of streets: how much higher than the sensor the ground may be, over the distance
-constexpr double kOnPlane_m = 0.1;                // half a kerb: beyond it a surfel lies on something else
-constexpr double kFitted_m = 0.05;                // of least squares: noise of a street's surfels, but not the foot of a wall
+// least |z| of a level surfel's normal: 41 degrees, noise of normals included
+constexpr double kLevelSurfel = 0.75;
+constexpr double kLevelPlane = 0.85;  // of the ground: 32 degrees
+constexpr double kFaintLogit = -3.0;  // opacity 0.05: what is fainter is no surface
+// of streets: how much higher than the sensor the ground may be, over the distance
+constexpr double kSteepest = 0.25;
+constexpr double kOnPlane_m = 0.1;  // half a kerb: beyond it a surfel lies on something else
+// of least squares: noise of a street's surfels, but not the foot of a wall
+constexpr double kFitted_m = 0.05;
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};  // beside the box: far rings of a sweep are a metre apart
-constexpr double kSmallestBelow_m = 0.75;         // half edge of the area below someone on foot, whose own is too small for a tilt
-constexpr std::size_t kFewestOnPlane = 8;         // surfels of a plane
-constexpr double kNarrowest_m = 0.15;             // standard deviation across a plane's surfels: one ring of a sweep tells no tilt
+// half edge of the area below someone on foot, whose own is too small for a tilt
+constexpr double kSmallestBelow_m = 0.75;
+constexpr std::size_t kFewestOnPlane = 8;  // surfels of a plane
+// standard deviation across a plane's surfels: one ring of a sweep tells no tilt
+constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
-constexpr int kOwnPlaces = 16;                    // at which an actor's height above the ground is looked at
+constexpr int kOwnPlaces = 16;  // at which an actor's height above the ground is looked at
 
 /// z = level at the origin; up the normal.
 struct GroundPlane {
@@ -51,7 +57,8 @@ struct Footprint {
     glm::dvec2 half_m{0.0};
 
     glm::dvec2 local(const glm::dvec3& p) const {
-        const double c = std::cos(yaw_rad), s = std::sin(yaw_rad), dx = p.x - centre_m.x, dy = p.y - centre_m.y;
+        const double c = std::cos(yaw_rad), s = std::sin(yaw_rad), dx = p.x - centre_m.x,
+                     dy = p.y - centre_m.y;
         return {c * dx + s * dy, c * dy - s * dx};
     }
     bool holds(const glm::dvec3& p, double margin_m) const {
@@ -60,10 +67,14 @@ struct Footprint {
     }
 };
 
-/// Pose of the log's vehicle and sensor where it came nearest to a place, seen from above.
+/// Pose of the log's vehicle and sensor where it came nearest to a place, seen from
+/// above.
 const Pose& nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
-    if (track.pose.empty()) throw DataError("placing an actor on the ground: found no pose of the log's vehicle, expected its trajectory");
-    return *std::ranges::min_element(track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
+    if (track.pose.empty())
+        throw DataError(
+            "placing an actor on the ground: found no pose of the log's vehicle, expected its trajectory");
+    return *std::ranges::min_element(
+        track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
 
 glm::dvec3 surfel_normal(const glm::vec4& wxyz) {
@@ -73,11 +84,12 @@ glm::dvec3 surfel_normal(const glm::vec4& wxyz) {
 /// Level surfels of a background, near some places where it lies in blocks.
 class LevelSurfels {
 public:
-    LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places) : way_(driving.sequence.world_from_sensor(0)) {
+    LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places)
+        : way_(driving.sequence.world_from_sensor(0)) {
         add(driving.scene.surfels, driving.scene.models.front().count);
         for (const SceneBlock& block : driving.scene.blocks) {
             const auto is_near = [&](const glm::dvec2& p) {
-                constexpr double kBlockReach_m = 20.0;   // half the longest thing on a road
+                constexpr double kBlockReach_m = 20.0;  // half the longest thing on a road
                 return glm::all(glm::greaterThan(p, glm::dvec2(block.low_m) - kBlockReach_m)) &&
                        glm::all(glm::lessThan(p, glm::dvec2(block.high_m) + kBlockReach_m));
             };
@@ -116,11 +128,13 @@ private:
 
     static std::vector<glm::dvec3> on_plane(const GroundPlane& plane, const std::vector<glm::dvec3>& points) {
         std::vector<glm::dvec3> on;
-        std::ranges::copy_if(points, std::back_inserter(on), [&](const glm::dvec3& p) { return std::abs(plane.above(p)) < kFitted_m; });
+        std::ranges::copy_if(points, std::back_inserter(on),
+                             [&](const glm::dvec3& p) { return std::abs(plane.above(p)) < kFitted_m; });
         return on;
     }
 
-    /// The plane through three of the points, drawn at random, that most of them lie on, and nearest.
+    /// The plane through three of the points, drawn at random, that most of them lie on,
+    /// and nearest.
     static GroundPlane most_common(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -130,7 +144,8 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            if (!(std::abs(normal.z) > kLevelPlane * length)) continue;   // upright, or three that are on a line
+            // upright, or three that are on a line
+            if (!(std::abs(normal.z) > kLevelPlane * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
             double score = 0.0;
@@ -143,7 +158,8 @@ private:
         return best;
     }
 
-    static std::optional<GroundPlane> plane_of(const std::vector<glm::dvec3>& points, const Footprint& footprint, double margin_m) {
+    static std::optional<GroundPlane> plane_of(const std::vector<glm::dvec3>& points,
+                                               const Footprint& footprint, double margin_m) {
         if (points.size() < kFewestOnPlane) return {};
         GroundPlane plane = most_common(points);
         for (int round = 0; round < 3; ++round) {
@@ -155,7 +171,8 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.local(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
-            const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);   // where the surfels lie about, unless they end there
+            // where the surfels lie about, unless they end there
+            const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
         return plane;
@@ -175,11 +192,13 @@ Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dv
 }
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
-    (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});   // says what is wrong with the name
+    // says what is wrong with the name
+    (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});
     return *find_box(owner.sequence, track);
 }
 
-/// Plane below an actor of the log that stands at a place, whose box hides the road from the sensor. Nothing without such an actor.
+/// Plane below an actor of the log that stands at a place, whose box hides the road from
+/// the sensor. Nothing without such an actor.
 /// @param clearance_m  how far the bottom of such a box is above the ground
 std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& sequence,
                                           const std::function<double(const BoxTrack&)>& clearance_m) {
@@ -190,7 +209,8 @@ std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& 
         for (const Pose& pose : box.world_from_box.pose) {
             const double apart_m = glm::distance(glm::dvec2(pose.translation), xy);
             const Footprint footprint{pose.translation, heading_of(pose), 0.5 * glm::dvec2(box.size_m)};
-            if (apart_m < nearest_m && footprint.holds(glm::dvec3(xy, 0.0), 0.0)) nearest = &box, at = pose, nearest_m = apart_m;
+            if (apart_m < nearest_m && footprint.holds(glm::dvec3(xy, 0.0), 0.0))
+                nearest = &box, at = pose, nearest_m = apart_m;
         }
     if (!nearest) return {};
     const glm::dvec3 up = at.rotation * glm::dvec3(0.0, 0.0, 1.0);
@@ -208,7 +228,8 @@ std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box
     std::vector<double> found;
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
-        const std::optional<GroundPlane> plane = surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
+        const std::optional<GroundPlane> plane =
+            surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
         if (plane) found.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
     if (found.empty()) return {};
@@ -230,20 +251,27 @@ std::optional<double> ground_clearance(const DrivingView& owner, const std::stri
     return clearance_of(owner, box_of_actor(owner, track));
 }
 
-Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner, const std::string& track) {
+Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
+                      const std::string& track) {
     const BoxTrack& box = box_of_actor(owner, track);
     const glm::dvec3 offset_m = driving.sequence.world_offset_m;
     const glm::dvec2 xy = place.dataset_m - glm::dvec2(offset_m);
-    const double yaw_rad = place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(driving.sequence.world_from_vehicle, xy));
+    const double yaw_rad =
+        place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(driving.sequence.world_from_vehicle, xy));
     const LevelSurfels surfels(driving, {xy});
     std::optional<GroundPlane> plane = surfels.below(footprint_of(xy, yaw_rad, box.size_m));
     if (!plane)
-        plane = below_actor_at(xy, driving.sequence, [&](const BoxTrack& there) { return clearance_of(driving, there).value_or(0.0); });
+        plane = below_actor_at(xy, driving.sequence, [&](const BoxTrack& there) {
+            return clearance_of(driving, there).value_or(0.0);
+        });
     if (!plane)
-        throw UsageError(fmt::format("placing {} on the ground at {:.6g},{:.6g} of the dataset's world: found no surface of the background "
-                                     "below its box ({}), expected a place that the log has seen",
-                                     track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
-    const std::optional<double> clearance_m = place.clearance_m ? place.clearance_m : ground_clearance(owner, track);
+        throw UsageError(
+            fmt::format("placing {} on the ground at {:.6g},{:.6g} of the dataset's world: found no surface "
+                        "of the background "
+                        "below its box ({}), expected a place that the log has seen",
+                        track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
+    const std::optional<double> clearance_m =
+        place.clearance_m ? place.clearance_m : ground_clearance(owner, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     const glm::dvec3 centre_m(xy, plane->height_at(xy) + above_m / plane->normal.z);
     return {{facing_on(*plane, yaw_rad), centre_m + offset_m}, place.speed_mps};

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectories of OpenSCENARIO XML 1.x: of entities with a bounding box, FollowTrajectoryActions along polylines of timed world positions.
+// Trajectories of OpenSCENARIO XML 1.x: of entities with a bounding box,
+// FollowTrajectoryActions along polylines of timed world positions.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -9,21 +10,22 @@
 #include <fmt/format.h>
 #include <pugixml.hpp>
 
-#include "base/files.hpp"
 #include <relidar/base/error.hpp>
+#include "base/files.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr double kMost = 1e10;   // metres of any world, radians, seconds
-constexpr double kSlack_s = 1e-6;   // of times that were written with few digits
+constexpr double kMost = 1e10;     // metres of any world, radians, seconds
+constexpr double kSlack_s = 1e-6;  // of times that were written with few digits
 
 /// A document and what its attributes may refer to.
 struct Source {
     std::string file;
     std::map<std::string, std::string> parameters;
 
-    [[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) const {
+    [[noreturn]] void fail(const std::string& where, const std::string& found,
+                           const std::string& expected) const {
         throw DataError(fmt::format("{}: {}: found {}, expected {}", file, where, found, expected));
     }
     /// Value of an attribute, "$name" being that of a parameter of the scenario.
@@ -32,21 +34,26 @@ struct Source {
         if (!value.starts_with('$')) return value;
         const auto parameter = parameters.find(value.substr(1));
         if (parameter == parameters.end())
-            fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"", "a value, or $ and a parameter of the scenario");
+            fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
+                 "a value, or $ and a parameter of the scenario");
         return parameter->second;
     }
-    double number(const pugi::xml_node& node, const char* name, const std::string& where, std::optional<double> missing = {}) const {
+    double number(const pugi::xml_node& node, const char* name, const std::string& where,
+                  std::optional<double> missing = {}) const {
         if (missing && !node.attribute(name)) return *missing;
         const std::string value = text(node, name, where);
         const auto number = parse_number(trimmed(value));
         if (!number || !(std::abs(*number) <= kMost))
-            fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"", fmt::format("a finite number within {:.0e}", kMost));
+            fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
+                 fmt::format("a finite number within {:.0e}", kMost));
         return *number;
     }
 };
 
-/// When a start trigger fires, where that is known beforehand: at once without conditions, or at a time of the simulation.
-std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger, const std::string& where) {
+/// When a start trigger fires, where that is known beforehand: at once without
+/// conditions, or at a time of the simulation.
+std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger,
+                                   const std::string& where) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
     if (!condition) return 0.0;
     const pugi::xml_node time = condition.child("ByValueCondition").child("SimulationTimeCondition");
@@ -58,20 +65,23 @@ std::optional<double> trigger_time(const Source& source, const pugi::xml_node& t
 
 /// An action of an entity, and when it starts where that is known.
 struct Action {
-    pugi::xml_node node;   ///< PrivateAction
+    pugi::xml_node node;  ///< PrivateAction
     std::optional<double> start_s;
 };
 using ActionsOf = std::map<std::string, std::vector<Action>>;
 
 void add_actions_of_story(const Source& source, const pugi::xml_node& story, ActionsOf& actions) {
     for (const pugi::xml_node& act : story.children("Act")) {
-        const auto begun = trigger_time(source, act.child("StartTrigger"), fmt::format("Act {}", excerpt(act.attribute("name").value())));
+        const auto begun = trigger_time(source, act.child("StartTrigger"),
+                                        fmt::format("Act {}", excerpt(act.attribute("name").value())));
         for (const pugi::xml_node& group : act.children("ManeuverGroup"))
             for (const pugi::xml_node& maneuver : group.children("Maneuver"))
                 for (const pugi::xml_node& event : maneuver.children("Event")) {
-                    const std::string where = fmt::format("Event {}", excerpt(event.attribute("name").value()));
+                    const std::string where =
+                        fmt::format("Event {}", excerpt(event.attribute("name").value()));
                     const auto own = trigger_time(source, event.child("StartTrigger"), where);
-                    const std::optional<double> start_s = begun && own ? std::optional(std::max(*begun, *own)) : std::nullopt;
+                    const std::optional<double> start_s =
+                        begun && own ? std::optional(std::max(*begun, *own)) : std::nullopt;
                     for (const pugi::xml_node& action : event.children("Action"))
                         for (const pugi::xml_node& entity : group.child("Actors").children("EntityRef"))
                             if (const pugi::xml_node node = action.child("PrivateAction"))
@@ -85,7 +95,8 @@ ActionsOf find_actions(const Source& source, const pugi::xml_node& storyboard) {
     for (const pugi::xml_node& entity : storyboard.child("Init").child("Actions").children("Private"))
         for (const pugi::xml_node& node : entity.children("PrivateAction"))
             actions[source.text(entity, "entityRef", "Init")].push_back({node, 0.0});
-    for (const pugi::xml_node& story : storyboard.children("Story")) add_actions_of_story(source, story, actions);
+    for (const pugi::xml_node& story : storyboard.children("Story"))
+        add_actions_of_story(source, story, actions);
     return actions;
 }
 
@@ -94,34 +105,45 @@ struct Timing {
     double offset_s = 0.0, scale = 1.0;
 };
 
-Timing read_timing(const Source& source, const pugi::xml_node& action, std::optional<double> start_s, const std::string& where) {
+Timing read_timing(const Source& source, const pugi::xml_node& action, std::optional<double> start_s,
+                   const std::string& where) {
     const pugi::xml_node timing = action.child("TimeReference").child("Timing");
-    if (!timing) source.fail(where, "no TimeReference/Timing", "one: without it the times of vertices do not count");
+    if (!timing)
+        source.fail(where, "no TimeReference/Timing", "one: without it the times of vertices do not count");
     if (!start_s)
-        source.fail(where, "a trajectory that another condition starts", "a SimulationTimeCondition alone (greaterThan), or none");
+        source.fail(where, "a trajectory that another condition starts",
+                    "a SimulationTimeCondition alone (greaterThan), or none");
     const std::string domain = source.text(timing, "domainAbsoluteRelative", where);
     if (domain != "absolute" && domain != "relative")
-        source.fail(where + ": domainAbsoluteRelative", "\"" + excerpt(domain) + "\"", "absolute or relative");
+        source.fail(where + ": domainAbsoluteRelative", "\"" + excerpt(domain) + "\"",
+                    "absolute or relative");
     const double scale = source.number(timing, "scale", where, 1.0);
     if (!(scale > 0.0)) source.fail(where + ": scale", fmt::format("{}", scale), "a number above 0");
     return {source.number(timing, "offset", where, 0.0) + (domain == "relative" ? *start_s : 0.0), scale};
 }
 
 Pose read_position(const Source& source, const pugi::xml_node& vertex, const std::string& where) {
-    const pugi::xml_node kind = vertex.child("Position").first_child(), world = vertex.child("Position").child("WorldPosition");
+    const pugi::xml_node kind = vertex.child("Position").first_child(),
+                         world = vertex.child("Position").child("WorldPosition");
     if (!world) source.fail(where, kind ? "a " + excerpt(kind.name()) : "no Position", "a WorldPosition");
-    const auto get = [&](const char* name, std::optional<double> missing) { return source.number(world, name, where, missing); };
-    return {rotation_of(get("h", 0.0), get("p", 0.0), get("r", 0.0)), {get("x", {}), get("y", {}), get("z", 0.0)}};
+    const auto get = [&](const char* name, std::optional<double> missing) {
+        return source.number(world, name, where, missing);
+    };
+    return {rotation_of(get("h", 0.0), get("p", 0.0), get("r", 0.0)),
+            {get("x", {}), get("y", {}), get("z", 0.0)}};
 }
 
 PoseTrack read_polyline(const Source& source, const Action& action, const std::string& where) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
-    pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");   // as from 1.1 on, then as in 1.0
+    // as from 1.1 on, then as in 1.0
+    pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory) source.fail(where, "no Trajectory", "one in the file itself, not of a catalog");
-    const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"), other = trajectory.child("Shape").first_child();
+    const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
+                         other = trajectory.child("Shape").first_child();
     if (!polyline) source.fail(where, other ? "a " + excerpt(other.name()) : "no Shape", "a Polyline");
-    if (source.text(trajectory, "closed", where) == "true") source.fail(where, "a closed trajectory", "one that ends");
+    if (source.text(trajectory, "closed", where) == "true")
+        source.fail(where, "a closed trajectory", "one that ends");
     if (source.number(follow, "initialDistanceOffset", where, 0.0) != 0.0)
         source.fail(where, "an initialDistanceOffset", "a trajectory that is followed from its first vertex");
     const Timing timing = read_timing(source, follow, action.start_s, where);
@@ -130,29 +152,39 @@ PoseTrack read_polyline(const Source& source, const Action& action, const std::s
         const std::string at = fmt::format("{}: Vertex {}", where, track.pose.size() + 1);
         const double time_s = timing.offset_s + timing.scale * source.number(vertex, "time", at);
         if (!track.time_s.empty() && !(time_s > track.time_s.back()))
-            source.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()), "times that rise");
+            source.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
+                        "times that rise");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_position(source, vertex, at));
     }
-    if (track.pose.size() < 2) source.fail(where, fmt::format("{} vertices", track.pose.size()), "two or more");
+    if (track.pose.size() < 2)
+        source.fail(where, fmt::format("{} vertices", track.pose.size()), "two or more");
     if (*action.start_s > track.time_s.front() + kSlack_s)
-        source.fail(where, fmt::format("a start at {} s, after the first vertex at {} s", *action.start_s, track.time_s.front()),
+        source.fail(where,
+                    fmt::format("a start at {} s, after the first vertex at {} s", *action.start_s,
+                                track.time_s.front()),
                     "a start that is not after it");
     return track;
 }
 
-void read_box(const Source& source, const pugi::xml_node& object, const std::string& where, ScenarioEntity& entity) {
+void read_box(const Source& source, const pugi::xml_node& object, const std::string& where,
+              ScenarioEntity& entity) {
     pugi::xml_node box;
     for (const char* kind : {"Vehicle", "Pedestrian", "MiscObject"})
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
-        source.fail(where, "no BoundingBox", "one in the file itself: positions are those of a reference point, and say nothing of it");
+        source.fail(
+            where, "no BoundingBox",
+            "one in the file itself: positions are those of a reference point, and say nothing of it");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
-    entity.centre_m = {source.number(centre, "x", where), source.number(centre, "y", where), source.number(centre, "z", where)};
-    entity.size_m = {source.number(size, "length", where), source.number(size, "width", where), source.number(size, "height", where)};
+    entity.centre_m = {source.number(centre, "x", where), source.number(centre, "y", where),
+                       source.number(centre, "z", where)};
+    entity.size_m = {source.number(size, "length", where), source.number(size, "width", where),
+                     source.number(size, "height", where)};
 }
 
-ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object, const std::vector<Action>& actions) {
+ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object,
+                           const std::vector<Action>& actions) {
     ScenarioEntity entity;
     entity.name = object.attribute("name").value();
     const std::string where = fmt::format("entity {}", excerpt(entity.name));
@@ -162,7 +194,8 @@ ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object, c
             entity.ignored.emplace_back(excerpt(kind.name()));
             continue;
         }
-        if (!entity.world_from_reference.pose.empty()) source.fail(where, "a second trajectory", "one at most");
+        if (!entity.world_from_reference.pose.empty())
+            source.fail(where, "a second trajectory", "one at most");
         entity.world_from_reference = read_polyline(source, action, where);
     }
     if (!entity.world_from_reference.pose.empty()) read_box(source, object, where, entity);
@@ -175,13 +208,17 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
     const std::string text = read_text(path);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
-    if (!parsed) throw DataError(fmt::format("{}: malformed XML at byte {}: {}", path.string(), parsed.offset, parsed.description()));
+    if (!parsed)
+        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", path.string(), parsed.offset,
+                                    parsed.description()));
     const pugi::xml_node root = document.child("OpenSCENARIO");
     if (!root.child("Storyboard"))
-        throw DataError(
-            fmt::format("{}: found no element OpenSCENARIO/Storyboard, expected a scenario of OpenSCENARIO XML 1.x", path.string()));
+        throw DataError(fmt::format(
+            "{}: found no element OpenSCENARIO/Storyboard, expected a scenario of OpenSCENARIO XML 1.x",
+            path.string()));
     Source source{path.string(), {}};
-    for (const pugi::xml_node& parameter : root.child("ParameterDeclarations").children("ParameterDeclaration"))
+    for (const pugi::xml_node& parameter :
+         root.child("ParameterDeclarations").children("ParameterDeclaration"))
         source.parameters.emplace(parameter.attribute("name").value(), parameter.attribute("value").value());
     ActionsOf actions = find_actions(source, root.child("Storyboard"));
     std::vector<ScenarioEntity> entities;
@@ -190,12 +227,14 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
         entities.push_back(read_entity(source, object, own ? own.mapped() : std::vector<Action>()));
     }
     if (!actions.empty())
-        source.fail("Storyboard", fmt::format("actions of \"{}\"", excerpt(actions.begin()->first)), "a ScenarioObject of that name");
+        source.fail("Storyboard", fmt::format("actions of \"{}\"", excerpt(actions.begin()->first)),
+                    "a ScenarioObject of that name");
     return entities;
 }
 
 PoseTrack box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m) {
-    const glm::dvec3 centre_m(entity.centre_m.x, entity.centre_m.y, entity.centre_m.z - 0.5 * entity.size_m.z + 0.5 * size_m.z);
+    const glm::dvec3 centre_m(entity.centre_m.x, entity.centre_m.y,
+                              entity.centre_m.z - 0.5 * entity.size_m.z + 0.5 * size_m.z);
     PoseTrack track = moved_track(with_fine_turns(entity.world_from_reference), {{1, 0, 0, 0}, centre_m});
     for (double& time_s : track.time_s) time_s += begin_s;
     return track;

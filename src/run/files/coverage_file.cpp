@@ -18,14 +18,15 @@ constexpr const char* kCoverageFormat = "relidar coverage";
 constexpr const char* kCoverageVersion = "1";
 constexpr const char* kCell = "cell_m";
 
-/// An array of so many columns. @throws DataError where the file has none of this type and width
-const NamedArray& table(const std::vector<NamedArray>& arrays, const char* name, const char* dtype, std::size_t width,
-                        const std::string& file) {
+/// An array of so many columns. @throws DataError where the file has none of this type
+/// and width
+const NamedArray& table(const std::vector<NamedArray>& arrays, const char* name, const char* dtype,
+                        std::size_t width, const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
     if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
     if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != width)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected {} [blocks, {}]", file, name, array->dtype,
-                                    fmt::join(array->shape, ", "), dtype, width));
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected {} [blocks, {}]", file, name,
+                                    array->dtype, fmt::join(array->shape, ", "), dtype, width));
     return *array;
 }
 
@@ -44,7 +45,10 @@ void save_coverage(const std::filesystem::path& path, const Coverage& coverage) 
     write_safetensors(path,
                       {make_array("place", {n, 3}, places.data(), places.size()),
                        make_array("cells", {n, Coverage::kWords}, cells.data(), cells.size())},
-                      {{"format", kCoverageFormat}, {"version", kCoverageVersion}, {"relidar", RELIDAR_VERSION}, {kCell, cell_m}});
+                      {{"format", kCoverageFormat},
+                       {"version", kCoverageVersion},
+                       {"relidar", RELIDAR_VERSION},
+                       {kCell, cell_m}});
 }
 
 Coverage load_coverage(const std::filesystem::path& path) {
@@ -54,15 +58,18 @@ Coverage load_coverage(const std::filesystem::path& path) {
     check_format(metadata, file, kCoverageFormat, kCoverageVersion);
     if (const std::string expected = fmt::format("{}", Coverage::kCell_m); metadata[kCell] != expected)
         throw DataError(fmt::format("{}: {}: found {}, expected {}", file, kCell, metadata[kCell], expected));
-    const NamedArray &places = table(arrays, "place", "i4", 3, file), &cells = table(arrays, "cells", "u2", Coverage::kWords, file);
+    const NamedArray &places = table(arrays, "place", "i4", 3, file),
+                     &cells = table(arrays, "cells", "u2", Coverage::kWords, file);
     if (places.shape[0] != cells.shape[0])
-        throw DataError(fmt::format("{}: found {} places and {} rows of cells, expected as many of both", file, places.shape[0],
-                                    cells.shape[0]));
+        throw DataError(fmt::format("{}: found {} places and {} rows of cells, expected as many of both",
+                                    file, places.shape[0], cells.shape[0]));
     Coverage coverage;
     for (std::size_t i = 0; i < places.shape[0]; ++i) {
         Coverage::Block block;
-        std::memcpy(&block.place.x, places.bytes.data() + i * 3 * sizeof(std::int32_t), 3 * sizeof(std::int32_t));
-        std::memcpy(block.cells.data(), cells.bytes.data() + i * sizeof(Coverage::Cells), sizeof(Coverage::Cells));
+        std::memcpy(&block.place.x, places.bytes.data() + i * 3 * sizeof(std::int32_t),
+                    3 * sizeof(std::int32_t));
+        std::memcpy(block.cells.data(), cells.bytes.data() + i * sizeof(Coverage::Cells),
+                    sizeof(Coverage::Cells));
         coverage.add(block);
     }
     return coverage;

@@ -19,26 +19,33 @@ namespace {
 constexpr const char* kNetworkFormat = "relidar drop network";
 constexpr const char* kNetworkVersion = "1";
 
-std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* name, const std::string& file) {
+std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* name,
+                             const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
-    if (!array || array->dtype != "f4") throw DataError(fmt::format("{}: array {}: missing or not f4, expected it", file, name));
+    if (!array || array->dtype != "f4")
+        throw DataError(fmt::format("{}: array {}: missing or not f4, expected it", file, name));
     std::vector<float> values = array->as_float();
     for (std::size_t i = 0; i < values.size(); ++i)
         if (!std::isfinite(values[i]))
-            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected finite numbers", file, name, i, values[i]));
+            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected finite numbers", file, name,
+                                        i, values[i]));
     return values;
 }
 
 void read_shape(const JsonField& shape, DropNetwork& network) {
     network.image = shape.at("image").text();
     const JsonField inputs = shape.at("inputs"), widths = shape.at("widths");
-    if (inputs.size() < 1 || inputs.size() > 64) inputs.fail(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
-    if (widths.size() < 1 || widths.size() > 8) widths.fail(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
+    if (inputs.size() < 1 || inputs.size() > 64)
+        inputs.fail(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
+    if (widths.size() < 1 || widths.size() > 8)
+        widths.fail(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
     for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).text());
-    for (std::size_t i = 0; i < widths.size(); ++i) network.widths.push_back(std::uint32_t(widths.at(i).integer(2, 4096)));
+    for (std::size_t i = 0; i < widths.size(); ++i)
+        network.widths.push_back(std::uint32_t(widths.at(i).integer(2, 4096)));
     network.heads = std::uint32_t(shape.at("heads").integer(0, network.widths.back()));
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        shape.at("heads").fail(fmt::format("found {}", network.heads), fmt::format("expected a divisor of {}", network.widths.back()));
+        shape.at("heads").fail(fmt::format("found {}", network.heads),
+                               fmt::format("expected a divisor of {}", network.widths.back()));
     network.taps = std::uint32_t(shape.at("taps").integer(1, 9));
     network.residual = shape.at("residual").integer(0, 1) != 0;
 }
@@ -49,16 +56,16 @@ void save_drop_network(const std::filesystem::path& path, const DropNetwork& net
     const auto array = [](const char* name, const std::vector<float>& values) {
         return make_array(name, {values.size()}, values.data(), values.size());
     };
-    const nlohmann::ordered_json shape = {{"image", network.image},
-                                          {"inputs", network.inputs},
-                                          {"widths", network.widths},
-                                          {"heads", network.heads},
-                                          {"taps", network.taps},
-                                          {"residual", int(network.residual)}};
+    const nlohmann::ordered_json shape = {{"image", network.image},   {"inputs", network.inputs},
+                                          {"widths", network.widths}, {"heads", network.heads},
+                                          {"taps", network.taps},     {"residual", int(network.residual)}};
     write_safetensors(path,
                       {array("normalisation", network.normalisation), array("parameters", network.parameters),
                        array("running", network.running)},
-                      {{"format", kNetworkFormat}, {"version", kNetworkVersion}, {"relidar", RELIDAR_VERSION}, {"shape", shape.dump()}});
+                      {{"format", kNetworkFormat},
+                       {"version", kNetworkVersion},
+                       {"relidar", RELIDAR_VERSION},
+                       {"shape", shape.dump()}});
 }
 
 DropNetwork load_drop_network(const std::filesystem::path& path) {

@@ -11,19 +11,21 @@
 
 namespace relidar::run_detail {
 
-/// @throws DataError  naming what was found, unless `metadata` is of this format and version
-inline void check_format(const std::map<std::string, std::string>& metadata, const std::string& file, const std::string& format,
-                         const std::string& version) {
+/// @throws DataError  naming what was found, unless `metadata` is of this format and
+/// version
+inline void check_format(const std::map<std::string, std::string>& metadata, const std::string& file,
+                         const std::string& format, const std::string& version) {
     const auto value = [&](const char* key) {
         const auto it = metadata.find(key);
         return it == metadata.end() ? std::string() : it->second;
     };
     if (value("format") != format)
-        throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), format));
-    if (value("version") != version)
         throw DataError(
-            fmt::format("{}: metadata version: found \"{}\", this relidar ({}) reads version {}: train the run again", file,
-                        value("version"), RELIDAR_VERSION, version));
+            fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), format));
+    if (value("version") != version)
+        throw DataError(fmt::format(
+            "{}: metadata version: found \"{}\", this relidar ({}) reads version {}: train the run again",
+            file, value("version"), RELIDAR_VERSION, version));
 }
 
 }  // namespace relidar::run_detail

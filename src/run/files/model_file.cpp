@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// model.safetensors: the parameters of all surfels, an array a group for the whole scene, and which range of them is which model placed by
-// which instance, as JSON in the metadata. Everything is checked on the way in: a run may have been edited.
+// model.safetensors: the parameters of all surfels, an array a group for the whole scene,
+// and which range of them is which model placed by which instance, as JSON in the
+// metadata. Everything is checked on the way in: a run may have been edited.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -13,11 +14,11 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "base/files.hpp"
-#include "base/json_field.hpp"
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
+#include "base/files.hpp"
+#include "base/json_field.hpp"
 
 #include "run/files/file_format.hpp"
 
@@ -33,20 +34,23 @@ void check_finite(const ParameterGroup& group, const Surfels& surfels, const std
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
     const auto row = static_cast<std::size_t>(bad - values.begin()) / group.floats();
-    throw DataError(fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
+    throw DataError(
+        fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
 }
 
-const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name, const std::string& file) {
+const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name,
+                           const std::string& file) {
     const NamedArray* found = find_array(arrays, name);
     if (!found) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
     return *found;
 }
 
-void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels, const std::string& file) {
+void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels,
+                const std::string& file) {
     const std::vector<std::size_t> expected = group.shape(surfels.size());
     if (array.shape != expected || array.dtype != "f4") {
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name, array.dtype,
-                                    fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name,
+                                    array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
     }
     const std::vector<float> values = array.as_float();
     std::ranges::copy(values, group.mutable_values(surfels).begin());
@@ -71,25 +75,31 @@ void read_layout(const JsonField& layout, Scene& scene) {
     std::int64_t next = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
         const JsonField m = models.at(i);
-        const std::int64_t first = m.at("first").integer(0, kMaxSurfels), count = m.at("count").integer(0, kMaxSurfels);
+        const std::int64_t first = m.at("first").integer(0, kMaxSurfels),
+                           count = m.at("count").integer(0, kMaxSurfels);
         if (first != next)
-            m.at("first").fail(fmt::format("found {}", first), fmt::format("expected {}, where the model before ends", next));
+            m.at("first").fail(fmt::format("found {}", first),
+                               fmt::format("expected {}, where the model before ends", next));
         next = first + count;
-        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(count),
-                                read_half_size(m), read_stride(m)});
+        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
+                                static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m)});
     }
-    if (next != n) models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
-    if (models.size() == 0 || instances.size() == 0) models.fail("found no model or no instance", "expected at least one each");
+    if (next != n)
+        models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
+    if (models.size() == 0 || instances.size() == 0)
+        models.fail("found no model or no instance", "expected at least one each");
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const JsonField instance = instances.at(i);
-        const std::int64_t model = instance.at("model").integer(0, static_cast<std::int64_t>(models.size()) - 1);
+        const std::int64_t model =
+            instance.at("model").integer(0, static_cast<std::int64_t>(models.size()) - 1);
         scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").text()});
     }
 }
 
 void check_metadata(const std::map<std::string, std::string>& metadata, const std::string& file) {
     run_detail::check_format(metadata, file, kModelFormat, kModelVersion);
-    if (!metadata.contains("layout")) throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
+    if (!metadata.contains("layout"))
+        throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
 }
 
 constexpr const char* kBlocks = "blocks";
@@ -112,7 +122,8 @@ glm::vec3 read_corner(const JsonField& field) {
 }
 
 /// @param folder  of the model: a block's file lies below it
-void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder, Scene& scene) {
+void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder,
+                      Scene& scene) {
     const nlohmann::json json = parse_json(text, where);
     const JsonField blocks(json, where, "");
     for (std::size_t i = 0; i < blocks.size(); ++i) {
@@ -121,7 +132,8 @@ void read_blocks_json(const std::string& text, const std::string& where, const s
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
         if (file.empty() || file.is_absolute() || goes_up)
             block.at("file").fail("found " + file.string(), "expected a file in the folder of the model");
-        scene.blocks.push_back({folder / file, static_cast<std::uint32_t>(block.at("surfels").integer(0, kMaxSurfels)),
+        scene.blocks.push_back({folder / file,
+                                static_cast<std::uint32_t>(block.at("surfels").integer(0, kMaxSurfels)),
                                 read_corner(block.at("low_m")), read_corner(block.at("high_m"))});
     }
 }
@@ -130,20 +142,24 @@ constexpr const char* kSensorDrop = "sensor_drop";
 
 /// The optional table of sensor-level ray-drop, [channels, bins].
 void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
-    const auto it = std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
+    const auto it =
+        std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
     if (it == arrays.end()) return;
     if (it->shape.size() != 2 || it->dtype != "f4" || it->shape[0] > 65536 || it->shape[1] > 65536)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file, kSensorDrop, it->dtype,
-                                    fmt::join(it->shape, ", ")));
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file,
+                                    kSensorDrop, it->dtype, fmt::join(it->shape, ", ")));
     scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]), it->as_float()};
     for (const float p : scene.sensor_drop.probability)
-        if (!(p >= 0.0f && p <= 1.0f)) throw DataError(fmt::format("{}: array {}: holds {}, expected probabilities", file, kSensorDrop, p));
+        if (!(p >= 0.0f && p <= 1.0f))
+            throw DataError(
+                fmt::format("{}: array {}: holds {}, expected probabilities", file, kSensorDrop, p));
 }
 
 }  // namespace
 
 std::string layout_to_json(const Scene& scene) {
-    nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()}, {"instances", nlohmann::ordered_json::array()}};
+    nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()},
+                                   {"instances", nlohmann::ordered_json::array()}};
     for (const Model& m : scene.models) {
         json["models"].push_back({{"name", m.name},
                                   {"first", m.first},
@@ -151,7 +167,8 @@ std::string layout_to_json(const Scene& scene) {
                                   {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
         if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
     }
-    for (const Instance& i : scene.instances) json["instances"].push_back({{"model", i.model}, {"track", i.track}});
+    for (const Instance& i : scene.instances)
+        json["instances"].push_back({{"model", i.model}, {"track", i.track}});
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
@@ -166,15 +183,18 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     for (const ParameterGroup& group : groups_of(scene.surfels.parameters())) {
         check_finite(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
-        arrays.push_back(make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
+        arrays.push_back(
+            make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
     }
     const DropTable& drop = scene.sensor_drop;
     if (!drop.empty())
-        arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)}, drop.probability.data(),
-                                    drop.probability.size()));
-    std::map<std::string, std::string> metadata{
-        {"format", kModelFormat}, {"version", kModelVersion}, {"relidar", RELIDAR_VERSION},
-        {kPrimitiveKey, kind_of(scene.surfels.primitive).name}, {"layout", layout_to_json(scene)}};
+        arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)},
+                                    drop.probability.data(), drop.probability.size()));
+    std::map<std::string, std::string> metadata{{"format", kModelFormat},
+                                                {"version", kModelVersion},
+                                                {"relidar", RELIDAR_VERSION},
+                                                {kPrimitiveKey, kind_of(scene.surfels.primitive).name},
+                                                {"layout", layout_to_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = blocks_to_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);
 }
@@ -187,18 +207,21 @@ Scene load_model(const std::filesystem::path& path) {
     check_metadata(metadata, file);
     const NamedArray& mean = array_of(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
-        throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file, fmt::join(mean.shape, ", ")));
-    const ParameterSet parameters =
-        stored_parameters(metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    for (const ParameterGroup& group : groups_of(parameters)) {   // row counts first: nothing is allocated for a file that lies
+        throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file,
+                                    fmt::join(mean.shape, ", ")));
+    const ParameterSet parameters = stored_parameters(
+        metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
+    // row counts first: nothing is allocated for a file that lies
+    for (const ParameterGroup& group : groups_of(parameters)) {
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
-            throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file, group.name,
-                                        fmt::join(array.shape, ", "), mean.shape[0]));
+            throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file,
+                                        group.name, fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], parameters);
-    for (const ParameterGroup& group : groups_of(parameters)) read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
+    for (const ParameterGroup& group : groups_of(parameters))
+        read_group(group, array_of(arrays, group.name, file), scene.surfels, file);
     read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
     read_sensor_drop(arrays, scene, file);
     if (const auto blocks = metadata.find(kBlocks); blocks != metadata.end())

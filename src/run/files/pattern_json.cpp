@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// {"window": {...}}, {"rosette": {...}} or {"rays": {...}}; angles in radians, as everywhere in scene.json.
+// {"window": {...}}, {"rosette": {...}} or {"rays": {...}}; angles in radians, as
+// everywhere in scene.json.
 #include "run/files/pattern_json.hpp"
 
 #include <cmath>
@@ -14,7 +15,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr double kTurn = 10.0;   // radians, more than a turn
+constexpr double kTurn = 10.0;  // radians, more than a turn
 
 Json vectors_json(const ScanArray<glm::vec3>& vectors) {
     Json json = Json::array();
@@ -86,16 +87,19 @@ Rosette read_rosette(const JsonField& field) {
 
 std::vector<double> numbers(const JsonField& field, std::size_t n, double largest) {
     std::vector<double> values = field.numbers();
-    if (values.size() != n) field.fail(fmt::format("found {} numbers", values.size()), fmt::format("expected {}", n));
+    if (values.size() != n)
+        field.fail(fmt::format("found {} numbers", values.size()), fmt::format("expected {}", n));
     for (const double v : values)
-        if (!(std::abs(v) <= largest)) field.fail(fmt::format("found {}", v), fmt::format("expected numbers within {}", largest));
+        if (!(std::abs(v) <= largest))
+            field.fail(fmt::format("found {}", v), fmt::format("expected numbers within {}", largest));
     return values;
 }
 
 ScanArray<glm::vec3> vectors(const JsonField& field, std::size_t n, double largest) {
     const std::vector<double> values = numbers(field, 3 * n, largest);
     ScanArray<glm::vec3> vectors;
-    for (std::size_t i = 0; i < n; ++i) vectors.emplace_back(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
+    for (std::size_t i = 0; i < n; ++i)
+        vectors.emplace_back(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
     return vectors;
 }
 
@@ -106,8 +110,10 @@ RayTable read_rays(const JsonField& field) {
     const std::size_t n = std::size_t(rays.rows) * std::size_t(rays.columns);
     rays.origin = vectors(field.at("origin"), n, 1000.0);
     rays.direction = vectors(field.at("direction"), n, 1.001);
-    for (const double t : numbers(field.at("time_offset_s"), n, 10.0)) rays.time_offset_s.push_back(static_cast<float>(t));
-    for (const double c : numbers(field.at("channel"), n, 65535.0)) rays.channel.push_back(static_cast<std::uint16_t>(std::abs(c)));
+    for (const double t : numbers(field.at("time_offset_s"), n, 10.0))
+        rays.time_offset_s.push_back(static_cast<float>(t));
+    for (const double c : numbers(field.at("channel"), n, 65535.0))
+        rays.channel.push_back(static_cast<std::uint16_t>(std::abs(c)));
     for (const glm::vec3& d : rays.direction)
         if (!(std::abs(glm::length(d) - 1.0f) < 1e-3f))
             field.at("direction").fail(fmt::format("found length {}", glm::length(d)), "expected 1");

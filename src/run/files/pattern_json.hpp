@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What makes the rays of a LiDAR that does not spin, as scene.json has it. Private to run.
+// What makes the rays of a LiDAR that does not spin, as scene.json has it. Private to
+// run.
 #pragma once
 
 #include <nlohmann/json_fwd.hpp>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder. A new one is filled under a temporary name and renamed. In an existing folder all files are written into a temporary
-// folder below it and then get their names. config.toml comes last, because nothing takes a folder without it for a run.
-// load_run() names the file in every error message.
+// A run folder. A new one is filled under a temporary name and renamed. In an existing
+// folder all files are written into a temporary folder below it and then get their names.
+// config.toml comes last, because nothing takes a folder without it for a run. load_run()
+// names the file in every error message.
 #include <relidar/run/run.hpp>
 
 #include <cerrno>
@@ -14,14 +15,14 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/run/stage_options.hpp>
 #include "base/files.hpp"
 #include "run/files/coverage_file.hpp"
 #include "run/files/scatter_file.hpp"
 #include "run/files/scene_json.hpp"
 #include "run/files/sweeps_file.hpp"
-#include <relidar/base/error.hpp>
-#include <relidar/base/files.hpp>
-#include <relidar/run/stage_options.hpp>
 
 namespace relidar {
 namespace {
@@ -40,8 +41,8 @@ void make_folder(const fs::path& folder) {
     fs::create_directories(folder, failed);
     std::error_code unknown;
     if (!fs::is_directory(folder, unknown))
-        throw DataError(
-            fmt::format("{}: cannot be made a folder: {}", folder.string(), failed ? failed.message() : "something else has that name"));
+        throw DataError(fmt::format("{}: cannot be made a folder: {}", folder.string(),
+                                    failed ? failed.message() : "something else has that name"));
 }
 
 /// A second name of a file, or a copy of it.
@@ -53,41 +54,48 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
     if (!failed) return;
     write_atomically(to, [&](const fs::path& temporary) {
         std::error_code why;
-        if (!fs::copy_file(from, temporary, why)) throw DataError(fmt::format("copying {}: {}", from.string(), why.message()));
+        if (!fs::copy_file(from, temporary, why))
+            throw DataError(fmt::format("copying {}: {}", from.string(), why.message()));
     });
 }
 
-/// The blocks as files below `folder`. @param keep  leave out files that the run's folder has already
+/// The blocks as files below `folder`. @param keep  leave out files that the run's folder
+/// has already
 std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
-        if (!keep || !fs::equivalent(blocks[i].file, run.folder / file, failed)) link_or_copy(blocks[i].file, folder / file);
+        if (!keep || !fs::equivalent(blocks[i].file, run.folder / file, failed))
+            link_or_copy(blocks[i].file, folder / file);
         blocks[i].file = folder / file;
     }
     return blocks;
 }
 
-/// Options of stages that no setting names are not kept: a run of others could not be rendered again as it was.
+/// Options of stages that no setting names are not kept: a run of others could not be
+/// rendered again as it was.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
-        throw DataError(fmt::format("saving {}: an option that is no setting differs from preset {}; expected changes of settings that "
-                                    "`relidar list settings --all` lists alone",
-                                    (run.folder / kConfigFile).string(), run.config.preset));
+        throw DataError(
+            fmt::format("saving {}: an option that is no setting differs from preset {}; expected changes of "
+                        "settings that "
+                        "`relidar list settings --all` lists alone",
+                        (run.folder / kConfigFile).string(), run.config.preset));
 }
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    Scene scene = run.scene;   // actors alone are in memory
+    Scene scene = run.scene;  // actors alone are in memory
     scene.blocks = own_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }
 
 void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
-    write_text(folder / kSceneFile, run_detail::to_scene_json(run));   // what cannot be written as text is found first
+    // what cannot be written as text is found first
+    write_text(folder / kSceneFile, run_detail::to_scene_json(run));
     save_config(run, folder);
     save_scene(run, folder, keep_blocks);
     if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
@@ -102,7 +110,8 @@ void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks
         write_files(run, staged, keep_blocks);
     } catch (const DataError& error) {
         std::string message = error.what();
-        for (std::size_t at = 0; (at = message.find(staged.string(), at)) != std::string::npos; at += run.folder.string().size())
+        for (std::size_t at = 0; (at = message.find(staged.string(), at)) != std::string::npos;
+             at += run.folder.string().size())
             message.replace(at, staged.string().size(), run.folder.string());
         throw DataError(message);
     }
@@ -112,7 +121,9 @@ void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks
 struct TemporaryFolder {
     fs::path path;
 
-    explicit TemporaryFolder(const fs::path& parent) : path(temporary_path(parent / "run")) { make_folder(path); }
+    explicit TemporaryFolder(const fs::path& parent) : path(temporary_path(parent / "run")) {
+        make_folder(path);
+    }
     ~TemporaryFolder() {
         std::error_code failed;
         fs::remove_all(path, failed);
@@ -124,7 +135,9 @@ struct TemporaryFolder {
 void rename_file(const fs::path& from, const fs::path& to) {
     std::error_code failed;
     fs::rename(from, to, failed);
-    if (failed) throw DataError(fmt::format("writing '{}': renaming the temporary file: {}", to.string(), failed.message()));
+    if (failed)
+        throw DataError(
+            fmt::format("writing '{}': renaming the temporary file: {}", to.string(), failed.message()));
 }
 
 /// Whether a file holds these bytes.
@@ -132,8 +145,9 @@ bool holds(const fs::path& file, const std::string& bytes) {
     return path_exists(file) && read_file(file) == bytes;
 }
 
-/// Gives the files of `staged` their names in the run's folder. Settings that stay the same are not touched, so that a run in training
-/// can be resumed whenever the process is killed.
+/// Gives the files of `staged` their names in the run's folder. Settings that stay the
+/// same are not touched, so that a run in training can be resumed whenever the process is
+/// killed.
 void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
     const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
     if (!same_config || remove_earlier) fs::remove(folder / kConfigFile);
@@ -169,7 +183,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
         write_staged_files(run, staged.path(), false);
         return staged.finish_new();
     }
-    make_folder(run.folder);   // says what is wrong if it is a file
+    make_folder(run.folder);  // says what is wrong if it is a file
     const TemporaryFolder staged(run.folder);
     write_staged_files(run, staged.path, !remove_earlier);
     move_files(staged.path, run.folder, remove_earlier);
@@ -179,7 +193,8 @@ Run load_run(const fs::path& folder) {
     check_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!path_exists(folder / name))
-            throw DataError(fmt::format("{}: no such file, expected it in a run folder", (folder / name).string()));
+            throw DataError(
+                fmt::format("{}: no such file, expected it in a run folder", (folder / name).string()));
     }
     Run run;
     run.folder = folder;
@@ -195,20 +210,22 @@ Run load_run(const fs::path& folder) {
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!path_exists(block.file))
-            throw DataError(
-                fmt::format("{}: no such file, expected it in a run of {} blocks", block.file.string(), run.scene.blocks.size()));
+            throw DataError(fmt::format("{}: no such file, expected it in a run of {} blocks",
+                                        block.file.string(), run.scene.blocks.size()));
     if (path_exists(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
     if (path_exists(folder / kCoverageFile)) run.coverage = run_detail::load_coverage(folder / kCoverageFile);
     if (path_exists(folder / kScatterFile))
         run.intensity_scatter = run_detail::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
-    if (path_exists(folder / kDropNetworkFile)) run.drop_network = load_drop_network(folder / kDropNetworkFile);
+    if (path_exists(folder / kDropNetworkFile))
+        run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
-        throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(), scene.n_surfels, kModelFile,
-                                    run.scene.surfels.size()));
+        throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(),
+                                    scene.n_surfels, kModelFile, run.scene.surfels.size()));
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
-        throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}", (folder / kConfigFile).string(),
-                                    kind_of(run.config.image.primitive).name, kModelFile, kind_of(run.scene.surfels.primitive).label));
+        throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}",
+                                    (folder / kConfigFile).string(), kind_of(run.config.image.primitive).name,
+                                    kModelFile, kind_of(run.scene.surfels.primitive).label));
     return run;
 }
 
@@ -219,10 +236,13 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    // several processes may try at the same time, and one that is killed here leaves what remove_temporaries() finds
+    // several processes may try at the same time, and one that is killed here leaves what
+    // remove_temporaries() finds
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
-    if (file < 0) throw DataError(fmt::format("writing into '{}': {}", folder.string(), std::generic_category().message(errno)));
+    if (file < 0)
+        throw DataError(
+            fmt::format("writing into '{}': {}", folder.string(), std::generic_category().message(errno)));
     ::close(file);
     ::unlink(probe.c_str());
 }

@@ -58,9 +58,11 @@ struct ScatterArrays {
         const std::string name = fmt::format("{}.{}", lidar, what);
         const NamedArray* array = find_array(arrays, name);
         if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
-        if (array->dtype != dtype || array->shape.size() != 1 || array->count() == 0 || (n > 0 && array->count() != n))
-            throw DataError(fmt::format("{}: array {}: found {} of {} numbers, expected {}{}", file, name, array->dtype, array->count(),
-                                        dtype, n > 0 ? fmt::format(" of {}", n) : ""));
+        if (array->dtype != dtype || array->shape.size() != 1 || array->count() == 0 ||
+            (n > 0 && array->count() != n))
+            throw DataError(fmt::format("{}: array {}: found {} of {} numbers, expected {}{}", file, name,
+                                        array->dtype, array->count(), dtype,
+                                        n > 0 ? fmt::format(" of {}", n) : ""));
         std::vector<double> values = array->as_double();
         if (!std::ranges::all_of(values, [](double v) { return std::isfinite(v); }))
             throw DataError(fmt::format("{}: array {}: found a number that is not finite", file, name));
@@ -70,21 +72,28 @@ struct ScatterArrays {
         IntensityScatter result;
         const std::vector<double> feature = read("feature", "i4"), values = read("values", "f4");
         const std::size_t n = feature.size();
-        const std::vector<double> child = read("child", "i4", n), first = read("first", "i4", n), count = read("count", "i4", n),
-                                  at = read("at", "f4", n);
+        const std::vector<double> child = read("child", "i4", n), first = read("first", "i4", n),
+                                  count = read("count", "i4", n), at = read("at", "f4", n);
         result.values.assign(values.begin(), values.end());
         for (std::size_t i = 0; i < n; ++i) {
-            const bool is_leaf = feature[i] == -1.0, has_feature = feature[i] >= 0.0 && feature[i] < double(count_scatter_features()),
-                       has_children = child[i] > double(i) && child[i] + 1.0 < double(n),
-                       has_values = first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
+            const bool is_leaf = feature[i] == -1.0,
+                       has_feature =
+                           feature[i] >= 0.0 &&
+                           feature[i]<double(count_scatter_features()), has_children = child[i]> double(i) &&
+                           child[i] + 1.0 < double(n),
+                       has_values =
+                           first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
             if (!has_values || !(is_leaf || (has_feature && has_children)))
-                throw DataError(fmt::format("{}: LiDAR {}: node {} is none of a tree: feature {}, child {}, values {} and {} more", file,
-                                            lidar, i, feature[i], child[i], first[i], count[i]));
-            result.nodes.push_back(
-                {std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]), std::uint32_t(first[i]), std::uint32_t(count[i])});
+                throw DataError(fmt::format(
+                    "{}: LiDAR {}: node {} is none of a tree: feature {}, child {}, values {} and {} more",
+                    file, lidar, i, feature[i], child[i], first[i], count[i]));
+            result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
+                                    std::uint32_t(first[i]), std::uint32_t(count[i])});
         }
         result.step = read("step", "f8", 1)[0];
-        if (result.step < 0.0) throw DataError(fmt::format("{}: array {}.step: found {}, expected 0 or more", file, lidar, result.step));
+        if (result.step < 0.0)
+            throw DataError(
+                fmt::format("{}: array {}.step: found {}, expected 0 or more", file, lidar, result.step));
         return result;
     }
 };
@@ -96,7 +105,9 @@ void save_scatter(const std::filesystem::path& path, const std::vector<Intensity
     for (std::size_t lidar = 0; lidar < scatter.size(); ++lidar)
         if (!scatter[lidar].empty()) add_arrays(arrays, lidar, scatter[lidar]);
     if (arrays.empty()) return void(std::filesystem::remove(path));
-    write_safetensors(path, arrays, {{"format", kScatterFormat}, {"version", kScatterVersion}, {"relidar", RELIDAR_VERSION}});
+    write_safetensors(
+        path, arrays,
+        {{"format", kScatterFormat}, {"version", kScatterVersion}, {"relidar", RELIDAR_VERSION}});
 }
 
 std::vector<IntensityScatter> load_scatter(const std::filesystem::path& path, std::size_t n_lidars) {
@@ -106,7 +117,8 @@ std::vector<IntensityScatter> load_scatter(const std::filesystem::path& path, st
     check_format(metadata, file, kScatterFormat, kScatterVersion);
     std::vector<IntensityScatter> result(n_lidars);
     for (std::size_t lidar = 0; lidar < n_lidars; ++lidar)
-        if (find_array(arrays, fmt::format("{}.feature", lidar))) result[lidar] = ScatterArrays{arrays, file, lidar}.read();
+        if (find_array(arrays, fmt::format("{}.feature", lidar)))
+            result[lidar] = ScatterArrays{arrays, file, lidar}.read();
     return result;
 }
 

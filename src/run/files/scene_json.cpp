@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 2. Numbers are written in the shortest form that reads back to
-// the same double. A pose is seven numbers: the translation x y z, then the unit quaternion
-// w x y z; p_world = R(q) p + t in the recentred world.
+// scene.json, format version 2. Numbers are written in the shortest form that reads back
+// to the same double. A pose is seven numbers: the translation x y z, then the unit
+// quaternion w x y z; p_world = R(q) p + t in the recentred world.
 #include "run/files/scene_json.hpp"
 
 #include <algorithm>
@@ -11,9 +11,9 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/base/error.hpp>
 #include "base/json_field.hpp"
 #include "run/files/pattern_json.hpp"
-#include <relidar/base/error.hpp>
 
 namespace relidar::run_detail {
 namespace {
@@ -22,24 +22,28 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 2;
-constexpr double kHuge = 1e12;   // of any length or time in a log: beyond it a value is damage
-constexpr double kFarthest_m = 1e6;      // of any place from the world's origin, the sensor in the middle frame
-constexpr double kFarthestWorld_m = 1e9; // of that origin in the dataset's world
-constexpr double kLargestBeam = 100.0;   // radians, or metres from the sensor's centre
-constexpr double kLargestResponse = 1e3; // gain and offset of intensities, metres of a range offset
+constexpr double kHuge = 1e12;       // of any length or time in a log: beyond it a value is damage
+constexpr double kFarthest_m = 1e6;  // of any place from the world's origin, the sensor in the middle frame
+constexpr double kFarthestWorld_m = 1e9;  // of that origin in the dataset's world
+constexpr double kLargestBeam = 100.0;    // radians, or metres from the sensor's centre
+constexpr double kLargestResponse = 1e3;  // gain and offset of intensities, metres of a range offset
 constexpr std::size_t kMostRays = 100'000'000;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =
-    "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A pose a_from_b is translation x "
+    "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A "
+    "pose a_from_b is translation x "
     "y z and unit "
-    "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin at the centre. Image row 0 is "
+    "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin "
+    "at the centre. Image row 0 is "
     "the "
-    "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: one row a beam, highest first.";
+    "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: "
+    "one row a beam, highest first.";
 
 Json to_json(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 Json to_json(const Pose& p) {
-    return {p.translation.x, p.translation.y, p.translation.z, p.rotation.w, p.rotation.x, p.rotation.y, p.rotation.z};
+    return {p.translation.x, p.translation.y, p.translation.z, p.rotation.w,
+            p.rotation.x,    p.rotation.y,    p.rotation.z};
 }
 
 Json to_json(const SpinningSensor& sensor) {
@@ -52,12 +56,12 @@ Json to_json(const SpinningSensor& sensor) {
                  {"max_range_m", sensor.max_range_m},
                  {"divergence_rad", sensor.divergence_rad},
                  {"beam_fields",
-                  {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
-                   "intensity_offset", "range_offset_m"}},
+                  {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m",
+                   "intensity_gain", "intensity_offset", "range_offset_m"}},
                  {"beams", Json::array()}};
     for (const Beam& b : sensor.beams)
-        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m, b.origin_left_m, b.intensity_gain,
-                                 b.intensity_offset, b.range_offset_m});
+        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m,
+                                 b.origin_left_m, b.intensity_gain, b.intensity_offset, b.range_offset_m});
     return json;
 }
 
@@ -73,13 +77,16 @@ Json to_json(const BoxTrack& box) {
     return json;
 }
 
-Json to_json(const RangeNoise& noise) { return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}}; }
+Json to_json(const RangeNoise& noise) {
+    return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}};
+}
 
 Json lidars_json(const Sequence& sequence) {
     Json json = Json::array();
     for (const Lidar& lidar : sequence.lidars) {
-        json.push_back(
-            {{"name", lidar.name}, {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)}, {"sensor", to_json(lidar.sensor)}});
+        json.push_back({{"name", lidar.name},
+                        {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)},
+                        {"sensor", to_json(lidar.sensor)}});
         if (lidar.pattern) json.back()["pattern"] = pattern_json(*lidar.pattern);
         if (!lidar.range_noise.sigma_m.empty()) json.back()["range_noise"] = to_json(lidar.range_noise);
     }
@@ -107,16 +114,18 @@ Json frames_json(const Sequence& sequence, const Split& split) {
 /// @throws DataError where a number is larger than a log can hold
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
-        if (std::abs(v) > limit) field.fail(fmt::format("found {}", v), fmt::format("expected numbers within {:.15g}", limit));
+        if (std::abs(v) > limit)
+            field.fail(fmt::format("found {}", v), fmt::format("expected numbers within {:.15g}", limit));
 }
 
 Pose read_pose(const JsonField& field) {
     const auto v = field.numbers<7>();
     const glm::dquat q(v[3], v[4], v[5], v[6]);
     const double length = glm::length(q);
-    if (std::abs(length - 1.0) > 1e-6) field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
+    if (std::abs(length - 1.0) > 1e-6)
+        field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
     check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
-    return {q, {v[0], v[1], v[2]}};   // as written: normalising again would move the last digit
+    return {q, {v[0], v[1], v[2]}};  // as written: normalising again would move the last digit
 }
 
 glm::dvec3 read_vector(const JsonField& field, double limit) {
@@ -153,7 +162,8 @@ SpinningSensor read_sensor(const JsonField& field) {
 }
 
 RangeNoise read_range_noise(const JsonField& field) {
-    const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(), field.at("sigma_m").numbers()};
+    const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(),
+                       field.at("sigma_m").numbers()};
     if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
         field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()),
                                  fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
@@ -166,10 +176,11 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
     for (std::size_t i = 0; i < field.size(); ++i) {
-        lidars.push_back(
-            {field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")), read_pose(field.at(i).at("vehicle_from_sensor"))});
+        lidars.push_back({field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")),
+                          read_pose(field.at(i).at("vehicle_from_sensor"))});
         if (field.at(i).has("pattern")) lidars.back().pattern = read_pattern(field.at(i).at("pattern"));
-        if (field.at(i).has("range_noise")) lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
+        if (field.at(i).has("range_noise"))
+            lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
     }
     if (lidars.empty()) field.fail("found no LiDAR", "expected at least one");
     return lidars;
@@ -177,10 +188,13 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
 
 /// Runs whose intensities do not fall with range have none.
 IntensityResponse read_intensity_response(const JsonField& field) {
-    const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(), field.at("incidence").number(0.0, 1.0)};
+    const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
+                              field.at("incidence").number(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
-        field.at("factor").fail(fmt::format("found {} factors", r.factor.size()), fmt::format("expected {}, one a knot", r.range_m.size()));
-    if (!std::is_sorted(r.range_m.begin(), r.range_m.end())) field.at("range_m").fail("found falling ranges", "expected ranges that rise");
+        field.at("factor").fail(fmt::format("found {} factors", r.factor.size()),
+                                fmt::format("expected {}, one a knot", r.range_m.size()));
+    if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
+        field.at("range_m").fail("found falling ranges", "expected ranges that rise");
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
         field.at("factor").fail("found a factor that is not above 0", "expected all above 0");
     return r;
@@ -202,13 +216,15 @@ void read_frames(const JsonField& field, SceneFile& scene) {
         frame.index = static_cast<int>(entry.at("index").integer(0, kMaxFrame));
         frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
         frame.lidar = static_cast<int>(entry.at("lidar").integer(0, last_lidar));
-        if (i > 0 &&
-            std::pair(frame.time_s, frame.lidar) <= std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
-            entry.at("time_s").fail(fmt::format("found {}", frame.time_s), "expected times that rise, or the next LiDAR at the same time");
+        if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
+                         std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
+            entry.at("time_s").fail(fmt::format("found {}", frame.time_s),
+                                    "expected times that rise, or the next LiDAR at the same time");
         const std::string part = entry.at("split").text();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
-        else if (part != "unused") entry.at("split").fail("found \"" + part + "\"", "expected train, test or unused");
+        else if (part != "unused")
+            entry.at("split").fail("found \"" + part + "\"", "expected train, test or unused");
         read_pose_of(entry, frame.time_s, scene.sequence.world_from_vehicle);
         scene.sequence.frames.push_back(std::move(frame));
     }
@@ -221,13 +237,15 @@ BoxTrack read_box(const JsonField& field) {
     box.category = field.at("category").text();
     box.size_m = read_vector(field.at("size_m"), kFarthest_m);
     if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
-        field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z), "expected all above 0");
+        field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
+                                "expected all above 0");
     box.world_from_box.time_s = field.at("time_s").numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
     for (const double t : box.world_from_box.time_s) check_within(field.at("time_s"), {t}, kHuge);
-    if (poses.size() != n) poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
+    if (poses.size() != n)
+        poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
         field.at("time_s").fail("found falling times", "expected times that rise");
     if (field.has("size_guess")) box.size_guess = field.at("size_guess").text();
@@ -235,14 +253,16 @@ BoxTrack read_box(const JsonField& field) {
         const JsonField beside = field.at("beside_labels");
         const auto most = static_cast<std::int64_t>(n);
         box.n_before = static_cast<std::size_t>(beside.at(0).integer(0, most));
-        box.n_after = static_cast<std::size_t>(beside.at(1).integer(0, most - static_cast<std::int64_t>(box.n_before)));
+        box.n_after =
+            static_cast<std::size_t>(beside.at(1).integer(0, most - static_cast<std::int64_t>(box.n_before)));
     }
     return box;
 }
 
 /// Runs as they were trained have none.
 void read_edits(const JsonField& field, SceneFile& scene) {
-    for (std::size_t i = 0; i < field.size(); ++i) scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
+    for (std::size_t i = 0; i < field.size(); ++i)
+        scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
 }
 
 /// A number per list in the file, against lists cut by hand or by a bad merge.
@@ -250,7 +270,8 @@ void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
         if (count.integer(0, kMaxInt) != static_cast<std::int64_t>(n))
-            count.fail(fmt::format("found {}", count.integer(0, kMaxInt)), fmt::format("expected {}, as many as are listed", n));
+            count.fail(fmt::format("found {}", count.integer(0, kMaxInt)),
+                       fmt::format("expected {}, as many as are listed", n));
     };
     check("frames", scene.sequence.frames.size());
     check("boxes", scene.sequence.boxes.size());
@@ -262,28 +283,32 @@ std::string to_scene_json(const Run& run) {
     const Sequence& s = run.sequence;
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
-    Json json = {{"format", kSceneFormat},
-                 {"version", kSceneVersion},
-                 {"relidar", RELIDAR_VERSION},
-                 {"units", kUnits},
-                 {"conventions", kConventions},
-                 {"name", s.name},
-                 {"source", s.source},
-                 {"source_conventions", s.conventions},
-                 {"notes", s.notes},
-                 {"counts", {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
-                 {"world_offset_m", to_json(s.world_offset_m)},
-                 {"rolling_shutter", s.rolling_shutter},
-                 {"lidars", lidars_json(s)},
-                 {"frames", frames_json(s, run.split)},
-                 {"boxes", boxes}};
+    Json json = {
+        {"format", kSceneFormat},
+        {"version", kSceneVersion},
+        {"relidar", RELIDAR_VERSION},
+        {"units", kUnits},
+        {"conventions", kConventions},
+        {"name", s.name},
+        {"source", s.source},
+        {"source_conventions", s.conventions},
+        {"notes", s.notes},
+        {"counts",
+         {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
+        {"world_offset_m", to_json(s.world_offset_m)},
+        {"rolling_shutter", s.rolling_shutter},
+        {"lidars", lidars_json(s)},
+        {"frames", frames_json(s, run.split)},
+        {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
-        json["intensity_response"] = {{"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
+        json["intensity_response"] = {
+            {"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
     if (run.held_out_placed) json["held_out_placed"] = true;
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    parse_scene_json(text, "writing scene.json");   // what could not be read back (a NaN pose) is refused before it is written
+    // what could not be read back (a NaN pose) is refused before it is written
+    parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }
 
@@ -294,20 +319,23 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
         root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
     if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version != kSceneVersion)
         root.at("version").fail(fmt::format("found {}", version),
-                                fmt::format("this relidar ({}) reads version {}: train the run again", RELIDAR_VERSION, kSceneVersion));
+                                fmt::format("this relidar ({}) reads version {}: train the run again",
+                                            RELIDAR_VERSION, kSceneVersion));
     SceneFile scene;
     Sequence& s = scene.sequence;
     s.name = root.at("name").text();
     s.source = root.at("source").text();
     s.conventions = root.at("source_conventions").text();
-    for (std::size_t i = 0; i < root.at("notes").size(); ++i) s.notes.push_back(root.at("notes").at(i).text());
+    for (std::size_t i = 0; i < root.at("notes").size(); ++i)
+        s.notes.push_back(root.at("notes").at(i).text());
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
     s.rolling_shutter = root.at("rolling_shutter").boolean();
     s.lidars = read_lidars(root);
     read_frames(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
-    if (root.has("intensity_response")) s.intensity_response = read_intensity_response(root.at("intensity_response"));
+    if (root.has("intensity_response"))
+        s.intensity_response = read_intensity_response(root.at("intensity_response"));
     if (root.has("edits")) read_edits(root.at("edits"), scene);
     scene.held_out_placed = root.has("held_out_placed") && root.at("held_out_placed").boolean();
     if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();

@@ -8,12 +8,13 @@
 
 namespace relidar::run_detail {
 
-/// Sequence and split as JSON text. @throws DataError where the sequence is inconsistent or not finite
+/// Sequence and split as JSON text. @throws DataError where the sequence is inconsistent
+/// or not finite
 std::string to_scene_json(const Run& run);
 
 /// What a scene.json says.
 struct SceneFile {
-    Sequence sequence;     ///< frames without scans
+    Sequence sequence;  ///< frames without scans
     Split split;
     std::vector<RunEdit> edits;
     bool held_out_placed = false;

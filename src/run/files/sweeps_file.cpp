@@ -21,7 +21,8 @@ Frame& frame_of(const std::string& name, Sequence& sequence, const std::string& 
     std::size_t position = sequence.frames.size();
     const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), position);
     if (error != std::errc{} || end != name.data() + name.size() || position >= sequence.frames.size())
-        throw DataError(fmt::format("{}: array {}: no such frame, expected a name below {}", file, name, sequence.frames.size()));
+        throw DataError(fmt::format("{}: array {}: no such frame, expected a name below {}", file, name,
+                                    sequence.frames.size()));
     return sequence.frames[position];
 }
 
@@ -32,10 +33,12 @@ void save_sweeps(const std::filesystem::path& path, const Sequence& sequence) {
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::vector<float>& shift_rad = sequence.frames[i].azimuth_shift_rad;
         if (shift_rad.empty()) continue;
-        arrays.push_back(make_array(fmt::format("{:06}", i), {shift_rad.size()}, shift_rad.data(), shift_rad.size()));
+        arrays.push_back(
+            make_array(fmt::format("{:06}", i), {shift_rad.size()}, shift_rad.data(), shift_rad.size()));
     }
     if (arrays.empty()) return void(std::filesystem::remove(path));
-    write_safetensors(path, arrays, {{"format", kSweepsFormat}, {"version", kSweepsVersion}, {"relidar", RELIDAR_VERSION}});
+    write_safetensors(path, arrays,
+                      {{"format", kSweepsFormat}, {"version", kSweepsVersion}, {"relidar", RELIDAR_VERSION}});
 }
 
 void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
@@ -47,12 +50,14 @@ void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
         Frame& frame = frame_of(array.name, sequence, file);
         const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
-            throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}], one a column of its LiDAR", file, array.name,
-                                        array.dtype, fmt::join(array.shape, ", "), columns));
+            throw DataError(
+                fmt::format("{}: array {}: found {} [{}], expected f4 [{}], one a column of its LiDAR", file,
+                            array.name, array.dtype, fmt::join(array.shape, ", "), columns));
         frame.azimuth_shift_rad = array.as_float();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
-                throw DataError(fmt::format("{}: array {}: found {}, expected radians of -pi to pi", file, array.name, shift));
+                throw DataError(fmt::format("{}: array {}: found {}, expected radians of -pi to pi", file,
+                                            array.name, shift));
     }
 }
 

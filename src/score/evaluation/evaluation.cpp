@@ -20,17 +20,19 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-constexpr std::size_t kScoredAtOnce = 16;   // on all cores, and so many frames have their images in memory
+constexpr std::size_t kScoredAtOnce = 16;  // on all cores, and so many frames have their images in memory
 
-/// The sensor that config.sensor names, with the native grid on the rays of the scan. @param frame  with its scan
+/// The sensor that config.sensor names, with the native grid on the rays of the scan.
+/// @param frame  with its scan
 SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan it is compared with
+    sensor.rolling_shutter = sequence.rolling_shutter;  // like the scan it is compared with
     return sensor;
 }
 
-/// The pixels of some returns. They are binned as points are, with the flag in the place of the intensity.
+/// The pixels of some returns. They are binned as points are, with the flag in the place
+/// of the intensity.
 std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
@@ -41,8 +43,9 @@ std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& conf
 /// A frame that is rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    std::vector<bool> moving;      ///< [n] pixels whose return lies in a labelled box that moves
-    std::vector<bool> discovered;  ///< [n] pixels whose return lies in a discovered one; empty if the run has none
+    std::vector<bool> moving;  ///< [n] pixels whose return lies in a labelled box that moves
+    /// [n] pixels whose return lies in a discovered one; empty if the run has none
+    std::vector<bool> discovered;
 
     std::vector<Region> regions() const {
         std::vector<Region> regions = standard_regions(frame.real, moving);
@@ -51,7 +54,8 @@ struct RenderedFrame {
     }
 };
 
-RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+RenderedFrame real_frame(const Config& config, const Sequence& sequence, const Frame& frame,
+                         const Pose& sensor_offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
     result.frame.lidar = frame.lidar;
@@ -64,8 +68,8 @@ RenderedFrame real_frame(const Config& config, const Sequence& sequence, const F
     return result;
 }
 
-RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
-                           const Pose& sensor_offset) {
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
+                           const Frame& frame, const Pose& sensor_offset) {
     RenderedFrame result = real_frame(config, sequence, frame, sensor_offset);
     const SensorChoice sensor = sensor_of_frame(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
@@ -80,11 +84,12 @@ std::unique_ptr<Lpips> load_lpips() {
 }
 
 /// Metrics of all frames at once, on all cores. @param lpips or nothing
-std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config, const Sequence& sequence,
-                               const Lpips* lpips) {
+std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config,
+                               const Sequence& sequence, const Lpips* lpips) {
     MetricOptions options;
     options.max_range_m = with_farthest(config, sequence).dataset.max_range_m;
-    if (config.sensor.grid != "native") options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
+    if (config.sensor.grid != "native")
+        options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips;
     std::vector<Comparison> comparisons;
     for (const RenderedFrame& r : rendered)
@@ -96,7 +101,9 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
         frames.push_back(std::move(rendered[i].frame));
         frames.back().metrics = rows[i];
         if (!has_intensities(frames.back().real))
-            std::erase_if(frames.back().metrics, [](const auto& metric) { return metric.first.find("intensity") != std::string::npos; });
+            std::erase_if(frames.back().metrics, [](const auto& metric) {
+                return metric.first.find("intensity") != std::string::npos;
+            });
     }
     return frames;
 }
@@ -106,8 +113,9 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
         frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
-        const std::vector<float>& points_m = point_ranges(frame.rendered, config);   // none of a baseline
-        frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep));
+        const std::vector<float>& points_m = point_ranges(frame.rendered, config);  // none of a baseline
+        frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
+                                          frame.real, sequence, sweep));
     }
 }
 
@@ -118,9 +126,14 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
     for (std::size_t i = 0; i < real.range_m.size(); ++i) {
         const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
         if (!(range_m > kRanges.front() && range_m <= kRanges.back())) continue;
-        const auto row = std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
-        const auto band = std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
-        counts.rays[row][returned(rendered.drop_prob[i], rendered.range_m[i]) ? band : RangeErrorCounts::kBands - 1] += 1.0;
+        const auto row =
+            std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
+        const auto band =
+            std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
+        counts
+            .rays[row][returned(rendered.drop_prob[i], rendered.range_m[i]) ? band
+                                                                            : RangeErrorCounts::kBands - 1] +=
+            1.0;
     }
     return counts;
 }
@@ -132,16 +145,18 @@ void drop_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// What all evaluations of many frames are: a few are rendered, scored, seen and forgotten.
+/// What all evaluations of many frames are: a few are rendered, scored, seen and
+/// forgotten.
 struct ManyFrames {
-    const std::vector<int>& positions;   ///< in the sequence
+    const std::vector<int>& positions;  ///< in the sequence
     const Sequence& sequence;
     const Config& config;
     const Progress& progress;
     const SeeFrame& see;
 };
 
-/// @param what  is done with a frame, for the progress @param render  makes the frame at a position
+/// @param what  is done with a frame, for the progress @param render  makes the frame at
+/// a position
 std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
                                    const std::function<RenderedFrame(int position, const Frame&)>& render) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
@@ -151,7 +166,8 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
         std::vector<RenderedFrame> some;
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
             if (many.progress) many.progress(what, double(i) / double(n));
-            some.push_back(render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
+            some.push_back(
+                render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
         }
         std::vector<ScoredFrame> done = score(std::move(some), many.config, many.sequence, lpips.get());
         add_actor_scores(done, many.sequence, many.config);
@@ -171,32 +187,38 @@ std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
     for (const int position : positions) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const auto it = std::find_if(log.frames.begin(), log.frames.end(),
-                                     [&](const Frame& f) { return f.index == frame.index && f.lidar == frame.lidar; });
+        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) {
+            return f.index == frame.index && f.lidar == frame.lidar;
+        });
         if (it == log.frames.end())
-            throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained", run.config.dataset.path,
-                                        frame.index, run.folder.string()));
+            throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained",
+                                        run.config.dataset.path, frame.index, run.folder.string()));
         if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
-            throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained", run.config.dataset.path,
-                                        frame.index, it->time_s, frame.time_s, run.folder.string()));
+            throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained",
+                                        run.config.dataset.path, frame.index, it->time_s, frame.time_s,
+                                        run.folder.string()));
         }
         frame.scan = it->scan;
         frame.start = it->start;
     }
 }
 
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const Frame& frame,
-                        const Pose& sensor_offset) {
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
+                        const Frame& frame, const Pose& sensor_offset) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
-    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence, lpips.get()).front();
+    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence,
+                 lpips.get())
+        .front();
 }
 
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence, const std::vector<int>& positions,
-                           const Progress& progress, const SeeFrame& see) {
-    if (see && renderer.refines(configured_sensor(config, sequence))) renderer.want_channels("surfel_drop_prob");   // pictures show both
-    std::vector<ScoredFrame> scored =
-        score_all({positions, sequence, config, progress, see}, "rendering held-out frames",
-                  [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
+                           const std::vector<int>& positions, const Progress& progress, const SeeFrame& see) {
+    // pictures show both
+    if (see && renderer.refines(configured_sensor(config, sequence)))
+        renderer.want_channels("surfel_drop_prob");
+    std::vector<ScoredFrame> scored = score_all(
+        {positions, sequence, config, progress, see}, "rendering held-out frames",
+        [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
     return summarise(std::move(scored), renderer.times());
 }
 
@@ -206,18 +228,20 @@ BoxMotion find_baseline(const std::string& name) {
     throw UsageError(fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", name));
 }
 
-Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence, const Split& split,
-                             const Progress& progress, const SeeFrame& see) {
+Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
+                             const Split& split, const Progress& progress, const SeeFrame& see) {
     const BoxMotion boxes = find_baseline(name);
     const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = real_frame(config, sequence, frame, {});
         Scan points = neighbour_points(sequence, position, split.train, boxes);
         drop_outside(points, configured_sensor(config, sequence, frame.lidar).limits);
-        result.frame.rendered.image = real_image(config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
+        result.frame.rendered.image = real_image(
+            config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
         return result;
     };
-    Evaluation evaluation =
-        summarise(score_all({split.test, sequence, config, progress, see}, "projecting neighbours of held-out frames", project), {});
+    Evaluation evaluation = summarise(score_all({split.test, sequence, config, progress, see},
+                                                "projecting neighbours of held-out frames", project),
+                                      {});
     evaluation.title = "baseline " + name;
     return evaluation;
 }

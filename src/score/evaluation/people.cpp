@@ -12,34 +12,40 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-constexpr double kFloor_m = 0.15;      // above the floor of a box the ground ends
+constexpr double kFloor_m = 0.15;  // above the floor of a box the ground ends
 constexpr double kNear_m = 0.03;
-constexpr double kSweep_m = 2.0;        // that a box comes along within a sweep
-constexpr std::size_t kFewest = 10;     // real points
+constexpr double kSweep_m = 2.0;     // that a box comes along within a sweep
+constexpr std::size_t kFewest = 10;  // real points
 
 /// A box in a scan, and where the sensor's frame lies in it at a moment.
 struct InScan {
     const Sequence& sequence;
     const SweepMoment& seen;
     const BoxTrack& box;
-    glm::dvec3 about_m;   ///< its middle, sensor frame, when the scan was taken
+    glm::dvec3 about_m;  ///< its middle, sensor frame, when the scan was taken
 
     InScan(const Sequence& s, const SweepMoment& at, const BoxTrack& b)
-        : sequence(s), seen(at), box(b), about_m(inverse(sensor(at.time_s)) * b.world_from_box.at(at.time_s).translation) {}
+        : sequence(s),
+          seen(at),
+          box(b),
+          about_m(inverse(sensor(at.time_s)) * b.world_from_box.at(at.time_s).translation) {}
 
     Pose sensor(double t_s) const {
-        return sequence.world_from_vehicle.at(t_s, sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
+        return sequence.world_from_vehicle.at(t_s,
+                                              sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
     }
-    /// A point in the frame of the box, as both are when it is seen; nothing where it is far from it.
+    /// A point in the frame of the box, as both are when it is seen; nothing where it is
+    /// far from it.
     std::optional<glm::dvec3> in_box(const glm::dvec3& in_sensor) const {
-        if (glm::distance(in_sensor, about_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m) return std::nullopt;
+        if (glm::distance(in_sensor, about_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
+            return std::nullopt;
         const double t_s = facing_time(sequence, in_sensor, seen);
         return inverse(box.world_from_box.at(t_s)) * (sensor(t_s) * in_sensor);
     }
     bool holds(const std::optional<glm::dvec3>& p, double margin_m) const {
         const glm::dvec3 half = 0.5 * box.size_m;
-        return p && std::abs(p->x) <= half.x + margin_m && std::abs(p->y) <= half.y + margin_m && p->z <= half.z + margin_m &&
-               p->z >= kFloor_m - half.z;
+        return p && std::abs(p->x) <= half.x + margin_m && std::abs(p->y) <= half.y + margin_m &&
+               p->z <= half.z + margin_m && p->z >= kFloor_m - half.z;
     }
 };
 
@@ -55,17 +61,20 @@ double mean_of(const std::vector<double>& values) {
 
 }  // namespace
 
-PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>& points_m, const RangeImage& real, const Sequence& sequence,
-                           const SweepMoment& seen, const BoxTrack& box) {
+PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>& points_m,
+                           const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
+                           const BoxTrack& box) {
     const InScan in_scan(sequence, seen, box);
     PeoplePoints result;
     for (std::size_t i = 0; i < points_m.size(); ++i) {
         std::optional<glm::dvec3> measured, simulated;
         if (real.range_m[i] > 0.0f) measured = in_scan.in_box(point_of(real, i, real.range_m[i]));
-        if (returned(rendered.drop_prob[i], points_m[i])) simulated = in_scan.in_box(point_of(rendered, i, points_m[i]));
+        if (returned(rendered.drop_prob[i], points_m[i]))
+            simulated = in_scan.in_box(point_of(rendered, i, points_m[i]));
         if (in_scan.holds(measured, kMargin_m)) result.real_m.push_back(*measured);
         if (in_scan.holds(simulated, kMargin_m)) result.simulated_m.push_back(*simulated);
-        const bool really = in_scan.holds(measured, kSilhouette_m), said = in_scan.holds(simulated, kSilhouette_m);
+        const bool really = in_scan.holds(measured, kSilhouette_m),
+                   said = in_scan.holds(simulated, kSilhouette_m);
         result.n_both += really && said;
         result.n_missed += really && !said;
         result.n_false += said && !really;
@@ -73,25 +82,28 @@ PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>&
     return result;
 }
 
-MetricRow people_scores(const RangeImage& rendered, const std::vector<float>& points_m, const RangeImage& real, const Sequence& sequence,
-                        const SweepMoment& seen) {
+MetricRow people_scores(const RangeImage& rendered, const std::vector<float>& points_m,
+                        const RangeImage& real, const Sequence& sequence, const SweepMoment& seen) {
     std::vector<double> chamfer_m, near;
     double both = 0.0, either = 0.0;
     for (const BoxTrack& box : sequence.boxes) {
         const ObjectKind kind = object_kind(box.category);
-        if ((kind != ObjectKind::person && kind != ObjectKind::cyclist) || !box.moves() || !box.present(seen.time_s)) continue;
+        if ((kind != ObjectKind::person && kind != ObjectKind::cyclist) || !box.moves() ||
+            !box.present(seen.time_s))
+            continue;
         const PeoplePoints p = people_points(rendered, points_m, real, sequence, seen, box);
         if (p.real_m.size() < kFewest) continue;
         both += double(p.n_both);
         either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (p.simulated_m.empty()) continue;   // the silhouette tells
+        if (p.simulated_m.empty()) continue;  // the silhouette tells
         const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
         chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
         for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);
     }
     MetricRow scores;
     if (either > 0.0) scores["actors/people_f1"] = both / either;
-    if (!chamfer_m.empty()) scores["actors/people_cd_m"] = mean_of(chamfer_m), scores["actors/people_3cm"] = mean_of(near);
+    if (!chamfer_m.empty())
+        scores["actors/people_cd_m"] = mean_of(chamfer_m), scores["actors/people_3cm"] = mean_of(near);
     return scores;
 }
 

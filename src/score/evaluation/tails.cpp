@@ -36,14 +36,18 @@ std::vector<Swept> swept_boxes(const Sequence& sequence) {
 bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     const glm::dvec3 half = 0.5 * s.box->size_m;
     const double reach = glm::length(half);
-    if (glm::any(glm::lessThan(point_m, s.low - reach)) || glm::any(glm::greaterThan(point_m, s.high + reach))) return false;
+    if (glm::any(glm::lessThan(point_m, s.low - reach)) ||
+        glm::any(glm::greaterThan(point_m, s.high + reach)))
+        return false;
     return std::any_of(s.box_from_world.begin(), s.box_from_world.end(), [&](const Pose& box_from_world) {
         const glm::dvec3 p = box_from_world * point_m;
-        return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z && p.z >= -half.z + kGround_m;
+        return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
+               p.z >= -half.z + kGround_m;
     });
 }
 
-/// Points of some rays, and those of them that lie where a box was or will be, but is not.
+/// Points of some rays, and those of them that lie where a box was or will be, but is
+/// not.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;
     Tail& operator+=(const Tail& other) {
@@ -53,8 +57,9 @@ struct Tail {
     }
 };
 
-double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept, const SweepMoment& seen) {
-    constexpr std::size_t kRays = 2048;   // of a part
+double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept,
+             const SweepMoment& seen) {
+    constexpr std::size_t kRays = 2048;  // of a part
     const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
     const Tail all = sum_parallel(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;
@@ -65,8 +70,9 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
             const double t_s = facing_time(sequence, in_sensor, seen);
             const glm::dvec3 point_m = sequence.world_from_vehicle.at(t_s, mounted) * in_sensor;
             if (std::ranges::none_of(swept, [&](const Swept& s) { return is_swept(s, point_m); })) continue;
-            part.n_tail += std::ranges::none_of(
-                swept, [&](const Swept& s) { return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m); });
+            part.n_tail += std::ranges::none_of(swept, [&](const Swept& s) {
+                return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m);
+            });
         }
         return part;
     });
@@ -75,10 +81,12 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
 
 }  // namespace
 
-MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence, const SweepMoment& seen) {
+MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence,
+                      const SweepMoment& seen) {
     const std::vector<Swept> swept = swept_boxes(sequence);
     if (swept.empty()) return {};
-    return {{"actors/tail_share", share(rendered, sequence, swept, seen)}, {"actors/tail_share_real", share(real, sequence, swept, seen)}};
+    return {{"actors/tail_share", share(rendered, sequence, swept, seen)},
+            {"actors/tail_share_real", share(real, sequence, swept, seen)}};
 }
 
 }  // namespace relidar

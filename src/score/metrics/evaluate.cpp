@@ -2,8 +2,9 @@
 // The two metric protocols of docs/method.md section 8 on one pair of range images.
 //   peer    every pixel, dropped ones at 0, clamped; how published tables are made
 //   strict  only pixels returned in both; ray drop scored by itself
-// Chamfer distance and F-score always use the points of returned pixels only: placing dropped pixels at the origin, as the
-// peer's released script does, dilutes the first and inflates the second.
+// Chamfer distance and F-score always use the points of returned pixels only: placing
+// dropped pixels at the origin, as the peer's released script does, dilutes the first and
+// inflates the second.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -11,9 +12,9 @@
 #include <cmath>
 #include <map>
 
+#include <relidar/base/error.hpp>
 #include "base/parallel.hpp"
 #include "pixel_errors.hpp"
-#include <relidar/base/error.hpp>
 
 namespace relidar {
 namespace {
@@ -21,16 +22,19 @@ namespace {
 using namespace metrics_detail;
 using Points = std::vector<glm::dvec3>;
 
-constexpr double kMinSquaredError = 1e-20;                      // caps PSNR of identical images at a finite value
+constexpr double kMinSquaredError = 1e-20;  // caps PSNR of identical images at a finite value
 constexpr double kFineThreshold_m = 0.05;
-constexpr double kPeerThreshold_m = 0.22360679774997896964;     // sqrt(0.05): the peer compares the squared distance with 0.05
+// sqrt(0.05): the peer compares the squared distance with 0.05
+constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-constexpr int kLpipsEdge = 31;                                   // below this its poolings leave no pixel
+constexpr int kLpipsEdge = 31;  // below this its poolings leave no pixel
 
 Points points(const RangeImage& image, const Mask& mask) {
     Points result;
     for (std::size_t i = 0; i < mask.size(); ++i)
-        if (mask[i]) result.push_back(glm::dvec3(image.origin[i]) + double(image.range_m[i]) * glm::dvec3(image.direction[i]));
+        if (mask[i])
+            result.push_back(glm::dvec3(image.origin[i]) +
+                             double(image.range_m[i]) * glm::dvec3(image.direction[i]));
     return result;
 }
 
@@ -42,19 +46,25 @@ struct ImagePair {
 };
 
 /// The images of one threshold: every pixel, dropped ones at 0.
-ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold, double max_range_m) {
+ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
+                     double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
-            masked(real.range_m, not_dropped(real, kRealDropThreshold), max_range_m), real.rows, real.columns, max_range_m};
+            masked(real.range_m, not_dropped(real, kRealDropThreshold), max_range_m), real.rows, real.columns,
+            max_range_m};
 }
 ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, double threshold) {
     return {masked(rendered.intensity, not_dropped(rendered, threshold), kMaxIntensity),
-            masked(real.intensity, not_dropped(real, kRealDropThreshold), kMaxIntensity), real.rows, real.columns, kMaxIntensity};
+            masked(real.intensity, not_dropped(real, kRealDropThreshold), kMaxIntensity), real.rows,
+            real.columns, kMaxIntensity};
 }
 
-/// Errors, PSNR, SSIM and LPIPS of whole images. SSIM is left out where it is undefined (image below the window, constant truth).
-void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image, const Lpips* lpips) {
+/// Errors, PSNR, SSIM and LPIPS of whole images. SSIM is left out where it is undefined
+/// (image below the window, constant truth).
+void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
+               const Lpips* lpips) {
     const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
-    row[prefix + "psnr_db"] = 10.0 * std::log10(image.peak * image.peak / std::max(squared, kMinSquaredError));
+    row[prefix + "psnr_db"] =
+        10.0 * std::log10(image.peak * image.peak / std::max(squared, kMinSquaredError));
     const auto [low, high] = std::minmax_element(image.real.begin(), image.real.end());
     if (image.rows >= kSsimWindow && image.columns >= kSsimWindow && *high > *low)
         row[prefix + "ssim"] = ssim(image.rendered, image.real, image.rows, image.columns, *high - *low);
@@ -82,14 +92,17 @@ struct CloudDistances {
     /// Harmonic mean of precision and recall; 0 where one cloud is empty.
     double f_score(double threshold_m) const {
         if (!defined()) return 0.0;
-        const double precision = share_below(to_truth, threshold_m), recall = share_below(to_rendered, threshold_m);
+        const double precision = share_below(to_truth, threshold_m),
+                     recall = share_below(to_rendered, threshold_m);
         return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
     }
 };
 
-void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
+              const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
-    add_image(row, "peer/depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), options.lpips);
+    add_image(row, "peer/depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m),
+              options.lpips);
     add_image(row, "peer/intensity_", "", intensity_pair(rendered, real, threshold), options.lpips);
 
     const Points a = points(rendered, returned(rendered, threshold));
@@ -100,10 +113,12 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
     row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
 }
 
-/// Distance of the probabilities of a drop from what happened, over all pixels; no threshold.
+/// Distance of the probabilities of a drop from what happened, over all pixels; no
+/// threshold.
 double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     Values error(real.drop_prob.size());
-    for (std::size_t i = 0; i < error.size(); ++i) error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
+    for (std::size_t i = 0; i < error.size(); ++i)
+        error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
     return std::sqrt(mean_square(error));
 }
 
@@ -116,17 +131,21 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
         missed_drops += rendered[i] && !real[i];
         equal += rendered[i] == real[i];
     }
-    const auto ratio = [](std::size_t a, std::size_t b) { return double(a) / double(std::max<std::size_t>(b, 1)); };
+    const auto ratio = [](std::size_t a, std::size_t b) {
+        return double(a) / double(std::max<std::size_t>(b, 1));
+    };
     row["strict/drop_accuracy"] = ratio(equal, real.size());
     row["strict/drop_precision"] = ratio(hits, hits + false_drops);
     row["strict/drop_recall"] = ratio(hits, hits + missed_drops);
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
-/// Ranges of pixels returned in both, and distances between the clouds of returned points.
+/// Ranges of pixels returned in both, and distances between the clouds of returned
+/// points.
 void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
-    const Mask kept = returned(rendered, options.strict_drop_threshold), truth = returned(real, kRealDropThreshold);
+    const Mask kept = returned(rendered, options.strict_drop_threshold),
+               truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
     add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
@@ -142,7 +161,8 @@ void add_points(MetricRow& row, const std::string& prefix, const RangeImage& ren
     row[prefix + "f_22cm"] = distances.f_score(kPeerThreshold_m);
 }
 
-void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
+                const MetricOptions& options) {
     const Mask kept = returned(rendered, options.strict_drop_threshold);
     const Mask truth = returned(real, kRealDropThreshold);
     Mask both(truth.size());
@@ -152,7 +172,8 @@ void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& re
     add_drop(row, kept, truth);
     row["strict/drop_rmse"] = drop_rmse(rendered, real);
     const double threshold = options.strict_drop_threshold;
-    add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
+    add_image(row, "strict/image_depth_", "_m", depth_pair(rendered, real, threshold, options.max_range_m),
+              nullptr);
     add_image(row, "strict/image_intensity_", "", intensity_pair(rendered, real, threshold), nullptr);
     add_points(row, "strict/", rendered, real, options);
 }
@@ -174,7 +195,8 @@ MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, co
     return row;
 }
 
-std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons, const MetricOptions& options) {
+std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
+                                    const MetricOptions& options) {
     std::vector<MetricRow> rows(comparisons.size());
     run_parallel(static_cast<int>(comparisons.size()), [&](int i) {
         const Comparison& c = comparisons[static_cast<std::size_t>(i)];

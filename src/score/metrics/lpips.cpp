@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", CVPR 2018) with AlexNet features.
-// Five convolutions, each unrolled into one matrix product: windows become columns, filters rows. An image is scored in well under
-// a second on a CPU, so nothing faster is needed; the weights come from a file and are no part of the program.
+// LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
+// Metric", CVPR 2018) with AlexNet features. Five convolutions, each unrolled into one
+// matrix product: windows become columns, filters rows. An image is scored in well under
+// a second on a CPU, so nothing faster is needed; the weights come from a file and are no
+// part of the program.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <utility>
 
-#include <Eigen/Core>
 #include <fmt/format.h>
+#include <Eigen/Core>
 
 #include <relidar/base/error.hpp>
 
@@ -19,7 +21,7 @@ namespace {
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr int kLayers = 5;
-constexpr int kMinEdge = 31;                               // an edge of 31 becomes 7, 3, 1 pixels
+constexpr int kMinEdge = 31;  // an edge of 31 becomes 7, 3, 1 pixels
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
@@ -28,29 +30,38 @@ constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 struct Layer {
     int out, in, edge, stride, padding;
     bool pooled;
-    std::size_t weights() const { return std::size_t(out) * std::size_t(in) * std::size_t(edge) * std::size_t(edge); }
+    std::size_t weights() const {
+        return std::size_t(out) * std::size_t(in) * std::size_t(edge) * std::size_t(edge);
+    }
 };
-constexpr Layer kAlexNet[kLayers] = {
-    {64, 3, 11, 4, 2, false}, {192, 64, 5, 1, 2, true}, {384, 192, 3, 1, 1, true}, {256, 384, 3, 1, 1, false}, {256, 256, 3, 1, 1, false}};
+constexpr Layer kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
+                                     {192, 64, 5, 1, 2, true},
+                                     {384, 192, 3, 1, 1, true},
+                                     {256, 384, 3, 1, 1, false},
+                                     {256, 256, 3, 1, 1, false}};
 
 /// Values by channel, each a rows x columns image.
 struct Features {
     int rows = 0, columns = 0;
-    Matrix values;   ///< [channels, rows*columns]
+    Matrix values;  ///< [channels, rows*columns]
 };
 
-/// Windows of a layer as columns, zero outside the image. @return [in*edge*edge, rows*columns of the result]
+/// Windows of a layer as columns, zero outside the image. @return [in*edge*edge,
+/// rows*columns of the result]
 Matrix unroll(const Features& image, const Layer& layer, int rows, int columns) {
-    Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge, Eigen::Index(rows) * columns);
+    Matrix windows =
+        Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge, Eigen::Index(rows) * columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
-        const int dy = int(k) / layer.edge % layer.edge - layer.padding, dx = int(k) % layer.edge - layer.padding;
+        const int dy = int(k) / layer.edge % layer.edge - layer.padding,
+                  dx = int(k) % layer.edge - layer.padding;
         const float* channel = image.values.row(k / (layer.edge * layer.edge)).data();
         for (int row = 0; row < rows; ++row) {
             const int y = row * layer.stride + dy;
             if (y < 0 || y >= image.rows) continue;
             for (int column = 0; column < columns; ++column) {
                 const int x = column * layer.stride + dx;
-                if (x >= 0 && x < image.columns) windows(k, Eigen::Index(row) * columns + column) = channel[y * image.columns + x];
+                if (x >= 0 && x < image.columns)
+                    windows(k, Eigen::Index(row) * columns + column) = channel[y * image.columns + x];
             }
         }
     }
@@ -58,11 +69,13 @@ Matrix unroll(const Features& image, const Layer& layer, int rows, int columns) 
 }
 
 /// Convolution and ReLU.
-Features convolve(const Features& image, const Layer& layer, const std::vector<float>& weight, const std::vector<float>& bias) {
+Features convolve(const Features& image, const Layer& layer, const std::vector<float>& weight,
+                  const std::vector<float>& bias) {
     Features result;
     result.rows = (image.rows + 2 * layer.padding - layer.edge) / layer.stride + 1;
     result.columns = (image.columns + 2 * layer.padding - layer.edge) / layer.stride + 1;
-    const Eigen::Map<const Matrix> filters(weight.data(), layer.out, Eigen::Index(layer.in) * layer.edge * layer.edge);
+    const Eigen::Map<const Matrix> filters(weight.data(), layer.out,
+                                           Eigen::Index(layer.in) * layer.edge * layer.edge);
     result.values.noalias() = filters * unroll(image, layer, result.rows, result.columns);
     result.values.colwise() += Eigen::Map<const Eigen::VectorXf>(bias.data(), layer.out);
     result.values = result.values.cwiseMax(0.0f);
@@ -77,7 +90,8 @@ Features pool(const Features& image) {
         const Eigen::Map<const Matrix> in(image.values.row(channel).data(), image.rows, image.columns);
         for (int row = 0; row < result.rows; ++row)
             for (int column = 0; column < result.columns; ++column)
-                result.values(channel, Eigen::Index(row) * result.columns + column) = in.block<3, 3>(2 * row, 2 * column).maxCoeff();
+                result.values(channel, Eigen::Index(row) * result.columns + column) =
+                    in.block<3, 3>(2 * row, 2 * column).maxCoeff();
     }
     return result;
 }
@@ -85,10 +99,12 @@ Features pool(const Features& image) {
 /// Mean over pixels of the weighted squared difference of features of unit length.
 double distance_of(const Features& a, const Features& b, const std::vector<float>& linear) {
     const Eigen::ArrayXXd fa = a.values.cast<double>().array(), fb = b.values.cast<double>().array();
-    const Eigen::ArrayXd weight = Eigen::Map<const Eigen::VectorXf>(linear.data(), Eigen::Index(linear.size())).cast<double>().array();
+    const Eigen::ArrayXd weight =
+        Eigen::Map<const Eigen::VectorXf>(linear.data(), Eigen::Index(linear.size())).cast<double>().array();
     double sum = 0.0;
     for (Eigen::Index pixel = 0; pixel < fa.cols(); ++pixel) {
-        const double na = std::sqrt(fa.col(pixel).square().sum()) + kNormFloor, nb = std::sqrt(fb.col(pixel).square().sum()) + kNormFloor;
+        const double na = std::sqrt(fa.col(pixel).square().sum()) + kNormFloor,
+                     nb = std::sqrt(fb.col(pixel).square().sum()) + kNormFloor;
         sum += (weight * (fa.col(pixel) / na - fb.col(pixel) / nb).square()).sum();
     }
     return sum / double(fa.cols());
@@ -97,13 +113,15 @@ double distance_of(const Features& a, const Features& b, const std::vector<float
 Features normalised_colours(const std::vector<float>& image, int rows, int columns) {
     Features result{rows, columns, Eigen::Map<const Matrix>(image.data(), 3, Eigen::Index(rows) * columns)};
     for (int colour = 0; colour < 3; ++colour)
-        result.values.row(colour) = (result.values.row(colour).array() - kColourShift[colour]) / kColourScale[colour];
+        result.values.row(colour) =
+            (result.values.row(colour).array() - kColourShift[colour]) / kColourScale[colour];
     return result;
 }
 
 void check_weights(const char* name, int layer, const std::vector<float>& values, std::size_t expected) {
     if (values.size() != expected)
-        throw DataError(fmt::format("weights of LPIPS: {}{} has {} values, expected {}", name, layer, values.size(), expected));
+        throw DataError(fmt::format("weights of LPIPS: {}{} has {} values, expected {}", name, layer,
+                                    values.size(), expected));
     if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
         throw DataError(fmt::format("weights of LPIPS: {}{} holds a value that is not finite", name, layer));
 }
@@ -124,9 +142,11 @@ Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
 }
 Lpips::~Lpips() = default;
 
-std::array<double, 5> Lpips::by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows, int columns) const {
+std::array<double, 5> Lpips::by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows,
+                                      int columns) const {
     if (rows < kMinEdge || columns < kMinEdge)
-        throw DataError(fmt::format("LPIPS: image of {} x {} pixels, expected at least 31 x 31", rows, columns));
+        throw DataError(
+            fmt::format("LPIPS: image of {} x {} pixels, expected at least 31 x 31", rows, columns));
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
     if (a.size() != n || b.size() != n)
         throw DataError(fmt::format("LPIPS: images of {} and {} values, expected {}", a.size(), b.size(), n));
@@ -134,13 +154,16 @@ std::array<double, 5> Lpips::by_layer(const std::vector<float>& a, const std::ve
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {
         const Layer& layer = kAlexNet[l];
-        for (Features* f : {&fa, &fb}) *f = convolve(layer.pooled ? pool(*f) : *f, layer, impl_->weights.weight[l], impl_->weights.bias[l]);
+        for (Features* f : {&fa, &fb})
+            *f = convolve(layer.pooled ? pool(*f) : *f, layer, impl_->weights.weight[l],
+                          impl_->weights.bias[l]);
         distance[l] = distance_of(fa, fb, impl_->weights.linear[l]);
     }
     return distance;
 }
 
-double Lpips::distance(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) const {
+double Lpips::distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
+                       int columns) const {
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weights of LPIPS from a safetensors file: arrays conv{0..4}.weight, conv{0..4}.bias, lin{0..4}.weight, half or single precision.
+// Weights of LPIPS from a safetensors file: arrays conv{0..4}.weight, conv{0..4}.bias,
+// lin{0..4}.weight, half or single precision.
 #include <relidar/base/arrays.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -16,7 +17,8 @@ LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
     const auto values = [&](const std::string& name) {
         const NamedArray* array = find_array(arrays, name);
         if (!array)
-            throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS", path.string(), name));
+            throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS",
+                                        path.string(), name));
         return array->as_float();
     };
     LpipsWeights weights;

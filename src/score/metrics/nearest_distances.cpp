@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact nearest neighbours between two clouds, for Chamfer distance and F-score: a k-d tree over the targets, the queries
-// shared out among threads. Distances are computed in double, as the points of a log may lie far from the origin.
+// Exact nearest neighbours between two clouds, for Chamfer distance and F-score: a k-d
+// tree over the targets, the queries shared out among threads. Distances are computed in
+// double, as the points of a log may lie far from the origin.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -35,16 +36,19 @@ constexpr std::size_t kLeafSize = 16;
 void check_finite(const std::vector<glm::dvec3>& points, const char* name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
-            throw DataError(fmt::format("nearest distances: {} point {} is ({}, {}, {}), expected finite values", name, i,
-                                        points[i].x, points[i].y, points[i].z));
+            throw DataError(
+                fmt::format("nearest distances: {} point {} is ({}, {}, {}), expected finite values", name, i,
+                            points[i].x, points[i].y, points[i].z));
 }
 
 }  // namespace
 
-std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query, const std::vector<glm::dvec3>& target) {
+std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query,
+                                      const std::vector<glm::dvec3>& target) {
     std::vector<double> distance(query.size());
     if (query.empty()) return distance;
-    if (target.empty()) throw DataError(fmt::format("nearest distances: {} query points, no target point", query.size()));
+    if (target.empty())
+        throw DataError(fmt::format("nearest distances: {} query points, no target point", query.size()));
     check_finite(query, "query");
     check_finite(target, "target");
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The baseline a rendering has to beat: the two neighbouring real scans, moved by the poses into the sweep in question and binned
-// into its image. It knows no surfaces and fills no holes, but where the sensor hardly moved it is nearly the truth.
+// The baseline a rendering has to beat: the two neighbouring real scans, moved by the
+// poses into the sweep in question and binned into its image. It knows no surfaces and
+// fills no holes, but where the sensor hardly moved it is nearly the truth.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -14,9 +15,11 @@
 namespace relidar {
 namespace {
 
-constexpr int kColumnSearch = 4;   // columns between a ray and where its azimuth would put it: an HDL-64E log has up to 2.8
+// columns between a ray and where its azimuth would put it: an HDL-64E log has up to 2.8
+constexpr int kColumnSearch = 4;
 
-/// The nearest training frame of the same LiDAR before and after a position; one of them where the other does not exist.
+/// The nearest training frame of the same LiDAR before and after a position; one of them
+/// where the other does not exist.
 std::vector<int> neighbours_of(const Sequence& sequence, int position, const std::vector<int>& train) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
@@ -29,19 +32,22 @@ std::vector<int> neighbours_of(const Sequence& sequence, int position, const std
     for (const int p : {before, after})
         if (p >= 0) found.push_back(p);
     if (found.empty())
-        throw DataError(
-            fmt::format("projecting neighbouring scans: no training frame beside position {}, expected at least one", position));
+        throw DataError(fmt::format(
+            "projecting neighbouring scans: no training frame beside position {}, expected at least one",
+            position));
     return found;
 }
 
 /// The moving box that holds a world point at a time.
 const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m, double time_s) {
-    const auto it = std::find_if(moving.begin(), moving.end(),
-                                 [&](const BoxTrack* box) { return box->present(time_s) && box->holds(point_m, time_s, 0.0); });
+    const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
+        return box->present(time_s) && box->holds(point_m, time_s, 0.0);
+    });
     return it == moving.end() ? nullptr : *it;
 }
 
-/// A world point as the LiDAR of a frame sees it in that sweep: in the sensor's frame at the moment its head faces the point.
+/// A world point as the LiDAR of a frame sees it in that sweep: in the sensor's frame at
+/// the moment its head faces the point.
 glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
@@ -67,7 +73,8 @@ struct Place {
 
 double elevation_of(const glm::dvec3& v) { return std::asin(std::clamp(v.z / glm::length(v), -1.0, 1.0)); }
 
-/// A table of rays with the questions binning asks of it. Double throughout: the cosine of 0.02 degrees is 1 in float.
+/// A table of rays with the questions binning asks of it. Double throughout: the cosine
+/// of 0.02 degrees is 1 in float.
 struct Beams {
     const RayTable& rays;
 
@@ -75,15 +82,20 @@ struct Beams {
         const int wrapped = (p.column % rays.columns + rays.columns) % rays.columns;
         return std::size_t(p.row) * std::size_t(rays.columns) + std::size_t(wrapped);
     }
-    glm::dvec3 from_origin(Place p, const glm::vec3& point_m) const { return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(p)]); }
+    glm::dvec3 from_origin(Place p, const glm::vec3& point_m) const {
+        return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(p)]);
+    }
     glm::dvec3 direction(Place p) const { return rays.direction[at(p)]; }
     /// How far a point is above a beam, as an angle.
-    double above(Place p, const glm::vec3& point_m) const { return elevation_of(from_origin(p, point_m)) - elevation_of(direction(p)); }
+    double above(Place p, const glm::vec3& point_m) const {
+        return elevation_of(from_origin(p, point_m)) - elevation_of(direction(p));
+    }
     double cosine(Place p, const glm::vec3& point_m) const {
         const glm::dvec3 v = from_origin(p, point_m);
         return glm::dot(v, direction(p)) / glm::length(v);
     }
-    /// The beam of nearest elevation, then the ray of nearest direction of it and its neighbours.
+    /// The beam of nearest elevation, then the ray of nearest direction of it and its
+    /// neighbours.
     Place nearest(const glm::vec3& point_m) const {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
@@ -98,17 +110,21 @@ struct Beams {
                 if (const double cos = cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
         return best;
     }
-    /// Outside the field of view: beyond an outermost beam by more than half the way to its neighbour.
+    /// Outside the field of view: beyond an outermost beam by more than half the way to
+    /// its neighbour.
     bool outside(Place p, const glm::vec3& point_m) const {
         const double half_spacing =
-            0.5 * std::abs(elevation_of(direction(p)) - elevation_of(direction({p.row == 0 ? 1 : p.row - 1, p.column})));
-        return (p.row == 0 && above(p, point_m) > half_spacing) || (p.row == rays.rows - 1 && above(p, point_m) < -half_spacing);
+            0.5 * std::abs(elevation_of(direction(p)) -
+                           elevation_of(direction({p.row == 0 ? 1 : p.row - 1, p.column})));
+        return (p.row == 0 && above(p, point_m) > half_spacing) ||
+               (p.row == rays.rows - 1 && above(p, point_m) < -half_spacing);
     }
 };
 
 }  // namespace
 
-Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes) {
+Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train,
+                      BoxMotion boxes) {
     const Frame& sweep = sequence.frames.at(std::size_t(position));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
@@ -120,12 +136,15 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = world_return(sequence, frame, ray);
             // as it was measured
-            w.point_m += double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
+            w.point_m +=
+                double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
-                const double then_s = sweep.time_s + (w.time_s - frame.time_s);   // about the same part of the sweep
+                // about the same part of the sweep
+                const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->present(then_s)) continue;
-                world_m = box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
+                world_m =
+                    box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
             }
             append_point(points, seen_in_sweep(sequence, world_m, sweep), frame.scan.intensity[ray]);
         }
@@ -137,8 +156,10 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
 
 Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
-        throw DataError(fmt::format("binning points onto the sensor's rays: found {} x {} rays, expected an image of rows and columns",
-                                    rays.rows, rays.columns));
+        throw DataError(
+            fmt::format("binning points onto the sensor's rays: found {} x {} rays, expected an image of "
+                        "rows and columns",
+                        rays.rows, rays.columns));
     const Beams beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {

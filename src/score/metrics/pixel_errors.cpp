@@ -11,7 +11,7 @@
 namespace relidar::metrics_detail {
 namespace {
 
-constexpr double kClampLow = 1e-6;   // lower end of the peer's clamp, depth and intensity alike
+constexpr double kClampLow = 1e-6;  // lower end of the peer's clamp, depth and intensity alike
 
 double clamped(float value, double high) { return std::clamp(double(value), kClampLow, high); }
 
@@ -25,21 +25,26 @@ double median(Values values) {
 
 void check_values(const std::vector<float>& values, std::size_t n, const char* image, const char* array) {
     if (values.size() != n)
-        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image, array, values.size(), n));
+        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image,
+                                    array, values.size(), n));
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
-        throw DataError(fmt::format("evaluating a range image: {} {} is {} at pixel {}, expected a finite value", image, array, *bad,
-                                    bad - values.begin()));
+        throw DataError(
+            fmt::format("evaluating a range image: {} {} is {} at pixel {}, expected a finite value", image,
+                        array, *bad, bad - values.begin()));
 }
 
-void check_vectors(const std::vector<glm::vec3>& values, std::size_t n, const char* image, const char* array) {
+void check_vectors(const std::vector<glm::vec3>& values, std::size_t n, const char* image,
+                   const char* array) {
     if (values.size() != n)
-        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image, array, values.size(), n));
+        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image,
+                                    array, values.size(), n));
 }
 
 void check_image(const RangeImage& image, const char* name) {
     if (image.rows <= 0 || image.columns <= 0)
-        throw DataError(fmt::format("evaluating a range image: the {} one has {} x {} pixels", name, image.rows, image.columns));
+        throw DataError(fmt::format("evaluating a range image: the {} one has {} x {} pixels", name,
+                                    image.rows, image.columns));
     const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
     check_values(image.range_m, n, name, "range_m");
     check_values(image.intensity, n, name, "intensity");
@@ -54,8 +59,8 @@ void check_pair(const RangeImage& rendered, const RangeImage& real) {
     check_image(rendered, "rendered");
     check_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
-    throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real", rendered.rows, rendered.columns,
-                                real.rows, real.columns));
+    throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real",
+                                rendered.rows, rendered.columns, real.rows, real.columns));
 }
 
 Mask not_dropped(const RangeImage& image, double threshold) {
@@ -95,7 +100,8 @@ double mean_square(const Values& values) {
     return sum / double(values.size());
 }
 
-double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a, const Values& b) {
+double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a,
+                  const Values& b) {
     if (a.empty()) return -1.0;
     Values error(a.size());
     for (std::size_t i = 0; i < a.size(); ++i) error[i] = std::abs(a[i] - b[i]);

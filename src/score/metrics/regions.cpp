@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Errors where users look: moving boxes, everything else, and bands of range. Pixels with a real return, the rendered value as
-// it is: what a drop probability hides must not make a region look good; how much it hides is a metric of its own.
+// Errors where users look: moving boxes, everything else, and bands of range. Pixels with
+// a real return, the rendered value as it is: what a drop probability hides must not make
+// a region look good; how much it hides is a metric of its own.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -8,9 +9,9 @@
 
 #include <fmt/format.h>
 
-#include "pixel_errors.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/log/sequence.hpp>
+#include "pixel_errors.hpp"
 
 namespace relidar {
 namespace {
@@ -33,29 +34,35 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
 }
 
 /// Which rays of a frame have their return in one of some boxes that moves.
-Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
+                       const Pose& sensor_offset) {
     const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
-    std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });   // once, not at each point of a parked car
+    // once, not at each point of a parked car
+    std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
         const WorldRay w = world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-        const double t_s = frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
-        moving[ray] = in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, kBoxMargin_m);
+        const double t_s =
+            frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
+        moving[ray] = in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s,
+                                    kBoxMargin_m);
     }
     return moving;
 }
 
 }  // namespace
 
-MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, const std::vector<Region>& regions,
-                           const MetricOptions& options) {
+MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
+                           const std::vector<Region>& regions, const MetricOptions& options) {
     check_pair(rendered, real);
-    const Mask truth = returned(real, kRealDropThreshold), kept = returned(rendered, options.strict_drop_threshold);
+    const Mask truth = returned(real, kRealDropThreshold),
+               kept = returned(rendered, options.strict_drop_threshold);
     MetricRow row;
     for (const Region& region : regions) {
         if (region.pixels.size() != truth.size())
-            throw DataError(fmt::format("evaluating region {}: {} pixels, expected {}", region.name, region.pixels.size(), truth.size()));
+            throw DataError(fmt::format("evaluating region {}: {} pixels, expected {}", region.name,
+                                        region.pixels.size(), truth.size()));
         const Mask mask = both(region.pixels, truth);
         const auto n = std::count(mask.begin(), mask.end(), true);
         const std::string name = region.name + "/";
@@ -74,18 +81,20 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real, c
 std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving) {
     Mask resting = moving;
     resting.flip();
-    return {{"all", Mask(moving.size(), true)}, {"moving_boxes", moving}, {"static", resting},
-            range_band(real, 0.0, 20.0), range_band(real, 20.0, 40.0), range_band(real, 40.0, 80.0)};
+    return {{"all", Mask(moving.size(), true)}, {"moving_boxes", moving},     {"static", resting},
+            range_band(real, 0.0, 20.0),        range_band(real, 20.0, 40.0), range_band(real, 40.0, 80.0)};
 }
 
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    for (BoxTrack& box : labelled) box = box.labelled_part();   // whatever was discovered, the same returns are compared
+    // whatever was discovered, the same returns are compared
+    for (BoxTrack& box : labelled) box = box.labelled_part();
     return returns_in_moving(std::move(labelled), sequence, frame, sensor_offset);
 }
 
-std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
+std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame,
+                                     const Pose& sensor_offset) {
     std::vector<BoxTrack> discovered = sequence.boxes;
     std::erase_if(discovered, [](const BoxTrack& box) { return box.category != kDiscoveredCategory; });
     return returns_in_moving(std::move(discovered), sequence, frame, sensor_offset);

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity with the defaults of scikit-image, which published LiDAR tables use: 7x7 uniform window, sample
-// covariance (divided by 48), K1 = 0.01, K2 = 0.03, mean over the pixels whose window lies inside the image.
+// Structural similarity with the defaults of scikit-image, which published LiDAR tables
+// use: 7x7 uniform window, sample covariance (divided by 48), K1 = 0.01, K2 = 0.03, mean
+// over the pixels whose window lies inside the image.
 //   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2)),   C1 = (K1 L)^2, C2 = (K2 L)^2
-// Window sums are separable: seven columns first, then seven rows. Prefix sums would be faster and lose digits.
+// Window sums are separable: seven columns first, then seven rows. Prefix sums would be
+// faster and lose digits.
 #include <relidar/score/metrics.hpp>
 
 #include <array>
@@ -40,7 +42,8 @@ double similarity(const Moments& window, double c1, double c2) {
 }
 
 /// Sums over 7 neighbours within each row. @return [rows * (columns - 6)]
-std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) {
+std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& b, int rows,
+                                    int columns) {
     const int width = columns - kWindow + 1;
     std::vector<Moments> sums(std::size_t(rows) * std::size_t(width));
     for (int row = 0; row < rows; ++row)
@@ -54,17 +57,21 @@ std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vec
 
 void check(std::size_t n_a, std::size_t n_b, int rows, int columns, double data_range) {
     if (rows < kWindow || columns < kWindow)
-        throw DataError(fmt::format("structural similarity: image of {} x {} pixels, expected at least 7 x 7", rows, columns));
+        throw DataError(fmt::format("structural similarity: image of {} x {} pixels, expected at least 7 x 7",
+                                    rows, columns));
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     if (n_a != n || n_b != n)
-        throw DataError(fmt::format("structural similarity: images of {} and {} values, expected {}", n_a, n_b, n));
+        throw DataError(
+            fmt::format("structural similarity: images of {} and {} values, expected {}", n_a, n_b, n));
     if (!(data_range > 0.0))
-        throw DataError(fmt::format("structural similarity: data range {}, expected a positive one", data_range));
+        throw DataError(
+            fmt::format("structural similarity: data range {}, expected a positive one", data_range));
 }
 
 }  // namespace
 
-double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns, double data_range) {
+double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns,
+            double data_range) {
     check(a.size(), b.size(), rows, columns, data_range);
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
     const std::vector<Moments> sums = sum_along_rows(a, b, rows, columns);
@@ -73,7 +80,8 @@ double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows
     for (int row = 0; row < height; ++row)
         for (int column = 0; column < width; ++column) {
             Moments window;
-            for (int k = 0; k < kWindow; ++k) window.add(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
+            for (int k = 0; k < kWindow; ++k)
+                window.add(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
             total += similarity(window, c1, c2);
         }
     return total / (double(width) * double(height));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Line charts as inline SVG: axes with round ticks, grid lines, one path a curve. Colours and fonts come from the page's
-// style sheet (classes c0 ... c7, axis, grid, faint), so that a chart follows its light and dark theme.
+// Line charts as inline SVG: axes with round ticks, grid lines, one path a curve. Colours
+// and fonts come from the page's style sheet (classes c0 ... c7, axis, grid, faint), so
+// that a chart follows its light and dark theme.
 #include "chart.hpp"
 
 #include <algorithm>
@@ -16,9 +17,10 @@
 namespace relidar::export_detail {
 namespace {
 
-constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;   // margins in SVG units, as wide as the labels
-constexpr std::size_t kManyPoints = 250;                             // more are noise to the eye: draw a running mean
-constexpr std::size_t kBuckets = 500;                                // horizontal resolution of a drawn curve
+// margins in SVG units, as wide as the labels
+constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
+constexpr std::size_t kManyPoints = 250;  // more are noise to the eye: draw a running mean
+constexpr std::size_t kBuckets = 500;     // horizontal resolution of a drawn curve
 
 /// Data interval of one axis and where it lies on the page.
 struct Axis {
@@ -27,7 +29,9 @@ struct Axis {
     bool logarithmic = false;
 
     double scale(double v) const { return logarithmic ? std::log10(v) : v; }
-    double place(double v) const { return at_low + (scale(v) - scale(low)) / (scale(high) - scale(low)) * (at_high - at_low); }
+    double place(double v) const {
+        return at_low + (scale(v) - scale(low)) / (scale(high) - scale(low)) * (at_high - at_low);
+    }
 };
 
 struct Extent {
@@ -42,7 +46,9 @@ struct Extent {
 };
 
 /// Finite, and not so large that the axis would overflow.
-bool drawable(const ReportCurve& curve, std::size_t i) { return std::abs(curve.x[i]) < 1e100 && std::abs(curve.y[i]) < 1e100; }
+bool drawable(const ReportCurve& curve, std::size_t i) {
+    return std::abs(curve.x[i]) < 1e100 && std::abs(curve.y[i]) < 1e100;
+}
 
 double nice_step(double span, int n_ticks) {
     const double raw = span / n_ticks, decade = std::pow(10.0, std::floor(std::log10(raw)));
@@ -54,7 +60,8 @@ double nice_step(double span, int n_ticks) {
 std::vector<double> linear_ticks(const Axis& axis, int n_ticks) {
     const double step = nice_step(axis.high - axis.low, n_ticks);
     std::vector<double> ticks;
-    for (double k = std::ceil(axis.low / step - 1e-9); k * step <= axis.high + 1e-9 * step && ticks.size() < 50; ++k)
+    for (double k = std::ceil(axis.low / step - 1e-9);
+         k * step <= axis.high + 1e-9 * step && ticks.size() < 50; ++k)
         ticks.push_back(k == 0.0 ? 0.0 : k * step);
     return ticks;
 }
@@ -102,14 +109,15 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-/// At most two points a bucket, its lowest and highest, so that spikes survive. Points that are not finite are gaps.
+/// At most two points a bucket, its lowest and highest, so that spikes survive. Points
+/// that are not finite are gaps.
 std::vector<std::size_t> thinned(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
     std::vector<std::size_t> kept;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            if (!drawable(curve, i)) low = high = i;   // shows the gap
+            if (!drawable(curve, i)) low = high = i;  // shows the gap
             else if (drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
         }
@@ -119,18 +127,20 @@ std::vector<std::size_t> thinned(const ReportCurve& curve) {
     return kept;
 }
 
-/// Mean over a centred window of 1/40 of the curve, of its finite values, at a few hundred places.
+/// Mean over a centred window of 1/40 of the curve, of its finite values, at a few
+/// hundred places.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t place = 0; place < n_places; ++place) {
         const std::size_t middle = place * (n - 1) / (n_places - 1);
-        const std::size_t reach = std::min({half, middle, n - 1 - middle});   // symmetric to the ends, or they would lag
+        // symmetric to the ends, or they would lag
+        const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
             if (drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
-        result.y.push_back(sum / count);   // no value at all: not a number, a gap
+        result.y.push_back(sum / count);  // no value at all: not a number, a gap
     }
     return result;
 }
@@ -146,7 +156,9 @@ std::string path_of(const ReportCurve& curve, const Axis& x, const Axis& y, cons
         }
         const double px = x.place(curve.x[i]), py = y.place(curve.y[i]);
         path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
-        if (kept.size() <= 30) dots += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", style, px, py);
+        if (kept.size() <= 30)
+            dots +=
+                fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", style, px, py);
         connected = true;
     }
     return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
@@ -155,36 +167,42 @@ std::string path_of(const ReportCurve& curve, const Axis& x, const Axis& y, cons
 std::string axes(const Axis& x, const Axis& y) {
     std::string svg;
     for (double tick : y.logarithmic ? log_ticks(y) : linear_ticks(y, 5))
-        svg += fmt::format("<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
-                           "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
-                           x.at_low, x.at_high, y.place(tick), x.at_low - 8, y.place(tick) + 4, tick_label(tick));
+        svg += fmt::format(
+            "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
+            "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
+            x.at_low, x.at_high, y.place(tick), x.at_low - 8, y.place(tick) + 4, tick_label(tick));
     for (double tick : linear_ticks(x, x.at_high - x.at_low > 600 ? 10 : 5))
-        svg += fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
-                           "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
-                           x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, tick_label(tick));
-    return svg + fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n", x.at_low,
-                             x.at_high, y.at_low);
+        svg += fmt::format(
+            "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
+            "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
+            x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, tick_label(tick));
+    return svg +
+           fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n",
+                       x.at_low, x.at_high, y.at_low);
 }
 
 }  // namespace
 
 bool has_running_mean(const std::vector<const ReportCurve*>& curves) {
-    return std::any_of(curves.begin(), curves.end(), [](const ReportCurve* curve) { return curve->y.size() > kManyPoints; });
+    return std::any_of(curves.begin(), curves.end(),
+                       [](const ReportCurve* curve) { return curve->y.size() > kManyPoints; });
 }
 
 std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
     Extent x_extent, y_extent;
     for (const ReportCurve* curve : curves) {
         if (curve->x.size() != curve->y.size())
-            throw DataError(fmt::format("report curve '{}': {} x and {} y values", curve->name, curve->x.size(), curve->y.size()));
+            throw DataError(fmt::format("report curve '{}': {} x and {} y values", curve->name,
+                                        curve->x.size(), curve->y.size()));
         for (std::size_t i = 0; i < curve->x.size(); ++i)
             if (drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
     }
-    const Axis x = make_x_axis(x_extent, kLeft, width - kRight), y = make_y_axis(y_extent, height - kBottom, kTop);
+    const Axis x = make_x_axis(x_extent, kLeft, width - kRight),
+               y = make_y_axis(y_extent, height - kBottom, kTop);
     std::string names;
     for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
-    std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}", width, height,
-                                  escape_html(names), axes(x, y));
+    std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}",
+                                  width, height, escape_html(names), axes(x, y));
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
         const bool many = curves[i]->y.size() > kManyPoints;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text for HTML pages: escaping, numbers people can read, pictures as data URLs. Private to export.
+// Text for HTML pages: escaping, numbers people can read, pictures as data URLs. Private
+// to export.
 #pragma once
 
 #include <string>

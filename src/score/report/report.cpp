@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The report: one HTML page that needs no file or network beside it. Everything that comes from outside is escaped; script is our own
-// and there for views alone. Curves whose names share the part before '/' share a chart; metrics are grouped the same way.
+// The report: one HTML page that needs no file or network beside it. Everything that
+// comes from outside is escaped; script is our own and there for views alone. Curves
+// whose names share the part before '/' share a chart; metrics are grouped the same way.
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>
@@ -25,20 +26,26 @@ namespace {
 using export_detail::escape_html;
 using export_detail::format_number;
 
-constexpr double kMaxAspect = 10.0;   // a wider picture (66 x 1030) is drawn taller, or its rows could not be told apart
+// a wider picture (66 x 1030) is drawn taller, or its rows could not be told apart
+constexpr double kMaxAspect = 10.0;
 
 std::string section(const std::string& title, const std::string& body) {
-    return body.empty() ? "" : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
+    return body.empty() ? ""
+                        : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
 /// A section that is closed until the reader opens it.
 std::string folded(const std::string& title, const std::string& body) {
-    return body.empty() ? "" : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
+    return body.empty()
+               ? ""
+               : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
 /// A table that scrolls by itself where the page is narrow.
 std::string table(const std::string& head, const std::string& rows) {
-    return fmt::format("<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n", head, rows);
+    return fmt::format(
+        "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
+        head, rows);
 }
 
 std::string facts(const Report& report) {
@@ -96,24 +103,30 @@ std::string metric_cells(const Report& report, const std::string& name) {
 }
 
 std::string metrics(const Report& report) {
-    std::set<std::string> names;   // sorted: groups come out together
+    std::set<std::string> names;  // sorted: groups come out together
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
     if (names.empty()) return "";
     std::string head = "<th>Metric</th>", rows, group;
     for (const auto& [column, row] : report.metrics)
-        head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()), escape_html(column));
+        head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()),
+                            escape_html(column));
     for (const std::string& name : names) {
         const auto [name_group, metric] = split_group(name);
         if (name_group != group)
-            rows += fmt::format("<tr class=\"group\"><td colspan=\"{}\">{}</td></tr>\n", report.metrics.size() + 1,
-                                escape_html(name_group));
+            rows += fmt::format("<tr class=\"group\"><td colspan=\"{}\">{}</td></tr>\n",
+                                report.metrics.size() + 1, escape_html(name_group));
         group = name_group;
-        rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric), metric_cells(report, name));
+        rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric),
+                            metric_cells(report, name));
     }
-    const char* marks = report.same_scans ? "Green: best of the row." : "Columns are of different scans: neither is better than the other.";
+    const char* marks = report.same_scans
+                            ? "Green: best of the row."
+                            : "Columns are of different scans: neither is better than the other.";
     const std::string note =
-        report.metrics.size() > 1 ? fmt::format("<p class=\"note\">{} Dash: not given or not defined.</p>\n", marks) : "";
+        report.metrics.size() > 1
+            ? fmt::format("<p class=\"note\">{} Dash: not given or not defined.</p>\n", marks)
+            : "";
     return table(head, rows) + note;
 }
 
@@ -124,8 +137,8 @@ std::string key_metrics(const Report& report) {
     for (const ReportKeyMetric& key : report.key_metrics) {
         const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
         if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
-        rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name), escape_html(key.hint),
-                            metric_cells(report, key.metric));
+        rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
+                            escape_html(key.hint), metric_cells(report, key.metric));
     }
     return rows.empty() ? "" : table(head, rows);
 }
@@ -135,16 +148,19 @@ std::string chart(const std::string& title, const std::vector<const ReportCurve*
     for (std::size_t i = 0; i < curves.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % export_detail::kChartColours,
                               escape_html(split_group(curves[i]->name).second));
-    return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n", title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
+    return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
+                       title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
                        export_detail::svg_chart(curves, width, 300), legend);
 }
 
 std::string curves(const Report& report) {
-    std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;   // in order of first appearance
+    // in order of first appearance
+    std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
         const std::string group = split_group(curve.name).first;
-        auto it = std::find_if(charts.begin(), charts.end(), [&](const auto& known) { return known.first == group; });
+        auto it = std::find_if(charts.begin(), charts.end(),
+                               [&](const auto& known) { return known.first == group; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
         it->second.push_back(&curve);
         means = means || export_detail::has_running_mean({&curve});
@@ -153,19 +169,25 @@ std::string curves(const Report& report) {
     for (const auto& [title, members] : charts) body += chart(title, members, charts.size() > 1 ? 550 : 1130);
     if (body.empty()) return "";
     return "<div class=\"charts\">\n" + body + "</div>\n" +
-           (means ? "<p class=\"note\">Faint: every value. Solid: running mean over one fortieth of the curve.</p>\n" : "");
+           (means ? "<p class=\"note\">Faint: every value. Solid: running mean over one fortieth of the "
+                    "curve.</p>\n"
+                  : "");
 }
 
-/// One kernel: its time, its share of `whole`, and a bar as long as its part of `longest`. No bar where longest is 0.
+/// One kernel: its time, its share of `whole`, and a bar as long as its part of
+/// `longest`. No bar where longest is 0.
 std::string timing_row(const std::string& name, double ms, double whole, double longest) {
     const bool known = std::isfinite(ms) && ms >= 0.0;
     const std::string share = known && whole > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / whole) : "\u2013";
-    const std::string bar = known && longest > 0.0 ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest) : "";
-    return fmt::format("<td class=\"name\">{}</td><td>{:.3f}</td><td>{}</td><td class=\"bar\">{}</td></tr>\n", escape_html(name), ms,
-                       share, bar);
+    const std::string bar = known && longest > 0.0
+                                ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest)
+                                : "";
+    return fmt::format("<td class=\"name\">{}</td><td>{:.3f}</td><td>{}</td><td class=\"bar\">{}</td></tr>\n",
+                       escape_html(name), ms, share, bar);
 }
 
-/// Longest first. Shares are of the entry "total" where there is one, else of the sum; that row comes last.
+/// Longest first. Shares are of the entry "total" where there is one, else of the sum;
+/// that row comes last.
 std::string timing_table(const MetricRow& timings) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;
@@ -182,9 +204,10 @@ std::string timing_table(const MetricRow& timings) {
     std::string body;
     for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, whole, longest);
     body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", whole, whole, 0.0);
-    return table("<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
-                 "<th>of the longest</th>",
-                 body);
+    return table(
+        "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
+        "<th>of the longest</th>",
+        body);
 }
 
 std::string timings(const Report& report) {
@@ -196,15 +219,16 @@ std::string timings(const Report& report) {
 
 std::string figure(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
-    run_parallel(static_cast<int>(urls.size()),
-                 [&](int i) { urls[std::size_t(i)] = export_detail::png_data_url(figure.images[std::size_t(i)].second); });
+    run_parallel(static_cast<int>(urls.size()), [&](int i) {
+        urls[std::size_t(i)] = export_detail::png_data_url(figure.images[std::size_t(i)].second);
+    });
     std::string body;
     for (std::size_t i = 0; i < urls.size(); ++i) {
         const auto& [caption, image] = figure.images[i];
         const double aspect = std::min(kMaxAspect, double(image.columns) / double(image.rows));
         body += fmt::format("<figure><figcaption>{}</figcaption>", escape_html(caption));
-        body += fmt::format("<img alt=\"{}\" style=\"aspect-ratio:{:.4f}\" src=\"{}\"></figure>\n", escape_html(caption), aspect,
-                            urls[i]);
+        body += fmt::format("<img alt=\"{}\" style=\"aspect-ratio:{:.4f}\" src=\"{}\"></figure>\n",
+                            escape_html(caption), aspect, urls[i]);
     }
     return body;
 }
@@ -212,17 +236,21 @@ std::string figure(const ReportFigure& figure) {
 std::string page(const Report& report) {
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
-    html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title), export_detail::kReportStyle);
+    html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
+                        export_detail::kReportStyle);
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
-    for (const ReportView& view : report.views) html += section(view.title, export_detail::view_html(view, report.views.size()));
+    for (const ReportView& view : report.views)
+        html += section(view.title, export_detail::view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
-    run_parallel(static_cast<int>(figures.size()), [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
+    run_parallel(static_cast<int>(figures.size()),
+                 [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
     for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
     html += section("Curves", curves(report));
     for (const ReportBars& bars : report.bars) html += section(bars.title, export_detail::bars_html(bars));
     html += section("Scores", key_metrics(report));
-    html += folded("All metrics", metrics(report)) + folded("The run", facts(report)) + folded("Time by kernel", timings(report));
+    html += folded("All metrics", metrics(report)) + folded("The run", facts(report)) +
+            folded("Time by kernel", timings(report));
     html += "<footer>Written by relidar</footer>\n</main>\n";
     if (!report.views.empty()) html += export_detail::view_script();
     return html + "</body>\n</html>\n";

@@ -21,13 +21,17 @@ std::string bars_html(const ReportBars& bars) {
             stack += fmt::format("<div class=\"b{}\" style=\"width:{:.2f}%\"></div>", b, percent);
             cells += fmt::format("<td>{:.1f} %</td>", percent);
         }
-        rows += fmt::format("<tr><td class=\"name\">{}</td><td class=\"stack\">{}</td>{}<td>{:.0f}</td></tr>\n", escape_html(row.name),
-                            stack, cells, row.count);
+        rows +=
+            fmt::format("<tr><td class=\"name\">{}</td><td class=\"stack\">{}</td>{}<td>{:.0f}</td></tr>\n",
+                        escape_html(row.name), stack, cells, row.count);
     }
     if (rows.empty()) return "";
-    return fmt::format("<div class=\"scroll\"><table>\n<thead><tr>{}<th>rays</th></tr></thead>\n<tbody>\n{}</tbody></table></div>\n"
-                       "<p class=\"note\">{}</p>\n",
-                       head, rows, escape_html(bars.note));
+    return fmt::format(
+        "<div "
+        "class=\"scroll\"><table>\n<thead><tr>{}<th>rays</th></tr></thead>\n<tbody>\n{}</tbody></table></"
+        "div>\n"
+        "<p class=\"note\">{}</p>\n",
+        head, rows, escape_html(bars.note));
 }
 
 }  // namespace relidar::export_detail

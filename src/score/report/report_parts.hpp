@@ -9,7 +9,8 @@
 
 namespace relidar::export_detail {
 
-/// Canvases of a view's clouds, with their points as base64. @param n_views  of the page, among which its megabytes are divided
+/// Canvases of a view's clouds, with their points as base64. @param n_views  of the page,
+/// among which its megabytes are divided
 std::string view_html(const ReportView& view, std::size_t n_views);
 /// The script that draws all views of a page.
 std::string view_script();

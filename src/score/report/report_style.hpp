@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Style sheet of the report: one column of cards, light or dark as the reader's system asks. Private to export.
-// Curve colours differ in lightness as well as hue, so that they stay apart for colour-blind readers and in print.
+// Style sheet of the report: one column of cards, light or dark as the reader's system
+// asks. Private to export. Curve colours differ in lightness as well as hue, so that they
+// stay apart for colour-blind readers and in print.
 #pragma once
 
 #include <string_view>
 
 namespace relidar::export_detail {
 
-inline constexpr std::string_view kReportStyle = R"css(
+inline constexpr std::string_view kReportStyle =
+    R"css(
 :root { color-scheme: light dark; --page: #f4f5f7; --card: #ffffff; --ink: #1b1f24; --soft: #5d6672; --line: #e1e4e8;
   --accent: #1f6feb; --best: #0a7d4b;
   --c0: #1f6feb; --c1: #d9580f; --c2: #12966b; --c3: #b0389c; --c4: #a07600; --c5: #5b4bd1; --c6: #d12f4b; --c7: #4c8fb5; }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of a view as bytes: 8 a point, little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, error of the range in
-// steps of 4 mm up to 1 m, 255 where it is not known. points/report.js reads them.
+// Points of a view as bytes: 8 a point, little-endian: x, y, z in centimetres (int16),
+// intensity in steps of 1/255, error of the range in steps of 4 mm up to 1 m, 255 where
+// it is not known. points/report.js reads them.
 #include "report_parts.hpp"
 
 #include <algorithm>
@@ -15,12 +16,13 @@
 
 namespace relidar {
 
-std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();   // of cmake/Assets.cmake
+// of cmake/Assets.cmake
+std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
 
 namespace export_detail {
 namespace {
 
-constexpr std::size_t kMaxPoints = 500'000;   // of a page: 5.3 MB as base64
+constexpr std::size_t kMaxPoints = 500'000;  // of a page: 5.3 MB as base64
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
@@ -30,7 +32,8 @@ std::uint8_t packed_error(float error_m) {
 }
 
 std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points) {
-    const std::size_t n = cloud.position_m.size(), step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
+    const std::size_t n = cloud.position_m.size(),
+                      step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
     std::vector<std::uint8_t> bytes;
     for (std::size_t i = 0; i < n; i += step) {
         const glm::vec3& p = cloud.position_m[i];
@@ -40,7 +43,8 @@ std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points)
             bytes.push_back(static_cast<std::uint8_t>(cm & 0xff));
             bytes.push_back(static_cast<std::uint8_t>(cm >> 8));
         }
-        bytes.push_back(static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
+        bytes.push_back(
+            static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
         bytes.push_back(packed_error(cloud.error_m[i]));
     }
     return bytes;
@@ -68,17 +72,23 @@ std::string view_html(const ReportView& view, std::size_t n_views) {
     std::string figures;
     for (const ReportCloud& cloud : view.clouds) {
         const std::string name = escape_html(cloud.name);
-        figures += fmt::format("<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" "
-                               "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" data-points=\"{1}\"></canvas>"
-                               "</figure>\n",
-                               name, base64(pack(cloud, max_points)));
+        figures += fmt::format(
+            "<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" "
+            "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" "
+            "data-points=\"{1}\"></canvas>"
+            "</figure>\n",
+            name, base64(pack(cloud, max_points)));
     }
-    return fmt::format("<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"
-                       "<option value=\"range\">range</option><option value=\"height\">height</option><option value=\"intensity\">intensity"
-                       "</option><option value=\"error\">range error</option></select></label> <span class=\"legend3d\"></span></p>\n"
-                       "<p class=\"note\">Drag turns both, Ctrl and drag moves, the wheel zooms; or the arrow keys, plus and minus.</p>\n"
-                       "</div>\n",
-                       figures);
+    return fmt::format(
+        "<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"
+        "<option value=\"range\">range</option><option value=\"height\">height</option><option "
+        "value=\"intensity\">intensity"
+        "</option><option value=\"error\">range error</option></select></label> <span "
+        "class=\"legend3d\"></span></p>\n"
+        "<p class=\"note\">Drag turns both, Ctrl and drag moves, the wheel zooms; or the arrow keys, plus "
+        "and minus.</p>\n"
+        "</div>\n",
+        figures);
 }
 
 std::string view_script() {

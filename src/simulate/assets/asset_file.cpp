@@ -20,34 +20,37 @@ namespace fs = std::filesystem;
 
 constexpr const char* kAssetFormat = "relidar asset";
 constexpr int kAssetVersion = 1;
-constexpr double kAssetMost = 1e9;   // of counts and lengths
-constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person, ObjectKind::other};
+constexpr double kAssetMost = 1e9;  // of counts and lengths
+constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person,
+                                      ObjectKind::other};
 
 std::string facts_to_json(const AssetFacts& facts) {
     nlohmann::ordered_json sides;
     for (std::size_t s = 0; s < kBoxSides; ++s) sides[name_of(BoxSide(s))] = facts.seen_sides[s];
-    const nlohmann::ordered_json json = {{"format", kAssetFormat},
-                                         {"version", kAssetVersion},
-                                         {"name", facts.name},
-                                         {"class", facts.category},
-                                         {"kind", name_of(facts.kind)},
-                                         {"size_m", {facts.size_m.x, facts.size_m.y, facts.size_m.z}},
-                                         {"source", {{"run", facts.source_run}, {"track", facts.source_track}, {"sensor", facts.sensor}}},
-                                         {"score", facts.score()},
-                                         {"seen", facts.seen},
-                                         {"seen_sides", sides},
-                                         {"completed", facts.completed},
-                                         {"clearance_m", facts.clearance_m},
-                                         {"nearest_m", facts.nearest_m},
-                                         {"surfels", facts.surfels},
-                                         {"mirrored_surfels", facts.mirrored}};
+    const nlohmann::ordered_json json = {
+        {"format", kAssetFormat},
+        {"version", kAssetVersion},
+        {"name", facts.name},
+        {"class", facts.category},
+        {"kind", name_of(facts.kind)},
+        {"size_m", {facts.size_m.x, facts.size_m.y, facts.size_m.z}},
+        {"source", {{"run", facts.source_run}, {"track", facts.source_track}, {"sensor", facts.sensor}}},
+        {"score", facts.score()},
+        {"seen", facts.seen},
+        {"seen_sides", sides},
+        {"completed", facts.completed},
+        {"clearance_m", facts.clearance_m},
+        {"nearest_m", facts.nearest_m},
+        {"surfels", facts.surfels},
+        {"mirrored_surfels", facts.mirrored}};
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
 ObjectKind read_kind(const JsonField& field) {
     const std::string word = field.text();
     const auto kind = std::ranges::find_if(kAssetKinds, [&](ObjectKind k) { return word == name_of(k); });
-    if (kind == std::end(kAssetKinds)) field.fail("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
+    if (kind == std::end(kAssetKinds))
+        field.fail("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
     return *kind;
 }
 
@@ -75,7 +78,8 @@ AssetFacts read_asset_facts(const fs::path& folder) {
     facts.source_run = root.at("source").at("run").text();
     facts.source_track = root.at("source").at("track").text();
     facts.sensor = root.at("source").at("sensor").text(200);
-    for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = root.at("seen_sides").at(name_of(BoxSide(s))).number(0.0, 1.0);
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        facts.seen_sides[s] = root.at("seen_sides").at(name_of(BoxSide(s))).number(0.0, 1.0);
     facts.seen = root.at("seen").number(0.0, 1.0);
     facts.completed = root.at("completed").number(0.0, 1.0);
     facts.clearance_m = root.at("clearance_m").number(-kAssetMost, kAssetMost);
@@ -95,8 +99,9 @@ std::vector<fs::path> asset_folders(const fs::path& folder) {
     std::vector<fs::path> assets = list_folder(folder);
     std::erase_if(assets, [](const fs::path& entry) { return !path_exists(entry / kAssetFile); });
     if (assets.empty())
-        throw DataError(fmt::format("{}: found no asset in it, expected folders with an {} each (`relidar assets RUN --out FOLDER`)",
-                                    folder.string(), kAssetFile));
+        throw DataError(fmt::format(
+            "{}: found no asset in it, expected folders with an {} each (`relidar assets RUN --out FOLDER`)",
+            folder.string(), kAssetFile));
     return assets;
 }
 

@@ -9,24 +9,31 @@ namespace relidar {
 namespace {
 
 constexpr double kPatch_m = 0.3;
-constexpr double kHiddenHeight = 0.2;        // of the height: what the ground hides
-/// Cosine between a ray and a side's normal below which the ray tells nothing of the side: on what is grazed returns lie streaks apart. A
-/// LiDAR on a car meets roofs of other cars no steeper than that.
+constexpr double kHiddenHeight = 0.2;  // of the height: what the ground hides
+/// Cosine between a ray and a side's normal below which the ray tells nothing of the
+/// side: on what is grazed returns lie streaks apart. A LiDAR on a car meets roofs of
+/// other cars no steeper than that.
 constexpr double kGrazing = 0.2, kGrazingTop = 0.02;
-constexpr double kMostPairs = 200.0;   // of patches along an axis: of a box of 120 m
+constexpr double kMostPairs = 200.0;  // of patches along an axis: of a box of 120 m
 
-/// Across which axis a side lies, on which side of the centre, and along which axes its patches are counted; heights come second.
+/// Across which axis a side lies, on which side of the centre, and along which axes its
+/// patches are counted; heights come second.
 struct SideFrame {
     int normal;
     double sign;
     int first, second;
 };
-constexpr SideFrame kFrames[kBoxSides] = {{0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
+constexpr SideFrame kFrames[kBoxSides] = {
+    {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
 /// Even, so that the plane of x and z parts no patch.
-int count_patches(double length_m) { return 2 * int(std::clamp(std::round(length_m / (2.0 * kPatch_m)), 1.0, kMostPairs)); }
+int count_patches(double length_m) {
+    return 2 * int(std::clamp(std::round(length_m / (2.0 * kPatch_m)), 1.0, kMostPairs));
+}
 
-int patch_at(double along, double half_m, int n) { return std::clamp(int(std::floor((along / half_m + 1.0) * 0.5 * n)), 0, n - 1); }
+int patch_at(double along, double half_m, int n) {
+    return std::clamp(int(std::floor((along / half_m + 1.0) * 0.5 * n)), 0, n - 1);
+}
 
 }  // namespace
 
@@ -67,15 +74,18 @@ BoxSurface::Patch BoxSurface::mirror(Patch patch) const {
 }
 
 bool BoxSurface::at(const Patch& patch) const {
-    return seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] != 0;
+    return seen_[std::size_t(patch.side)]
+                [std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] != 0;
 }
 
 void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
     Patch patch{};
     if (!find(point_m, patch)) return;
     const SideFrame& frame = kFrames[std::size_t(patch.side)];
-    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazing))) return;
-    seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] = 1;
+    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazing)))
+        return;
+    seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] =
+        1;
 }
 
 bool BoxSurface::is_seen(const glm::dvec3& point_m) const {

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kShortestVehicle_m = 3.0;   // of what has no class; cyclists are shorter
+constexpr double kShortestVehicle_m = 3.0;  // of what has no class; cyclists are shorter
 /// Basis functions that are odd in y: those of negative order.
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
@@ -23,8 +23,8 @@ bool is_vehicle(const BoxTrack& box) {
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
-/// "car-3": letters, digits, dots, dashes and underscores alone, so that it is the name of a folder everywhere. What was discovered is
-/// named by its track.
+/// "car-3": letters, digits, dots, dashes and underscores alone, so that it is the name
+/// of a folder everywhere. What was discovered is named by its track.
 std::string asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -42,7 +42,8 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Takes the mirror image of what was seen for what was not. @return surfels that were added
+/// Takes the mirror image of what was seen for what was not. @return surfels that were
+/// added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
@@ -79,10 +80,12 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
 Surfels mirrored_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
-        glm::vec4& q = surfels.rotation[i];   // w, x, y, z: the axis of a rotation is mirrored, and turns the other way
+        // w, x, y, z: the axis of a rotation is mirrored, and turns the other way
+        glm::vec4& q = surfels.rotation[i];
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)
-            for (const int k : kOddInY) surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] *= -1.0f;
+            for (const int k : kOddInY)
+                surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] *= -1.0f;
     }
     return surfels;
 }
@@ -94,16 +97,21 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
         if (!instance.track.empty() && instance.track != track) others.push_back(instance.track);
     alone = keep_actors(std::move(alone));
     for (const std::string& other : others) alone = remove_track(std::move(alone), other);
-    const auto box = std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
+    const auto box =
+        std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (alone.scene.instances.size() != 2 || box == alone.sequence.boxes.end())
-        throw UsageError(
-            fmt::format("making an asset of \"{}\": found no such actor, expected one of: {}", track, fmt::join(others, ", ")));
+        throw UsageError(fmt::format("making an asset of \"{}\": found no such actor, expected one of: {}",
+                                     track, fmt::join(others, ", ")));
 
     const BoxSurface surface = seen_surface(box->size_m, sightings);
     Asset asset;
     AssetFacts& facts = asset.facts;
-    facts = {asset_name(*box), box->category, is_vehicle(*box) ? ObjectKind::vehicle : object_kind(box->category), box->size_m,
-             run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(), track,
+    facts = {asset_name(*box),
+             box->category,
+             is_vehicle(*box) ? ObjectKind::vehicle : object_kind(box->category),
+             box->size_m,
+             run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(),
+             track,
              run.sequence.lidars.front().sensor.name};
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.seen(BoxSide(s));
     facts.seen = surface.seen();
@@ -144,8 +152,9 @@ std::string only_track(const Run& run) {
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
-    throw UsageError(fmt::format("{}: found {} actors and none of them named, expected an asset, or RUN#TRACK{}", run.folder.string(),
-                                 tracks.size(), tracks.empty() ? "" : fmt::format(" with one of {}", fmt::join(tracks, ", "))));
+    throw UsageError(fmt::format(
+        "{}: found {} actors and none of them named, expected an asset, or RUN#TRACK{}", run.folder.string(),
+        tracks.size(), tracks.empty() ? "" : fmt::format(" with one of {}", fmt::join(tracks, ", "))));
 }
 
 }  // namespace relidar

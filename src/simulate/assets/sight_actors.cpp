@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a log has seen of its actors, found by taking its scans again in the trained scene: whatever stands before an actor hides it.
+// What a log has seen of its actors, found by taking its scans again in the trained
+// scene: whatever stands before an actor hides it.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -9,14 +10,15 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kStandIn = "HDL-64E";   // for a LiDAR whose rays are known scan by scan alone
+constexpr const char* kStandIn = "HDL-64E";  // for a LiDAR whose rays are known scan by scan alone
 
 std::vector<SensorChoice> sensors_of(const Run& run) {
     std::vector<SensorChoice> sensors;
     for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
         sensors.push_back(choose_sensor("native", run.config, run.sequence, i));
         const SensorChoice& own = sensors.back();
-        if (own.rays.size() == 0 && !own.pattern) sensors.back() = choose_sensor(kStandIn, run.config, run.sequence, i);
+        if (own.rays.size() == 0 && !own.pattern)
+            sensors.back() = choose_sensor(kStandIn, run.config, run.sequence, i);
     }
     return sensors;
 }
@@ -24,7 +26,8 @@ std::vector<SensorChoice> sensors_of(const Run& run) {
 /// By instance; null for the background and for one without a box.
 std::vector<const BoxTrack*> boxes_of(const Run& run) {
     std::vector<const BoxTrack*> boxes;
-    for (const Instance& instance : run.scene.instances) boxes.push_back(find_box(run.sequence, instance.track));
+    for (const Instance& instance : run.scene.instances)
+        boxes.push_back(find_box(run.sequence, instance.track));
     return boxes;
 }
 
@@ -33,7 +36,8 @@ std::vector<int> frames_to_look_at(const Run& run, const std::vector<const BoxTr
     std::vector<int> positions;
     for (const int i : run.split.train) {
         const double time_s = run.sequence.frames[std::size_t(i)].time_s;
-        if (std::ranges::any_of(boxes, [&](const BoxTrack* b) { return b && b->present(time_s); })) positions.push_back(i);
+        if (std::ranges::any_of(boxes, [&](const BoxTrack* b) { return b && b->present(time_s); }))
+            positions.push_back(i);
     }
     return positions;
 }
@@ -45,12 +49,16 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
         const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
         const float range_m = scan.median_range_m[i];
         if (!box || !(range_m > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
-        const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[i]) + double(range_m) * glm::dvec3(scan.image.direction[i]);
-        const Pose box_from_world = inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
+        const glm::dvec3 seen_m =
+            glm::dvec3(scan.image.origin[i]) + double(range_m) * glm::dvec3(scan.image.direction[i]);
+        const Pose box_from_world =
+            inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
         const Pose& world_from_firing = firing.at(i);
         ActorSightings& actor = sightings[box->id];
-        actor.points_m.push_back(glm::vec3(box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m)));
-        actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
+        actor.points_m.push_back(
+            glm::vec3(box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m)));
+        actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
+                                             glm::dvec3(scan.image.direction[i])));
         actor.nearest_m = std::min(actor.nearest_m, double(range_m));
     }
 }

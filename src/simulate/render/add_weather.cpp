@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather on a scan: what returns along each ray goes through air and water, beside stray light and noise, and what comes out is put in
-// its place.
+// Weather on a scan: what returns along each ray goes through air and water, beside stray
+// light and noise, and what comes out is put in its place.
 #include <algorithm>
 #include <bit>
 
@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint64_t kOfWeather = 0x77656174686572ull;   // its random numbers are others than those of a sampled scan
+// its random numbers are others than those of a sampled scan
+constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
 using Sources = std::vector<std::int32_t>;
@@ -23,7 +24,8 @@ ScanChannel& source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto found = std::ranges::find_if(scan.channels, has_name);
     const bool is_there = found != scan.channels.end();
-    ScanChannel& channel = is_there ? *found : scan.channels.emplace_back(ScanChannel{wanted_channels(kSource).front(), {}});
+    ScanChannel& channel =
+        is_there ? *found : scan.channels.emplace_back(ScanChannel{wanted_channels(kSource).front(), {}});
     const Sources nothing(scan.image.range_m.size(), std::int32_t(PointSource::nothing));
     channel.values = nothing;
     if (!scan.second_returns.empty()) channel.second = nothing;
@@ -35,7 +37,8 @@ void forget_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
         if (!channel.info.of_ray)
-            std::visit([&]<class T>(std::vector<T>& values) { values[ray] = nothing_of<T>(channel.info); }, channel.values);
+            std::visit([&]<class T>(std::vector<T>& values) { values[ray] = nothing_of<T>(channel.info); },
+                       channel.values);
 }
 
 /// Rays of a scan and what the air makes of them.
@@ -49,11 +52,14 @@ public:
         RayEchoes surfaces;
         if (returned(scan_.image.drop_prob[ray], scan_.median_range_m[ray]))
             surfaces.strongest = surface(scan_.median_range_m[ray], scan_.image.intensity[ray]);
-        if (has_second) surfaces.second = surface(scan_.second_returns[0].range_m[ray], scan_.second_returns[0].intensity[ray]);
+        if (has_second)
+            surfaces.second =
+                surface(scan_.second_returns[0].range_m[ray], scan_.second_returns[0].intensity[ray]);
         RayEchoes seen = surfaces;
         const bool is_blind = !special.blind.empty() && special.blind[ray] != 0;
         if (!special.wet.empty())
-            surfaces.strongest.through_water = special.wet[ray].through_water, surfaces.mirrored = special.wet[ray].mirrored;
+            surfaces.strongest.through_water = special.wet[ray].through_water,
+            surfaces.mirrored = special.wet[ray].mirrored;
         if (!special.stray.empty() && !is_blind) surfaces.stray = special.stray[ray];
         if (!special.from_sun.empty()) surfaces.from_sun_rad = double(special.from_sun[ray]);
         if (!air_.clear()) {
@@ -73,14 +79,16 @@ private:
 
     Echo surface(float range_m, float intensity) const {
         if (!(range_m > 0.0f)) return {};
-        return {double(range_m), double(intensity) / response_.at_range(double(range_m)), PointSource::surface};
+        return {double(range_m), double(intensity) / response_.at_range(double(range_m)),
+                PointSource::surface};
     }
     float intensity_of(const Echo& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * response_.at_range(echo.range_m)), 1.0f);
     }
     /// How far a ray goes: to a surface, though that may return nothing.
     double free_m(std::size_t ray, const RayEchoes& surfaces) const {
-        const bool is_blocked = surfaces.strongest.source == PointSource::surface || scan_.weight[ray] >= 0.5f;
+        const bool is_blocked =
+            surfaces.strongest.source == PointSource::surface || scan_.weight[ray] >= 0.5f;
         if (!is_blocked || !(scan_.median_range_m[ray] > 0.0f)) return air_.max_range_m();
         return std::max(double(scan_.median_range_m[ray]), surfaces.second.range_m);
     }
@@ -93,7 +101,8 @@ private:
         image.intensity[ray] = intensity_of(now);
         if (now.source == before.source && now.range_m == before.range_m) return;
         image.drop_prob[ray] = 0.0f;
-        image.range_m[ray] = scan_.median_range_m[ray] = scan_.mean_range_m[ray] = static_cast<float>(now.range_m);
+        image.range_m[ray] = scan_.median_range_m[ray] = scan_.mean_range_m[ray] =
+            static_cast<float>(now.range_m);
         forget_surface(scan_, ray);
     }
     void put(SecondReturn& second, std::size_t ray, const Echo& now) const {
@@ -111,18 +120,19 @@ Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& r
     if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
     if (step > 0.0) takes.darkest = 0.5 * step;
-    takes.weakest_reflectivity = 0.5 * takes.darkest;   // what is reported as 0 lies between 0 and half a step
+    // what is reported as 0 lies between 0 and half a step
+    takes.weakest_reflectivity = 0.5 * takes.darkest;
     takes.separation_m = config.sensor.return_separation_m;
     takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;
     return {weather, takes};
 }
 
-void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response, const RaysInWeather& special, std::uint64_t seed) {
+void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response,
+                 const RaysInWeather& special, std::uint64_t seed) {
     const std::uint64_t of_scan = hash64(hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
     WeatheredRays rays(scan, air, response);
-    for_each_block(scan.image.range_m.size(), [&](std::size_t ray) {
-        rays.look(ray, special, hash64(of_scan, ray));
-    });
+    for_each_block(scan.image.range_m.size(),
+                   [&](std::size_t ray) { rays.look(ray, special, hash64(of_scan, ray)); });
 }
 
 }  // namespace relidar

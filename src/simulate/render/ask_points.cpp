@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of scans that are asked for ahead: the device renders one while the host takes another.
+// Points of scans that are asked for ahead: the device renders one while the host takes
+// another.
 #include <algorithm>
 #include <cstddef>
 #include <cstring>
@@ -23,7 +24,8 @@ PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame) {
 }
 
 // A point is what the device writes, byte by byte.
-static_assert(sizeof(ScanPoint) == sizeof(shared::ReturnedPoint) && std::int32_t(RELIDAR_NO_INSTANCE) == ScanPoint().instance);
+static_assert(sizeof(ScanPoint) == sizeof(shared::ReturnedPoint) &&
+              std::int32_t(RELIDAR_NO_INSTANCE) == ScanPoint().instance);
 static_assert(offsetof(ScanPoint, position_m) == offsetof(shared::ReturnedPoint, position));
 static_assert(offsetof(ScanPoint, intensity) == offsetof(shared::ReturnedPoint, intensity));
 static_assert(offsetof(ScanPoint, time_offset_s) == offsetof(shared::ReturnedPoint, time_offset_s));
@@ -35,7 +37,8 @@ static_assert(offsetof(ScanPoint, instance) == offsetof(shared::ReturnedPoint, i
 /// Whether the device makes the points of a scan of this sensor.
 bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
     const SensorConfig own = config_of(sensor);
-    return !sampled && weather.clear() && !sensor.grid && own.sub_rays == 1 && own.returns == 1 && sensor.rays.size() > 0;
+    return !sampled && weather.clear() && !sensor.grid && own.sub_rays == 1 && own.returns == 1 &&
+           sensor.rays.size() > 0;
 }
 
 /// Where the next of the scans goes that are sent together.
@@ -44,7 +47,7 @@ ScanStrand& ScanRenderer::Impl::next_strand() {
         while (1 + std::ssize(others) < most_strands) {
             try {
                 others.emplace_back(device).copy = scene.copy();
-            } catch (const DeviceError&) {   // no memory for so many copies of the scene
+            } catch (const DeviceError&) {  // no memory for so many copies of the scene
                 others.pop_back();
                 most_strands = 1 + int(others.size());
             }
@@ -68,8 +71,9 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
                               std::optional<std::uint64_t> sample, Send when) {
     Impl& s = *impl_;
     if (s.asked.size() >= kScansInFlight)
-        throw UsageError(fmt::format("asking for the points of a scan: found {} scans that were not taken, expected fewer than {}",
-                                     s.asked.size(), kScansInFlight));
+        throw UsageError(fmt::format(
+            "asking for the points of a scan: found {} scans that were not taken, expected fewer than {}",
+            s.asked.size(), kScansInFlight));
     AskedPoints asked;
     if (!s.gathers_points(sensor, sample.has_value())) {
         const RenderedScan scan = render(sensor, request, sample);
@@ -113,23 +117,25 @@ PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint
     const RayTable& rays = scan.rays->table();
     PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
     result.points.resize(gathered.points.size());
-    constexpr std::size_t kTogether = 1 << 13;   // points: 0.2 MB
+    constexpr std::size_t kTogether = 1 << 13;  // points: 0.2 MB
     for_each_part(result.points.size(), kTogether, [&](std::size_t begin, std::size_t end) {
-        std::memcpy(static_cast<void*>(&result.points[begin]), &gathered.points[begin], (end - begin) * sizeof(ScanPoint));
+        std::memcpy(static_cast<void*>(&result.points[begin]), &gathered.points[begin],
+                    (end - begin) * sizeof(ScanPoint));
     });
     if (coverage.empty()) return result;
     const auto ray_at = [&](std::size_t k) {
         const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());
-        return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])), glm::dvec3(rays.origin[i]),
-                          glm::dvec3(rays.direction[i]), gathered.asked_m[k]};
+        return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])),
+                          glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.asked_m[k]};
     };
-    result.unseen_share = relidar::unseen_share(gathered.asked_m.size(), ray_at, {coverage, sweep.world_offset_m, scan.max_range_m});
+    result.unseen_share = relidar::unseen_share(gathered.asked_m.size(), ray_at,
+                                                {coverage, sweep.world_offset_m, scan.max_range_m});
     return result;
 }
 
 /// Has nothing in flight any more.
 void ScanRenderer::Impl::settle() {
-    if (together) {   // perhaps with a scan that was refused half-way, for which nobody waits
+    if (together) {  // perhaps with a scan that was refused half-way, for which nobody waits
         send();
         scene.renderer().stream().finish();
     }
@@ -141,14 +147,16 @@ ScanRenderer::~ScanRenderer() {
     if (std::ranges::none_of(impl_->asked, in_flight)) return;
     try {
         impl_->send();
-        impl_->scene.renderer().stream().finish();   // the device may still write what goes with this
-    } catch (const DeviceError&) {   // a lost device writes nothing any more
+        impl_->scene.renderer().stream().finish();  // the device may still write what goes with this
+    } catch (const DeviceError&) {                  // a lost device writes nothing any more
     }
 }
 
 PointScan ScanRenderer::take_points(std::vector<ScanPoint> memory) {
     Impl& s = *impl_;
-    if (s.asked.empty()) throw UsageError("taking the points of a scan: found none that was asked for, expected ask_points() before");
+    if (s.asked.empty())
+        throw UsageError(
+            "taking the points of a scan: found none that was asked for, expected ask_points() before");
     AskedPoints first = std::move(s.asked.front());
     s.asked.pop_front();
     return s.points_of(first, std::move(memory));

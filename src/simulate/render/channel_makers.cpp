@@ -23,7 +23,9 @@ std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedSc
     return normal;
 }
 
-ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) { return seen_normals(rendering, scan); }
+ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
+    return seen_normals(rendering, scan);
+}
 
 ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
     std::vector<float> cosine;
@@ -31,9 +33,7 @@ ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
     return cosine;
 }
 
-ChannelValues spread(const RenderedScan& scan, const SeenByLog&) {
-    return range_spread(scan);
-}
+ChannelValues spread(const RenderedScan& scan, const SeenByLog&) { return range_spread(scan); }
 
 ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
     if (log.coverage.empty()) return {};
@@ -42,13 +42,12 @@ ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
     return seen_shares(scan, rays, log);
 }
 
-ChannelValues surfaces(const RenderedScan& scan, const SeenByLog&) {   // until add_weather() says what returned in the end
+// until add_weather() says what returned in the end
+ChannelValues surfaces(const RenderedScan& scan, const SeenByLog&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
 
-ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) {
-    return scan.image.drop_prob;
-}
+ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) { return scan.image.drop_prob; }
 
 /// One row per channel of optional_channels(), with one of three functions.
 struct Maker {
@@ -68,17 +67,19 @@ constexpr Maker kMakers[] = {
 
 Maker maker_of(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
-    return maker == std::end(kMakers) ? Maker{} : *maker;  // tests/simulate/render/channels_test.cpp asks for all
+    // tests/simulate/render/channels_test.cpp asks for all
+    return maker == std::end(kMakers) ? Maker{} : *maker;
 }
 
 }  // namespace
 
 bool needs_rendering(const std::vector<ChannelInfo>& wanted) {
-    return std::ranges::any_of(wanted, [](const ChannelInfo& channel) { return maker_of(channel).of_rendering != nullptr; });
+    return std::ranges::any_of(
+        wanted, [](const ChannelInfo& channel) { return maker_of(channel).of_rendering != nullptr; });
 }
 
-void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured, const Rendering& rendering,
-                      const std::vector<ChannelInfo>& wanted) {
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
+                      const Rendering& rendering, const std::vector<ChannelInfo>& wanted) {
     for (const ChannelInfo& channel : wanted) {
         const Maker maker = maker_of(channel);
         if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});

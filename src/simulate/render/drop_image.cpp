@@ -13,21 +13,26 @@
 namespace relidar {
 namespace {
 
-constexpr float kLeastProbability = 1e-4f;   // of either answer: logits stay within 9.2
+constexpr float kLeastProbability = 1e-4f;  // of either answer: logits stay within 9.2
 
 float logit(float probability) {
     const float p = std::clamp(probability, kLeastProbability, 1.0f - kLeastProbability);
     return std::log(p / (1.0f - p));
 }
 
-/// Returns the value of one input (RELIDAR_DROP_*) at each ray, as simulate/render/drop_channels computes it.
-std::function<float(std::size_t)> channel_of(const RenderedScan& scan, std::uint32_t channel, const glm::vec3& origin_m) {
-    if (channel == RELIDAR_DROP_LOG_RANGE) return [&](std::size_t i) { return std::log1p(std::max(scan.median_range_m[i], 0.0f)); };
+/// Returns the value of one input (RELIDAR_DROP_*) at each ray, as
+/// simulate/render/drop_channels computes it.
+std::function<float(std::size_t)> channel_of(const RenderedScan& scan, std::uint32_t channel,
+                                             const glm::vec3& origin_m) {
+    if (channel == RELIDAR_DROP_LOG_RANGE)
+        return [&](std::size_t i) { return std::log1p(std::max(scan.median_range_m[i], 0.0f)); };
     if (channel == RELIDAR_DROP_INTENSITY) return [&](std::size_t i) { return scan.image.intensity[i]; };
     if (channel == RELIDAR_DROP_LOGIT) return [&](std::size_t i) { return logit(scan.image.drop_prob[i]); };
     if (channel == RELIDAR_DROP_WEIGHT) return [&](std::size_t i) { return scan.weight[i]; };
     if (channel == RELIDAR_DROP_SPREAD)
-        return [&](std::size_t i) { return std::log1p(std::abs(scan.median_range_m[i] - scan.mean_range_m[i])); };
+        return [&](std::size_t i) {
+            return std::log1p(std::abs(scan.median_range_m[i] - scan.mean_range_m[i]));
+        };
     if (channel == RELIDAR_DROP_COSINE) {
         const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidence);
         return [cosine](std::size_t i) { return cosine ? (*cosine)[i] : 0.0f; };
@@ -43,7 +48,8 @@ glm::dvec3 first_origin(const Sequence& sequence) {
     return sequence.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
 }
 
-DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels, const glm::dvec3& first_origin_m) {
+DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
+                     const glm::dvec3& first_origin_m) {
     DropImage image{scan.image.rows, scan.image.columns, {}, {}};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
     const std::size_t n = scan.median_range_m.size();

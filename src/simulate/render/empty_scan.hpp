@@ -6,8 +6,9 @@
 
 namespace relidar {
 
-/// A scan of these rays without anything that came back. @param taken  a scan of the same sweep: when, from where, in what time; none: not
-/// known yet. Of its channels there are no values yet.
+/// A scan of these rays without anything that came back. @param taken  a scan of the same
+/// sweep: when, from where, in what time; none: not known yet. Of its channels there are
+/// no values yet.
 inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;

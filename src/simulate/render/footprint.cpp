@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-constexpr float kDarkest = 1e-3f;   // weight of a part that returns no light at all: its range still counts
+constexpr float kDarkest = 1e-3f;  // weight of a part that returns no light at all: its range still counts
 
 /// Two directions at right angles to a third and to each other.
 std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
@@ -24,18 +24,21 @@ std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
 
 /// Parts of one footprint that are one return.
 struct Group {
-    std::vector<std::size_t> parts;   ///< indices into the scan of parts, by range
-    float light = 0.0f;               ///< sum of intensities
+    std::vector<std::size_t> parts;  ///< indices into the scan of parts, by range
+    float light = 0.0f;              ///< sum of intensities
 };
 
-/// Whether parts lie on one plane: then 1 / range is linear in their offsets. A surface met at a grazing angle has far apart ranges in one
-/// footprint and is one return all the same. Four parameters' worth of parts or fewer prove nothing.
+/// Whether parts lie on one plane: then 1 / range is linear in their offsets. A surface
+/// met at a grazing angle has far apart ranges in one footprint and is one return all the
+/// same. Four parameters' worth of parts or fewer prove nothing.
 bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m, std::size_t first,
                   const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right(0.0);
-    const auto row = [&](std::size_t i) { return glm::dvec3(1.0, offsets[i - first].x, offsets[i - first].y); };
+    const auto row = [&](std::size_t i) {
+        return glm::dvec3(1.0, offsets[i - first].x, offsets[i - first].y);
+    };
     for (const std::size_t i : parts) {
         normal_matrix += glm::outerProduct(row(i), row(i));
         right += row(i) / double(range_m[i]);
@@ -49,9 +52,10 @@ bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float
 }
 
 /// Joins neighbouring groups that lie on one plane.
-void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first, const std::vector<glm::dvec2>& offsets,
-                 double tolerance_m) {
-    for (std::size_t length = groups.size(); length >= 2; --length) {   // the longest run first: all of them, where all are one surface
+void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
+                 const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+    // the longest run first: all of them, where all are one surface
+    for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             Group joined;
             for (std::size_t g = begin; g < begin + length; ++g) {
@@ -60,12 +64,14 @@ void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, 
             }
             if (!on_one_plane(joined.parts, range_m, first, offsets, tolerance_m)) continue;
             groups[begin] = std::move(joined);
-            groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1, groups.begin() + std::ptrdiff_t(begin + length));
+            groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
+                         groups.begin() + std::ptrdiff_t(begin + length));
         }
     }
 }
 
-std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first, const std::vector<glm::dvec2>& offsets, float separation_m) {
+std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first,
+                             const std::vector<glm::dvec2>& offsets, float separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
     for (std::size_t i = first; i < first + offsets.size(); ++i)
@@ -73,7 +79,8 @@ std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first, const 
     std::ranges::stable_sort(hits, {}, [&](std::size_t i) { return range_m[i]; });
     std::vector<Group> groups;
     for (const std::size_t i : hits) {
-        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m) groups.emplace_back();
+        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m)
+            groups.emplace_back();
         groups.back().parts.push_back(i);
         groups.back().light += std::max(scan.image.intensity[i], kDarkest);
     }
@@ -84,7 +91,8 @@ std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first, const 
 /// Mean of values over the parts of a group, by their light.
 float mean_of(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
-    for (const std::size_t i : group.parts) sum += double(std::max(scan.image.intensity[i], kDarkest)) * double(values[i]);
+    for (const std::size_t i : group.parts)
+        sum += double(std::max(scan.image.intensity[i], kDarkest)) * double(values[i]);
     return static_cast<float>(sum / double(group.light));
 }
 
@@ -101,7 +109,8 @@ float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
     return sum / static_cast<float>(n);
 }
 
-/// Light that a second return needs, over the strongest's: receivers tell echoes apart down to about a tenth of the main one.
+/// Light that a second return needs, over the strongest's: receivers tell echoes apart
+/// down to about a tenth of the main one.
 constexpr double kSecondReturnShare = 0.1;
 
 /// Which group is the second return, or none.
@@ -130,23 +139,34 @@ public:
     void add(std::size_t ray) {
         const int n = config_.sub_rays;
         const std::size_t first = ray * std::size_t(n);
-        const std::vector<Group> groups = groups_of(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
+        const std::vector<Group> groups =
+            groups_of(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
         const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
-        const Group& strongest = groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
-        for_each_pair(parts_, scan_, [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts, std::vector<T>& of_rays) {
-            if constexpr (std::is_same_v<T, float>) {
-                if (channel.join == ChannelJoin::range) return of_rays.push_back(mean_of(strongest, of_parts, parts_));
-                if (channel.join == ChannelJoin::drop) return of_rays.push_back(mean_of_all(of_parts, first, n));
-                if (channel.join == ChannelJoin::intensity)
-                    return of_rays.push_back(groups.empty() ? of_parts[first] : sum_of(strongest, of_parts) / static_cast<float>(n));
-            }
-            of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);   // parts go outwards from the middle
-        });
+        const Group& strongest =
+            groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
+        for_each_pair(parts_, scan_,
+                      [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
+                                   std::vector<T>& of_rays) {
+                          if constexpr (std::is_same_v<T, float>) {
+                              if (channel.join == ChannelJoin::range)
+                                  return of_rays.push_back(mean_of(strongest, of_parts, parts_));
+                              if (channel.join == ChannelJoin::drop)
+                                  return of_rays.push_back(mean_of_all(of_parts, first, n));
+                              if (channel.join == ChannelJoin::intensity)
+                                  return of_rays.push_back(groups.empty() ? of_parts[first]
+                                                                          : sum_of(strongest, of_parts) /
+                                                                                static_cast<float>(n));
+                          }
+                          // parts go outwards from the middle
+                          of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
+                      });
         if (scan_.second_returns.empty()) return;
         const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
         const Group* second = returns && groups.size() > 1 ? second_of(groups, strongest) : nullptr;
-        scan_.second_returns[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_) : 0.0f);
-        scan_.second_returns[0].intensity.push_back(second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
+        scan_.second_returns[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_)
+                                                         : 0.0f);
+        scan_.second_returns[0].intensity.push_back(
+            second ? sum_of(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
     RenderedScan take() { return std::move(scan_); }
@@ -172,7 +192,8 @@ RayTable split_rays(const RayTable& rays, int n, double divergence_rad) {
         for (const glm::dvec2& offset : offsets) {
             const glm::dvec2 angle = half_rad * offset;
             parts.origin.push_back(rays.origin[i]);
-            parts.direction.emplace_back(glm::normalize(direction + std::tan(angle.x) * left + std::tan(angle.y) * up));
+            parts.direction.emplace_back(
+                glm::normalize(direction + std::tan(angle.x) * left + std::tan(angle.y) * up));
             parts.time_offset_s.push_back(rays.time_offset_s[i]);
             parts.channel.push_back(rays.channel[i]);
         }
@@ -186,11 +207,13 @@ RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, co
     return joiner.take();
 }
 
-std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config) {
+std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays,
+                                    const SensorConfig& config) {
     const std::vector<glm::dvec2> offsets = footprint_pattern(config.sub_rays);
     std::vector<std::size_t> edges;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
-        if (groups_of(parts, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m)).size() > 1)
+        if (groups_of(parts, ray * offsets.size(), offsets, static_cast<float>(config.return_separation_m))
+                .size() > 1)
             edges.push_back(ray);
     return edges;
 }

@@ -13,19 +13,22 @@ namespace relidar {
 namespace {
 
 constexpr double kCell_m = 2.0;
-constexpr double kLayer_m = 0.25;      // above the lowest point of a cell
-constexpr double kFlat_m = 0.1;        // root mean square about the plane
-constexpr double kSteepest = 0.25;     // rise over run
-constexpr double kFewest = 6.0;        // points that tell a plane
-constexpr double kWidth_m = 0.2;       // points of a narrower strip do not tell how the ground tilts across it: it is level there
+constexpr double kLayer_m = 0.25;   // above the lowest point of a cell
+constexpr double kFlat_m = 0.1;     // root mean square about the plane
+constexpr double kSteepest = 0.25;  // rise over run
+constexpr double kFewest = 6.0;     // points that tell a plane
+// points of a narrower strip do not tell how the ground tilts across it: it is level
+// there
+constexpr double kWidth_m = 0.2;
 
-/// Points of a cell: the lowest height, and sums of 1, x, y, z and their products from there on. From the sensor, world axes.
+/// Points of a cell: the lowest height, and sums of 1, x, y, z and their products from
+/// there on. From the sensor, world axes.
 struct Cell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
-    glm::dvec3 sum{0.0};          // x, y, z
-    glm::dvec3 squares{0.0};      // xx, xy, yy
-    glm::dvec2 products{0.0};     // xz, yz
+    glm::dvec3 sum{0.0};       // x, y, z
+    glm::dvec3 squares{0.0};   // xx, xy, yy
+    glm::dvec2 products{0.0};  // xz, yz
 
     void add(const glm::dvec3& p) {
         n += 1.0, zz += p.z * p.z, sum += p;
@@ -52,21 +55,27 @@ struct GroundPlane {
 GroundPlane fit_plane(const Cell& c) {
     if (c.n < kFewest) return {};
     const glm::dvec3 mean = c.sum / c.n;
-    const double ridge = kWidth_m * kWidth_m, xx = c.squares.x / c.n - mean.x * mean.x + ridge, xy = c.squares.y / c.n - mean.x * mean.y,
-                 yy = c.squares.z / c.n - mean.y * mean.y + ridge, zz = c.zz / c.n - mean.z * mean.z;
+    const double ridge = kWidth_m * kWidth_m, xx = c.squares.x / c.n - mean.x * mean.x + ridge,
+                 xy = c.squares.y / c.n - mean.x * mean.y, yy = c.squares.z / c.n - mean.y * mean.y + ridge,
+                 zz = c.zz / c.n - mean.z * mean.z;
     const glm::dvec2 right = c.products / c.n - mean.z * glm::dvec2(mean);
-    const glm::dvec2 slope = glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    const double squared_m2 = zz - glm::dot(slope, right);   // what the plane leaves of the variance, and a little for the ridge
-    return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope, squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
+    const glm::dvec2 slope =
+        glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
+    // what the plane leaves of the variance, and a little for the ridge
+    const double squared_m2 = zz - glm::dot(slope, right);
+    return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
+            squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
 }
 
-/// Points of rays that return from the background below the sensor, from the sensor; NaN for others.
+/// Points of rays that return from the background below the sensor, from the sensor; NaN
+/// for others.
 std::vector<glm::dvec3> points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
     for_each_block(points.size(), [&](std::size_t ray) {
         if (scan.instance[ray] != 0 || !returned(scan.image.drop_prob[ray], scan.median_range_m[ray])) return;
-        const glm::dvec3 of_sensor(scan.image.origin[ray] + scan.median_range_m[ray] * scan.image.direction[ray]);
+        const glm::dvec3 of_sensor(scan.image.origin[ray] +
+                                   scan.median_range_m[ray] * scan.image.direction[ray]);
         const glm::dvec3 p = scan.world_from_firing(ray) * of_sensor - scan.world_from_sensor.translation;
         if (p.z < 0.0) points[ray] = p;
     });
@@ -91,7 +100,9 @@ GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)
         for (int dy = -1; dy <= 1; ++dy)
-            if (const auto cell = cells.find(key_of(p + kCell_m * glm::dvec3(dx, dy, 0))); cell != cells.end()) together.add(cell->second);
+            if (const auto cell = cells.find(key_of(p + kCell_m * glm::dvec3(dx, dy, 0)));
+                cell != cells.end())
+                together.add(cell->second);
     return fit_plane(together);
 }
 

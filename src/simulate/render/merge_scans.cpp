@@ -22,14 +22,18 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : emptied(scan.channels)) {
         const auto known =
-            std::ranges::find(merged.channels, channel.info.name, [](const ScanChannel& c) -> const std::string& { return c.info.name; });
+            std::ranges::find(merged.channels, channel.info.name,
+                              [](const ScanChannel& c) -> const std::string& { return c.info.name; });
         if (known == merged.channels.end()) {
             merged.channels.push_back(channel);
             std::visit(
-                [&]<class T>(std::vector<T>& values) { values.assign(merged.image.range_m.size(), nothing_of<T>(channel.info)); },
-                       merged.channels.back().values);
+                [&]<class T>(std::vector<T>& values) {
+                    values.assign(merged.image.range_m.size(), nothing_of<T>(channel.info));
+                },
+                merged.channels.back().values);
         } else if (known->values.index() != channel.values.index()) {
-            throw UsageError(fmt::format("merging scans: found channel {} of two types, expected one", channel.info.name));
+            throw UsageError(
+                fmt::format("merging scans: found channel {} of two types, expected one", channel.info.name));
         }
     }
 }
@@ -57,8 +61,9 @@ RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     return rig;
 }
 
-/// Where a sensor was in the rig's frame when it fired a ray, by where both were then: between poses a sensor moves along a chord and so
-/// does the rig, which is not quite the same.
+/// Where a sensor was in the rig's frame when it fired a ray, by where both were then:
+/// between poses a sensor moves along a chord and so does the rig, which is not quite the
+/// same.
 class RigPoses {
 public:
     /// @param scan  of the sensor, outlives this
@@ -66,7 +71,9 @@ public:
         : rig_(rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
     RigPoses(const RigPoses&) = delete;
     RigPoses& operator=(const RigPoses&) = delete;
-    Pose rig_from_firing(std::size_t ray) { return inverse(world_from_rig_.at(ray)) * world_from_firing_.at(ray); }
+    Pose rig_from_firing(std::size_t ray) {
+        return inverse(world_from_rig_.at(ray)) * world_from_firing_.at(ray);
+    }
 
 private:
     const RenderedScan rig_;
@@ -77,7 +84,7 @@ private:
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        const ChannelInfo& info = channel.info;   // clang 14 captures no structured bindings
+        const ChannelInfo& info = channel.info;  // clang 14 captures no structured bindings
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
@@ -91,23 +98,27 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& p
     }
 }
 
-/// Gives scans without second returns none, and rays whose channels say nothing of them nothing.
+/// Gives scans without second returns none, and rays whose channels say nothing of them
+/// nothing.
 void fill_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
     for (ScanChannel& channel : merged.channels)
         if (size(channel.second) > 0)
-            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(channel.info)); }, channel.second);
+            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(channel.info)); },
+                       channel.second);
 }
 
-/// Rays in the rig's frame when each was fired. @param first_ring  number of the scan's ring 0 in the merged one
+/// Rays in the rig's frame when each was fired. @param first_ring  number of the scan's
+/// ring 0 in the merged one
 void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);
         merged.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
         const Pose rig_from_firing = poses.rig_from_firing(i);
         merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
-        merged.image.direction.emplace_back(glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
+        merged.image.direction.emplace_back(
+            glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
     }
 }
 
@@ -116,7 +127,8 @@ void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
     if (scans.empty() || scans.size() != rig_from_sensor.size())
         throw UsageError(
-            fmt::format("merging scans: found {} scans and {} mountings, expected as many of both", scans.size(), rig_from_sensor.size()));
+            fmt::format("merging scans: found {} scans and {} mountings, expected as many of both",
+                        scans.size(), rig_from_sensor.size()));
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
@@ -130,17 +142,20 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         RigPoses poses(merged, scan);
         append_rays(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
-        if (rings > 65536) throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
+        if (rings > 65536)
+            throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
         const std::size_t first_ray = merged.image.range_m.size();
         append_channels(merged, scan, poses, first_ray);
-        for_each_basic_pair(scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
+        for_each_basic_pair(scan, merged,
+                            [](const ChannelInfo&, const auto& from, auto& to) { append(to, from); });
         if (scan.unseen_share) {
             unseen_rays += *scan.unseen_share * double(scan.instance.size());
             merged.unseen_share = unseen_rays / double(merged.instance.size());
         }
         merged.second_returns.resize(std::max(merged.second_returns.size(), scan.second_returns.size()));
         for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
-            merged.second_returns[k].range_m.resize(first_ray), merged.second_returns[k].intensity.resize(first_ray);
+            merged.second_returns[k].range_m.resize(first_ray),
+                merged.second_returns[k].intensity.resize(first_ray);
             append(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
             append(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
         }

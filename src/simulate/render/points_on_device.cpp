@@ -19,14 +19,15 @@ PointsOnDevice::PointsOnDevice(Device& device)
 void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
     stream.finish();
-    marks_ = {}, places_ = {}, points_ = {};   // gives their memory back first
+    marks_ = {}, places_ = {}, points_ = {};  // gives their memory back first
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays that return");
     places_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "places of points");
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
     sum_.reserve(device_, n_rays);
 }
 
-std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, const SensorRays& rays, const PointMaking& how,
+std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, const SensorRays& rays,
+                                                             const PointMaking& how,
                                                              const Array<std::uint32_t>& n_capped) {
     const std::size_t n = rays.table().size();
     make_room(stream, n);
@@ -39,8 +40,8 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
          .refined = how.refined ? 1u : 0u,
          .of_image = how.of_image ? 1u : 0u,
          .drop_threshold = kDropThreshold});
-    sum_.run(stream, {marks_.address_as<std::uint32_t, shared::ScanCounts>()}, places_.address_as<std::uint32_t, shared::ScanPrefix>(),
-             std::uint32_t(n), count_.address());
+    sum_.run(stream, {marks_.address_as<std::uint32_t, shared::ScanCounts>()},
+             places_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n), count_.address());
     run(stream, gather_, n,
         {.rays = rays.rays().address(),
          .measured = rays.measured().address(),
@@ -64,7 +65,8 @@ PointsOnDevice::Slot::Slot(Device& device)
 
 std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::read_back(Stream& stream, std::size_t n_rays,
                                                                 const Array<std::uint32_t>& n_capped) {
-    auto place = std::ranges::find_if(slots_, [](const std::shared_ptr<Slot>& slot) { return slot.use_count() == 1; });
+    auto place =
+        std::ranges::find_if(slots_, [](const std::shared_ptr<Slot>& slot) { return slot.use_count() == 1; });
     if (place == slots_.end()) place = slots_.insert(place, std::make_shared<Slot>(device_));
     Slot& slot = **place;
     if (n_rays > slot.room) {
@@ -80,7 +82,9 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::read_back(Stream& stream, 
 }
 
 PointsOnDevice::Gathered PointsOnDevice::wait(Stream& stream, Slot& slot) {
-    const auto number = [&](Readback& readback) { return *static_cast<const std::uint32_t*>(readback.wait(stream)); };
+    const auto number = [&](Readback& readback) {
+        return *static_cast<const std::uint32_t*>(readback.wait(stream));
+    };
     return {{static_cast<const shared::ReturnedPoint*>(slot.points->wait(stream)), number(slot.count)},
             {static_cast<const float*>(slot.asked.wait(stream)), n_asked(slot.n_rays)},
             number(slot.capped)};

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Any pose, time and sensor to a scan: rays of the sensor at their own times, traced, turned into range, intensity and ray-drop.
+// Any pose, time and sensor to a scan: rays of the sensor at their own times, traced,
+// turned into range, intensity and ray-drop.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -25,14 +26,18 @@ namespace relidar {
 
 namespace {
 
-constexpr double kFarthest = 1e10;    // metres of any world, seconds since 1970
+constexpr double kFarthest = 1e10;  // metres of any world, seconds since 1970
 
-float drop_probability(const Rendering& r, std::size_t i) { return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i])); }   // M6
+// M6
+float drop_probability(const Rendering& r, std::size_t i) {
+    return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
+}
 
 void check_has_normals(const Config& config, const ChannelInfo& channel, const char* doing) {
     if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
-    throw UsageError(fmt::format("{}: found {} with image.primitive={}, which has no normals, expected surfels, or other channels", doing,
-                                 channel.name, kind_of(config.image.primitive).name));
+    throw UsageError(fmt::format(
+        "{}: found {} with image.primitive={}, which has no normals, expected surfels, or other channels",
+        doing, channel.name, kind_of(config.image.primitive).name));
 }
 
 TraceOptions traced_with(const Config& config) {
@@ -44,16 +49,20 @@ TraceOptions traced_with(const Config& config) {
 /// @param thing  whose poses they are, for the message
 void check_track(const PoseTrack& track, const std::string& thing) {
     const auto fail = [&](const std::string& found, const char* expected) {
-        throw DataError(fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected));
+        throw DataError(
+            fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected));
     };
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
-        fail(fmt::format("{} poses at {} times", n, track.time_s.size()), "as many of each, and one at least");
+        fail(fmt::format("{} poses at {} times", n, track.time_s.size()),
+             "as many of each, and one at least");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
         for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
-        if (!is_pose) fail(fmt::format("no finite pose at entry {}", i), "a unit quaternion, metres and seconds within 1e10");
+        if (!is_pose)
+            fail(fmt::format("no finite pose at entry {}", i),
+                 "a unit quaternion, metres and seconds within 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
             fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "times that rise");
         }
@@ -78,27 +87,32 @@ std::vector<Frame> shifted_sweeps(const Sequence& sequence) {
     return sweeps;
 }
 
-/// The rays to cast where they are not those of the sensor: parts of their footprints. @throws UsageError for a beam without divergence
-std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config, const std::string& sensor) {
+/// The rays to cast where they are not those of the sensor: parts of their footprints.
+/// @throws UsageError for a beam without divergence
+std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config,
+                                    const std::string& sensor) {
     if (config.sub_rays == 1 && config.returns > 1)
-        throw UsageError("sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one return");
+        throw UsageError(
+            "sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one "
+            "return");
     if (config.sub_rays == 1) return {};
     if (config.sub_rays != 5 && config.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
     if (!(config.divergence_mrad > 0.0 || rays.largest_divergence() > 0.0))
-        throw UsageError(
-            fmt::format("sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad", sensor));
+        throw UsageError(fmt::format(
+            "sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad",
+            sensor));
     if (rays.size() * std::size_t(config.sub_rays) > kMaxRays)
-        throw UsageError(
-            fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} in all", config.sub_rays, rays.size(), kMaxRays));
+        throw UsageError(fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} in all",
+                                     config.sub_rays, rays.size(), kMaxRays));
     return split_rays(rays, config.sub_rays, 1e-3 * config.divergence_mrad);
 }
 
 /// Puts what was measured into the arrays of a scan.
 void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured) {
     const std::size_t n = measured.size();
-    for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m, &scan.image.intensity,
-                                       &scan.image.drop_prob, &scan.weight})
+    for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m,
+                                       &scan.image.intensity, &scan.image.drop_prob, &scan.weight})
         values->resize(n);
     scan.instance.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
@@ -113,13 +127,16 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Beams of which some parts are within the limits of the sensor, but not what they measure together.
+/// Beams of which some parts are within the limits of the sensor, but not what they
+/// measure together.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-        if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i])) scan.image.drop_prob[i] = 1.0f;
+        if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
+            scan.image.drop_prob[i] = 1.0f;
 }
 
-/// Replaces drop probabilities by those of a network. A probability of 1 stays, because such a ray met nothing that the sensor sees.
+/// Replaces drop probabilities by those of a network. A probability of 1 stays, because
+/// such a ray met nothing that the sensor sees.
 void take_refined(RenderedScan& scan, std::span<const float> refined) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
@@ -129,7 +146,8 @@ void take_refined(RenderedScan& scan, std::span<const float> refined) {
 }  // namespace
 
 Pose RenderedScan::world_from_firing(std::size_t ray) const {
-    return track.pose.empty() ? world_from_sensor : track.at(time_s + static_cast<double>(time_offset_s[ray]));
+    return track.pose.empty() ? world_from_sensor
+                              : track.at(time_s + static_cast<double>(time_offset_s[ray]));
 }
 
 const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config) {
@@ -138,17 +156,19 @@ const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& c
 
 std::vector<float> range_spread(const RenderedScan& scan) {
     std::vector<float> spread_m(scan.mean_range_m.size());
-    for (std::size_t i = 0; i < spread_m.size(); ++i) spread_m[i] = std::abs(scan.median_range_m[i] - scan.mean_range_m[i]);
+    for (std::size_t i = 0; i < spread_m.size(); ++i)
+        spread_m[i] = std::abs(scan.median_range_m[i] - scan.mean_range_m[i]);
     return spread_m;
 }
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence)
     : impl_(new Impl{with_farthest(config, sequence), layout_of(scene), without_scans(sequence),
-                     sequence.world_from_vehicle, first_origin(sequence),
-                     shifted_sweeps(sequence), wanted_channels(config.render.channels),
+                     sequence.world_from_vehicle, first_origin(sequence), shifted_sweeps(sequence),
+                     wanted_channels(config.render.channels),
                      ResidentScene(device, scene, config, {.accel = {}, .trace = traced_with(config)}),
                      std::vector<bool>(scene.instances.size(), true), device}) {}
-ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device, run.scene, run.config, run.sequence) {
+ScanRenderer::ScanRenderer(Device& device, const Run& run)
+    : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
     compare_with(run.coverage);
     scatter_intensities(run.intensity_scatter);
@@ -157,12 +177,13 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run) : ScanRenderer(device
 void ScanRenderer::show_only(const std::vector<bool>& shown) {
     if (shown.size() != impl_->shown.size())
         throw UsageError(
-            fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance", shown.size(), impl_->shown.size()));
+            fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance",
+                        shown.size(), impl_->shown.size()));
     impl_->shown = shown;
 }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
-    drop_channels(network.inputs);   // refuses inputs that are not rendered
+    drop_channels(network.inputs);  // refuses inputs that are not rendered
     impl_->settle();
     impl_->first.refiner.reset();
     for (ScanStrand& strand : impl_->others) strand.refiner.reset();
@@ -178,7 +199,9 @@ void ScanRenderer::want_channels(const std::string& names) {
 }
 
 void ScanRenderer::side_by_side(int n) {
-    if (n < 1) throw UsageError(fmt::format("rendering scans side by side: found {} of them, expected 1 at least", n));
+    if (n < 1)
+        throw UsageError(
+            fmt::format("rendering scans side by side: found {} of them, expected 1 at least", n));
     impl_->settle();
     impl_->most_strands = n;
     while (std::ssize(impl_->others) >= n) impl_->others.pop_back();
@@ -200,16 +223,18 @@ void ScanRenderer::scatter_intensities(const std::vector<IntensityScatter>& scat
 void ScanRenderer::set_weather(const Weather& weather) {
     check_weather(weather);
     if (!weather.clear() && !impl_->has_intensities())
-        throw UsageError("weather: the run's log has no intensities, expected a log that has them: weather acts by the brightness of "
-                         "surfaces");
+        throw UsageError(
+            "weather: the run's log has no intensities, expected a log that has them: weather acts by the "
+            "brightness of "
+            "surfaces");
     impl_->weather = weather;
 }
 
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
     const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
     return impl_->refines({sensor.rays.rows, sensor.rays.columns, kNative}) ||
-           impl_->refines(
-               {grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns, grid ? grid->name : sensor.name});
+           impl_->refines({grid ? grid->rows : sensor.rays.rows, grid ? grid->columns : sensor.rays.columns,
+                           grid ? grid->name : sensor.name});
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }
@@ -219,7 +244,8 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, double time_s, con
     Impl& s = *impl_;
     const SensorChoice followed = sensor_in_sweep(sensor, s.sweeps, s.sweep.lidars, time_s);
     s.sweep.world_from_vehicle = s.log_world_from_vehicle;
-    const bool is_elsewhere = sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
+    const bool is_elsewhere =
+        sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
     const PoseTrack log = s.sweep.world_from_sensor(sensor.lidar);
     s.drive(is_elsewhere ? moved_track(with_fine_turns(log), sensor_offset) : log, followed);
     return take(followed, time_s, s.place(s.moment(followed, time_s)), sample);
@@ -233,38 +259,44 @@ std::vector<InstancePose> ScanRenderer::drive(const SensorChoice& sensor, const 
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
         throw DataError(
-            fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s", request.time_s, kFarthest));
+            fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s",
+                        request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor);
     const SweepMoment sweep = s.moment(sensor, request.time_s);
     if (!request.dataset_from_actor) return s.place(sweep);
     ActorPoses world_from_actor;
-    for (const auto& [name, track] : *request.dataset_from_actor) world_from_actor[name] = in_world(track, "actor " + name);
+    for (const auto& [name, track] : *request.dataset_from_actor)
+        world_from_actor[name] = in_world(track, "actor " + name);
     return s.place(sweep, &world_from_actor);
 }
 
-RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request, std::optional<std::uint64_t> sample) {
+RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest& request,
+                                  std::optional<std::uint64_t> sample) {
     return take(sensor, request.time_s, drive(sensor, request), sample);
 }
 
 /// The rays of a sensor on the device, which keeps those of the sensors used last.
-std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table) {
-    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;   // 0.2 GB
+std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, const SensorChoice& sensor,
+                                                        const RayTable& table) {
+    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;  // 0.2 GB
     std::vector<std::shared_ptr<SensorRays>>& known_rays = strand.known_rays;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
-    const auto found = std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
+    const auto found =
+        std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
     if (found != known_rays.end()) {
         std::rotate(known_rays.begin(), found, found + 1);
         return known_rays.front();
     }
-    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {   // what is in flight keeps its own
+    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {  // what is in flight keeps its own
         return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
     };
-    auto place = std::ranges::find_if(known_rays, is_free);   // this sensor has other rays in every scan
+    auto place = std::ranges::find_if(known_rays, is_free);  // this sensor has other rays in every scan
     if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
     std::rotate(known_rays.begin(), place, place + 1);
     const std::shared_ptr<SensorRays> rays = known_rays.front();
-    rays->take(table, name, [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
+    rays->take(table, name,
+               [&](std::size_t i) { return never_seen(sensor, table.channel[i], table.direction[i]); });
     std::size_t n_rays = 0, n_kept = 0;
     for (const auto& kept : known_rays)
         if ((n_rays += kept->table().size()) <= kMostRays && n_kept < kMostSensors) ++n_kept;
@@ -272,18 +304,20 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, cons
     return rays;
 }
 
-/// Has the device cast rays of a sensor, each by itself, and measure what comes back; instances have been moved to where they are.
+/// Has the device cast rays of a sensor, each by itself, and measure what comes back;
+/// instances have been moved to where they are.
 /// @param refined  also asks the network
-ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table, double time_s,
-                                                    bool refined) {
+ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const SensorChoice& sensor,
+                                                    const RayTable& table, double time_s, bool refined) {
     Cast cast{rays_of(strand, sensor, table), sweep.world_from_sensor(sensor.lidar), {}};
     cast.pose = cast.track.at(time_s);
     if (!sweep.rolling_shutter) cast.track = {{time_s}, {cast.pose}};
     Renderer& renderer = renderer_of(strand);
     cast.rays->fire(renderer.stream(), cast.track, time_s);
     renderer.record_forward(cast.rays->batch());
-    cast.rays->measure(renderer.stream(), renderer.rendered(),
-                       {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
+    cast.rays->measure(
+        renderer.stream(), renderer.rendered(),
+        {config.render.range, sensor.beams, sweep.intensity_response, sensor.limits, kMinWeight});
     if (refined) {
         if (!strand.refiner) strand.refiner.emplace(device, first.refiner->network());
         cast.rays->refine(renderer.stream(), strand.refiner->pass(),
@@ -292,8 +326,10 @@ ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const Se
     return cast;
 }
 
-/// What comes back along rays of a sensor, as record() has it; what the network says of it is not in the scan yet.
-RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined) {
+/// What comes back along rays of a sensor, as record() has it; what the network says of
+/// it is not in the scan yet.
+RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s,
+                                      bool refined) {
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     Cast cast = record(first, sensor, table, time_s, refined);
@@ -301,24 +337,29 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     renderer.check_passes();
 
     RenderedScan scan = empty_scan(table);
-    scan.trace_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    scan.trace_ms =
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     fill_scan(scan, measured);
     scan.track = shifted_track(std::move(cast.track), sweep.world_offset_m);
     scan.world_from_sensor = {cast.pose.rotation, cast.pose.translation + sweep.world_offset_m};
     scan.time_s = time_s;
     const std::vector<ChannelInfo> channels = rendered_channels();
-    add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{}, channels);
+    add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{},
+                     channels);
     return scan;
 }
 
-/// The scan of whole beams, from one of their parts; beams that meet several surfaces are cast again in more parts.
-RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole, SensorConfig beams) {
+/// The scan of whole beams, from one of their parts; beams that meet several surfaces are
+/// cast again in more parts.
+RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts,
+                                      const RayTable& whole, SensorConfig beams) {
     RenderedScan scan = join_footprints(parts, whole, beams);
     const std::vector<std::size_t> edges = find_edges(parts, whole, beams);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
         const RayTable rays = some_rays(whole, edges);
         beams.sub_rays = kEdgeParts;
-        const RenderedScan better = cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * beams.divergence_mrad), parts.time_s);
+        const RenderedScan better =
+            cast(sensor, split_rays(rays, kEdgeParts, 1e-3 * beams.divergence_mrad), parts.time_s);
         replace_rays(scan, edges, join_footprints(better, rays, beams));
     }
     drop_beyond(scan, sensor.limits);
@@ -328,15 +369,18 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
 bool ScanRenderer::Impl::refines(const ImageOf& image) const {
     if (!first.refiner || first.refiner->network().image != image.name) return false;
     const DropNetwork& network = first.refiner->network();
-    const int side = network.taps == 1 ? 1 : std::max(2, network.smallest_side());   // one of single rays needs no image
+    // one of single rays needs no image
+    const int side = network.taps == 1 ? 1 : std::max(2, network.smallest_side());
     return image.rows >= side && image.columns >= side;
 }
 
 bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable& whole) const {
-    return refines({whole.rows, whole.columns, kNative}) || (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
+    return refines({whole.rows, whole.columns, kNative}) ||
+           (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
 }
 
-/// Channels of the scan of the rays: those that were requested, and what a network reads of scans on the host.
+/// Channels of the scan of the rays: those that were requested, and what a network reads
+/// of scans on the host.
 std::vector<ChannelInfo> ScanRenderer::Impl::rendered_channels() const {
     std::vector<ChannelInfo> channels = wanted;
     if (first.refiner && !wants(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
@@ -345,23 +389,27 @@ std::vector<ChannelInfo> ScanRenderer::Impl::rendered_channels() const {
 
 /// Drop probabilities as the network of the run has them.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
-    take_refined(scan, first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m)));
+    take_refined(scan,
+                 first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m)));
 }
 
 /// Probability that a sensor never sees anything along a ray.
-float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const {
+float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t channel,
+                                     const glm::vec3& direction) const {
     const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, channel) : std::nullopt;
     return own_beam ? layout.sensor_drop.at(*own_beam, direction) : 0.0f;
 }
 
 /// Between which ranges a sensor sees anything; as far as the log where it does not say.
 RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
-    return {sensor.limits.min_m, std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
+    return {sensor.limits.min_m,
+            std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
 }
 
-/// What the water on the ground makes of rays that meet it; empty where the ground is dry. The scene is traced once more along the rays
-/// that it mirrors strongly enough, each from a little above the ground, which is rougher than a film: what is met below kLowest_m is the
-/// ground itself.
+/// What the water on the ground makes of rays that meet it; empty where the ground is
+/// dry. The scene is traced once more along the rays that it mirrors strongly enough,
+/// each from a little above the ground, which is rougher than a film: what is met below
+/// kLowest_m is the ground itself.
 std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     constexpr double kLift_m = 0.1, kLowest_m = 0.3;
     if (weather.wet_mm == 0.0) return {};
@@ -379,9 +427,11 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
         wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
         const double mirrors = share * std::pow(mirrored_by_water(cosine), 2);
-        if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;   // nothing farther outshines the ground
+        // nothing farther outshines the ground
+        if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;
         wet[i].mirrored = {range_m, 0.0, PointSource::nothing, mirrors};
-        const glm::dvec3 foot_m = pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
+        const glm::dvec3 foot_m =
+            pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
         mirrored.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
         mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
         mirrored.time_s.push_back(scan.time_offset_s[i]);
@@ -395,12 +445,14 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
         if (kLift_m + on_m * glm::dot(glm::dvec3(mirrored.direction[k]), up[ray]) < kLowest_m) continue;
         Echo& echo = wet[ray].mirrored;
-        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0), echo.source = PointSource::mirror;
+        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0),
+                              echo.source = PointSource::mirror;
     }
     return wet;
 }
 
-/// What a sensor makes of a scan in the end: a sample of what is likely, through the weather, and intensities in the steps that it has.
+/// What a sensor makes of a scan in the end: a sample of what is likely, through the
+/// weather, and intensities in the steps that it has.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                                  std::optional<std::uint64_t> sample) {
     const IntensityScatter& own = scatter[std::size_t(sensor.lidar)];
@@ -411,7 +463,8 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
             blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
         const std::vector<WetRay> wet = wet_rays(scan);
         const std::vector<Echo> stray = stray_light(scan, weather.bloom, sample.value_or(0));
-        const std::vector<float> from_sun = angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
+        const std::vector<float> from_sun =
+            angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
         const RaysInWeather special = {blind, wet, stray, from_sun};
         add_weather(scan, air_before(sensor, rays), sweep.intensity_response, special, sample.value_or(0));
     }
@@ -421,9 +474,11 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
 }
 
-/// Puts the scene onto the device, around the sensor, and instances where they are; those that are not shown are left out.
-void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed) {
-    if (!layout.blocks.empty()) settle();   // another renderer may take this one's place
+/// Puts the scene onto the device, around the sensor, and instances where they are; those
+/// that are not shown are left out.
+void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s,
+                               std::vector<InstancePose> placed) {
+    if (!layout.blocks.empty()) settle();  // another renderer may take this one's place
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && shown[i];
     const glm::vec3 sensor_m(sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
     scene.bring(sensor_m, limits_of(sensor).max_m);
@@ -438,27 +493,34 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     const RayTable& whole = of_now ? *of_now : sensor.rays;
     const SensorConfig config = s.config_of(sensor);
     if (sensor.grid && config.returns > 1)
-        throw UsageError(fmt::format("sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
+        throw UsageError(fmt::format(
+            "sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
     const std::optional<RayTable> parts = split_beams(whole, config, sensor.name);
     const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
-        throw UsageError(fmt::format("rendering as {}: it does not spin and has no rays of its own, expected another sensor", sensor.name));
+        throw UsageError(fmt::format(
+            "rendering as {}: it does not spin and has no rays of its own, expected another sensor",
+            sensor.name));
     s.send();
     s.bring(s.first, sensor, time_s, std::move(placed));
     const bool of_rays = s.refines_rays(sensor, whole);
     RenderedScan scan = s.cast(sensor, table, time_s, of_rays && !parts);
     if (parts) scan = s.join(sensor, scan, whole, config);
-    const SeenByLog log{s.coverage, s.sweep.world_offset_m, std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m))};
+    const SeenByLog log{s.coverage, s.sweep.world_offset_m,
+                        std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m))};
     add_scan_channels(scan, log, s.wanted);
     tell_unseen(scan, log);
     if (of_rays && parts) s.refine(scan);
     else if (of_rays) take_refined(scan, s.first.known_rays.front()->refined(s.scene.renderer().stream()));
-    const bool of_cells = sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
+    const bool of_cells =
+        sensor.grid && s.refines({sensor.grid->rows, sensor.grid->columns, sensor.grid->name});
     if (of_cells) {
         scan = project_scan(scan, *sensor.grid);
         s.refine(scan);
     }
-    if (!s.wants(kIncidence)) std::erase_if(scan.channels, [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
+    if (!s.wants(kIncidence))
+        std::erase_if(scan.channels,
+                      [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
     s.measure(scan, sensor, whole, sample);
     return sensor.grid && !of_cells ? project_scan(scan, *sensor.grid) : scan;
 }

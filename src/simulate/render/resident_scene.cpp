@@ -9,12 +9,13 @@
 namespace relidar {
 namespace {
 
-constexpr double kSweep_m = 10.0;   // that a sensor may come along while it sweeps
+constexpr double kSweep_m = 10.0;  // that a sensor may come along while it sweeps
 constexpr double kMiB = 1024.0 * 1024.0;
 
 }  // namespace
 
-ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options)
+ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& config,
+                             const RendererOptions& options)
     : device_(device),
       model_(config.image),
       options_(options),
@@ -22,28 +23,33 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       owns_models_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends),
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
-    if (scene.blocks.empty()) renderer_.emplace(device, owns_models_ ? own_models(scene) : scene, model_, options_);
+    if (scene.blocks.empty())
+        renderer_.emplace(device, owns_models_ ? own_models(scene) : scene, model_, options_);
 }
 
 void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     if (renderer_) past_.add(renderer_->stream().times());
-    renderer_.reset();   // gives its memory back first
+    renderer_.reset();  // gives its memory back first
     loaded_.clear();
     Scene scene = read_blocks(scene_, blocks);
     if (owns_models_) scene = own_models(std::move(scene));
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
-    bytes_per_surfel_ = double(device_.allocated_bytes() - before) / double(std::max<std::size_t>(scene.surfels.size(), 1));
+    bytes_per_surfel_ =
+        double(device_.allocated_bytes() - before) / double(std::max<std::size_t>(scene.surfels.size(), 1));
     loaded_ = blocks;
 }
 
-/// The blocks that a scan needs and, latest first, those on the device that fit beside them.
+/// The blocks that a scan needs and, latest first, those on the device that fit beside
+/// them.
 std::vector<std::size_t> ResidentScene::with_kept(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;
     std::vector<std::size_t> others;
-    std::set_difference(loaded_.begin(), loaded_.end(), blocks.begin(), blocks.end(), std::back_inserter(others));
-    std::sort(others.begin(), others.end(), [this](std::size_t a, std::size_t b) { return last_needed_[a] > last_needed_[b]; });
+    std::set_difference(loaded_.begin(), loaded_.end(), blocks.begin(), blocks.end(),
+                        std::back_inserter(others));
+    std::sort(others.begin(), others.end(),
+              [this](std::size_t a, std::size_t b) { return last_needed_[a] > last_needed_[b]; });
     for (const std::size_t i : others) {
         bytes += scene_.blocks[i].count * bytes_per_surfel_;
         if (bytes > memory_bytes_) break;
@@ -57,11 +63,13 @@ void ResidentScene::bring(const glm::vec3& sensor_m, double reach_m) {
     ++scans_;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {
-        if (scene_.blocks[i].count == 0 || scene_.blocks[i].distance_m(sensor_m) > reach_m + kSweep_m) continue;
+        if (scene_.blocks[i].count == 0 || scene_.blocks[i].distance_m(sensor_m) > reach_m + kSweep_m)
+            continue;
         needed.push_back(i);
         last_needed_[i] = scans_;
     }
-    if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end())) load(with_kept(std::move(needed)));
+    if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
+        load(with_kept(std::move(needed)));
 }
 
 std::unique_ptr<Renderer> ResidentScene::copy() {

@@ -9,16 +9,18 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kRaysTogether = 16384;   // so many that the poses of a row are worth keeping
+constexpr std::size_t kRaysTogether = 16384;  // so many that the poses of a row are worth keeping
 
 /// [n] Where the rays that return meet something, in the frame of the points.
-std::vector<glm::vec3> placed_returns(const RenderedScan& scan, const std::vector<float>& range_m, const Pose& points_from_dataset) {
+std::vector<glm::vec3> placed_returns(const RenderedScan& scan, const std::vector<float>& range_m,
+                                      const Pose& points_from_dataset) {
     std::vector<glm::vec3> position_m(range_m.size());
     for_each_part(range_m.size(), kRaysTogether, [&](std::size_t begin, std::size_t end) {
         FiringPoses points_from_firing(scan, points_from_dataset);
         for (std::size_t i = begin; i < end; ++i) {
             if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
-            const glm::dvec3 seen_m = glm::dvec3(scan.image.origin[i]) + double(range_m[i]) * glm::dvec3(scan.image.direction[i]);
+            const glm::dvec3 seen_m =
+                glm::dvec3(scan.image.origin[i]) + double(range_m[i]) * glm::dvec3(scan.image.direction[i]);
             position_m[i] = glm::vec3(points_from_firing.at(i) * seen_m);
         }
     });

@@ -13,14 +13,16 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;   // their random numbers are others than those of drops and ranges
+// their random numbers are others than those of drops and ranges
+constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
 
 RenderedIntensities rendered_intensities(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     const ImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
-    RenderedIntensities result{image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
+    RenderedIntensities result{
+        image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
     result.cosine.resize(image.direction.size());
     result.elevation_rad.resize(image.direction.size());
     for_each_block(image.direction.size(), [&](std::size_t i) {
@@ -30,7 +32,8 @@ RenderedIntensities rendered_intensities(const RenderedScan& scan) {
     return result;
 }
 
-void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter, std::uint64_t seed) {
+void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
+                    std::uint64_t seed) {
     const std::uint64_t of_scan = hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensities likely = rendered_intensities(scan);
     const std::vector<float>& likely_m = likely.range_m;
@@ -41,21 +44,27 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
         const bool returns = likely_m[i] > 0.0f && random.uniform() >= double(scan.image.drop_prob[i]);
         returning[i] = returns;
         scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
-        const double cosine = double(likely.cosine[i]), sigma_m = noise.at(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
+        const double cosine = double(likely.cosine[i]),
+                     sigma_m = noise.at(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
         for (SecondReturn& echo : scan.second_returns) {
             if (!returns) echo.range_m[i] = echo.intensity[i] = 0.0f;
             if (echo.range_m[i] > 0.0f)
                 echo.range_m[i] =
-                    std::max(echo.range_m[i] + static_cast<float>(noise.at(double(echo.range_m[i]), 1.0) * random.normal()), 1e-3f);
+                    std::max(echo.range_m[i] +
+                                 static_cast<float>(noise.at(double(echo.range_m[i]), 1.0) * random.normal()),
+                             1e-3f);
         }
-        if (returns) ranges_m[i] = std::max(likely_m[i] + static_cast<float>(sigma_m * random.normal()), 1e-3f);
+        if (returns)
+            ranges_m[i] = std::max(likely_m[i] + static_cast<float>(sigma_m * random.normal()), 1e-3f);
     });
     if (!scatter.empty()) {
-        const std::vector<float> drawn = draw_intensities(scatter, likely, returning, hash64(of_scan, kOfIntensities));
+        const std::vector<float> drawn =
+            draw_intensities(scatter, likely, returning, hash64(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
-    for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];   // noise spreads nothing
+    // noise spreads nothing
+    for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);
 }

@@ -9,34 +9,39 @@
 namespace relidar {
 namespace {
 
-constexpr float kSeen = 0.5f;             // of a ray's way
+constexpr float kSeen = 0.5f;  // of a ray's way
 
 bool looks_elsewhere(float share) { return share < kSeen; }
 
 LookingRay looking_ray(const RenderedScan& scan, std::size_t i) {
-    return {scan.world_from_firing(i), glm::dvec3(scan.image.origin[i]), glm::dvec3(scan.image.direction[i]), scan.median_range_m[i]};
+    return {scan.world_from_firing(i), glm::dvec3(scan.image.origin[i]), glm::dvec3(scan.image.direction[i]),
+            scan.median_range_m[i]};
 }
 
-/// Share of its way, to what it meets or to the end of its range, along which rays of the log have looked.
+/// Share of its way, to what it meets or to the end of its range, along which rays of the
+/// log have looked.
 float seen_share(const LookingRay& ray, const SeenByLog& log) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= log.world_offset_m;
     const double length_m = ray.met_m > 0.0f ? std::min(double(ray.met_m), log.max_range_m) : log.max_range_m;
-    return static_cast<float>(
-        log.coverage.share(world_from_firing * ray.origin_m, world_from_firing * (ray.origin_m + length_m * ray.direction)));
+    return static_cast<float>(log.coverage.share(
+        world_from_firing * ray.origin_m, world_from_firing * (ray.origin_m + length_m * ray.direction)));
 }
 
 }  // namespace
 
-double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at, const SeenByLog& log) {
+double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at,
+                    const SeenByLog& log) {
     std::vector<float> shares(n);
     for_each_block(n, [&](std::size_t k) { shares[k] = seen_share(ray_at(k), log); });
     return double(std::ranges::count_if(shares, looks_elsewhere)) / double(n);
 }
 
-std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays, const SeenByLog& log) {
+std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
+                               const SeenByLog& log) {
     std::vector<float> shares(rays.size());
-    for_each_block(rays.size(), [&](std::size_t k) { shares[k] = seen_share(looking_ray(scan, rays[k]), log); });
+    for_each_block(rays.size(),
+                   [&](std::size_t k) { shares[k] = seen_share(looking_ray(scan, rays[k]), log); });
     return shares;
 }
 

@@ -20,17 +20,22 @@ struct SeenByLog {
 /// A ray, and what it meets.
 struct LookingRay {
     Pose dataset_from_firing;
-    glm::dvec3 origin_m, direction;   ///< sensor frame
-    float met_m;                      ///< of the dominant surface; 0: nothing
+    glm::dvec3 origin_m, direction;  ///< sensor frame
+    float met_m;                     ///< of the dominant surface; 0: nothing
 };
-/// Of n rays the share that looks where the log did not. @param ray_at  of each number below n
-double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at, const SeenByLog& log);
+/// Of n rays the share that looks where the log did not. @param ray_at  of each number
+/// below n
+double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at,
+                    const SeenByLog& log);
 
-/// [rays] Share of the way of some rays of a scan, to what they meet or to the end of their range, along which rays of the log have looked.
-std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays, const SeenByLog& log);
+/// [rays] Share of the way of some rays of a scan, to what they meet or to the end of
+/// their range, along which rays of the log have looked.
+std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
+                               const SeenByLog& log);
 
-/// Says what share of the rays looks where the log did not (RenderedScan::unseen_share): by the channel "seen" where the scan has it, else
-/// by kAskedRays of them. Nothing where it is not known.
+/// Says what share of the rays looks where the log did not (RenderedScan::unseen_share):
+/// by the channel "seen" where the scan has it, else by kAskedRays of them. Nothing where
+/// it is not known.
 void tell_unseen(RenderedScan& scan, const SeenByLog& log);
 
 }  // namespace relidar

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which sensor to simulate, and the grid convention of published results: real points are binned into a linear image of elevation
-// by azimuth, so a faithful simulation bins the simulated points of the real beams the same way.
+// Which sensor to simulate, and the grid convention of published results: real points are
+// binned into a linear image of elevation by azimuth, so a faithful simulation bins the
+// simulated points of the real beams the same way.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -61,7 +62,8 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
                 .lidar = lidar,
                 .rolling_shutter = rolls_like_log(config, sequence)};
     if (method != "project") {
-        throw UsageError(fmt::format("choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
+        throw UsageError(fmt::format(
+            "choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
     }
     SensorChoice choice = own_sensor(config, sequence, lidar);
     choice.grid = grid;
@@ -73,22 +75,28 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
 /// The cell takes what the ray says, but for drops.
 void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
-    for_each_pair(from, to, [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
-        if constexpr (std::is_same_v<T, float>) {
-            if (channel.join == ChannelJoin::drop) return;
-            if (channel.join == ChannelJoin::range) return void(of_cells[cell] = glm::length(origin + of_rays[source] * direction));
-        }
-        of_cells[cell] = of_rays[source];
-    });
+    for_each_pair(
+        from, to,
+        [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
+            if constexpr (std::is_same_v<T, float>) {
+                if (channel.join == ChannelJoin::drop) return;
+                if (channel.join == ChannelJoin::range)
+                    return void(of_cells[cell] = glm::length(origin + of_rays[source] * direction));
+            }
+            of_cells[cell] = of_rays[source];
+        });
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
 /// A cell is dropped where all rays in it are.
 void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
-    for_each_pair(from, to, [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
-        if constexpr (std::is_same_v<T, float>)
-            if (channel.join == ChannelJoin::drop) of_cells[cell] = std::min(of_cells[cell], of_rays[source]);
-    });
+    for_each_pair(
+        from, to,
+        [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
+            if constexpr (std::is_same_v<T, float>)
+                if (channel.join == ChannelJoin::drop)
+                    of_cells[cell] = std::min(of_cells[cell], of_rays[source]);
+        });
 }
 
 }  // namespace
@@ -97,15 +105,18 @@ bool has_rolling_shutter(const SensorChoice& sensor, const Config& config) {
     return sensor.rolling_shutter && config.sensor.rolling_shutter != RollingShutter::no;
 }
 
-SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames, std::span<const Lidar> lidars, double time_s) {
+SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
+                             std::span<const Lidar> lidars, double time_s) {
     constexpr double kSameTime_s = 1e-3;
     if (!sensor.follows_sweeps) return sensor;
     const auto is_now = [&](const Frame& f) {
-        return f.lidar == sensor.lidar && !f.azimuth_shift_rad.empty() && std::abs(f.time_s - time_s) < kSameTime_s;
+        return f.lidar == sensor.lidar && !f.azimuth_shift_rad.empty() &&
+               std::abs(f.time_s - time_s) < kSameTime_s;
     };
     const auto sweep = std::ranges::find_if(frames, is_now);
     const SpinningSensor& head = lidars[std::size_t(sensor.lidar)].sensor;
-    if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size()) return sensor;
+    if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size())
+        return sensor;
     SensorChoice result = sensor;
     result.rays = shifted_azimuths(std::move(result.rays), head, sweep->azimuth_shift_rad);
     result.follows_sweeps = false;
@@ -132,9 +143,11 @@ SensorChoice sensor_choice(const MountedSensor& mounted, int lidar) {
     return choice;
 }
 
-SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence, int lidar) {
+SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
+                           int lidar) {
     if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
-    if (known_name(name_or_file, {kitti360_grid().name})) return grid_choice(kitti360_grid(), config, sequence, lidar);
+    if (known_name(name_or_file, {kitti360_grid().name}))
+        return grid_choice(kitti360_grid(), config, sequence, lidar);
     return sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
 }
 
@@ -143,9 +156,10 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     const std::size_t n = cells.size();
     check_channels(scan.channels, scan.median_range_m.size(), "a scan that is binned");
     RenderedScan result = empty_scan(cells, scan);
-    for_each_pair(scan, result, [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
-        of_cells.assign(n, nothing_of<T>(channel));
-    });
+    for_each_pair(scan, result,
+                  [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
+                      of_cells.assign(n, nothing_of<T>(channel));
+                  });
     result.time_offset_s.assign(n, 0.0f);
     std::vector<float> winner_drop(n, 2.0f);  // of the ray that owns a cell so far; 2 = none
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
@@ -187,7 +201,13 @@ RangeImage real_image(const Config& config, const Scan& scan) {
         }
         const GridImage binned = project_points(grid, points, intensity);
         const RayTable cells = make_rays(grid);
-        image = {grid.rows, grid.columns, binned.range_m, binned.intensity, {}, to_vector(cells.origin), to_vector(cells.direction)};
+        image = {grid.rows,
+                 grid.columns,
+                 binned.range_m,
+                 binned.intensity,
+                 {},
+                 to_vector(cells.origin),
+                 to_vector(cells.direction)};
     }
     for (const float range : image.range_m) image.drop_prob.push_back(range > 0.0f ? 0.0f : 1.0f);
     return image;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of simulate/render/fire_rays, simulate/render/measure_rays and simulate/render/drop_channels.
+// Bindings of simulate/render/fire_rays, simulate/render/measure_rays and
+// simulate/render/drop_channels.
 #include "simulate/render/sensor_rays.hpp"
 
 #include <algorithm>
@@ -22,7 +23,7 @@ namespace {
 template <class Values>
 bool same_bytes(const Values& a, const Values& b) {
     if (a.size() != b.size()) return false;
-    constexpr std::size_t kPart = 1 << 14;   // values
+    constexpr std::size_t kPart = 1 << 14;  // values
     std::atomic<bool> same{true};
     for_each_part(a.size(), kPart, [&](std::size_t begin, std::size_t end) {
         if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;
@@ -47,22 +48,25 @@ std::vector<shared::SensorBeam> device_beams(const std::vector<Beam>& beams) {
 
 std::vector<glm::vec2> device_response(const IntensityResponse& response) {
     std::vector<glm::vec2> result;
-    for (std::size_t k = 0; k < response.factor.size(); ++k) result.emplace_back(response.range_m[k], response.factor[k]);
+    for (std::size_t k = 0; k < response.factor.size(); ++k)
+        result.emplace_back(response.range_m[k], response.factor[k]);
     return result;
 }
 
 std::uint32_t device_channel(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
-        {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY}, {"drop_logit", RELIDAR_DROP_LOGIT},
-        {"weight", RELIDAR_DROP_WEIGHT},       {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
+        {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
+        {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
+        {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
         {"elevation", RELIDAR_DROP_ELEVATION}};
     for (const auto& [known, channel] : kOfRays)
         if (name == known) return channel;
     for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
-    throw DataError(fmt::format("ray-drop network: found the input \"{}\", expected inputs that this relidar renders; "
-                                "`relidar refine RUN` trains the network again",
-                                excerpt(name)));
+    throw DataError(
+        fmt::format("ray-drop network: found the input \"{}\", expected inputs that this relidar renders; "
+                    "`relidar refine RUN` trains the network again",
+                    excerpt(name)));
 }
 
 }  // namespace
@@ -73,7 +77,8 @@ std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names) 
     return result;
 }
 
-std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
+std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
+                                                    double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
     const std::size_t first = world_from_sensor.place(time_s + first_s).left,
                       last = std::min(world_from_sensor.place(time_s + last_s).left + 1, pose.size() - 1);
@@ -81,12 +86,14 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
     for (std::size_t k = first; k <= last; ++k) {
         const glm::dquat& q = pose[k].rotation;
         const Twist next = k < last ? twist_between(pose[k], pose[k + 1]) : Twist{};
-        poses.push_back({.rotation = glm::vec4(q.w, q.x, q.y, q.z),
-                         .position = glm::vec3(pose[k].translation),
-                         .way = glm::vec3(next[0], next[1], next[2]),
-                         .turn = glm::vec3(next[3], next[4], next[5]),
-                         .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
-                         .duration_s = k < last ? float(world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k]) : 0.0f});
+        poses.push_back(
+            {.rotation = glm::vec4(q.w, q.x, q.y, q.z),
+             .position = glm::vec3(pose[k].translation),
+             .way = glm::vec3(next[0], next[1], next[2]),
+             .turn = glm::vec3(next[3], next[4], next[5]),
+             .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
+             .duration_s =
+                 k < last ? float(world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k]) : 0.0f});
     }
     return poses;
 }
@@ -96,7 +103,8 @@ SensorRays::SensorRays(Device& device)
       fire_(device, "simulate/render/fire_rays"),
       measure_(device, "simulate/render/measure_rays"),
       drop_channels_(device, "simulate/render/drop_channels"),
-      no_geometry_(device, std::span<const shared::RenderedGeometry>(std::array{shared::RenderedGeometry{}}), "geometry of no rays") {}
+      no_geometry_(device, std::span<const shared::RenderedGeometry>(std::array{shared::RenderedGeometry{}}),
+                   "geometry of no rays") {}
 
 bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
     return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
@@ -104,7 +112,8 @@ bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
            same_bytes(rays.time_offset_s, table_.time_offset_s) && same_bytes(rays.channel, table_.channel);
 }
 
-void SensorRays::take(const RayTable& rays, const std::string& sensor, const std::function<float(std::size_t)>& never_seen) {
+void SensorRays::take(const RayTable& rays, const std::string& sensor,
+                      const std::function<float(std::size_t)>& never_seen) {
     if (has(rays, sensor)) return;
     std::vector<shared::SensorRay> all(rays.size());
     for_each_block(all.size(), [&](std::size_t i) {
@@ -115,7 +124,7 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor, const std
                   .channel = rays.channel[i]};
     });
     if (all.size() > rays_.size()) {
-        rays_ = {}, fired_ = {}, measured_ = {};   // gives their memory back first
+        rays_ = {}, fired_ = {}, measured_ = {};  // gives their memory back first
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
         measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
@@ -151,7 +160,8 @@ RayBatch SensorRays::batch() const {
 void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how) {
     const auto beams = device_beams(how.beams);
     const auto response = device_response(how.response);
-    const Array<shared::RenderedGeometry>& geometry = rendered.geometry ? rendered.geometry->rendered : no_geometry_;
+    const Array<shared::RenderedGeometry>& geometry =
+        rendered.geometry ? rendered.geometry->rendered : no_geometry_;
     run(stream, measure_, table_.size(),
         {.rays = rays_.address(),
          .fired = fired_.address(),
@@ -175,7 +185,8 @@ void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& orig
     const std::vector<std::uint32_t> channels = drop_channels(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.finish();
-        samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
+        samples_ =
+            Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
     }
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),
@@ -193,12 +204,14 @@ std::span<const float> SensorRays::refined(Stream& stream) {
 }
 
 std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {
-    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& from, std::size_t n_bytes, const char* what) {
+    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& from, std::size_t n_bytes,
+                               const char* what) {
         if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), what);
         readback->record(stream, from, n_bytes);
     };
     read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
-    if (refined_) read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
+    if (refined_)
+        read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
     stream.submit();
     return {static_cast<const shared::MeasuredRay*>(readback_->wait(stream)), table_.size()};
 }

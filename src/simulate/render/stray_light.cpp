@@ -15,7 +15,8 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;   // its random numbers are others than those of the weather
+// its random numbers are others than those of the weather
+constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;       // standard deviation of ln X
 constexpr double kNearest_deg = 0.5;  // nearer is the reflector itself, blurred by its beam
@@ -25,7 +26,7 @@ constexpr double kPerRad = 180.0 / kPi;
 /// Rays that look into one square degree, and those of them that meet a reflector.
 struct Square {
     int rays = 0, reflectors = 0;
-    glm::dvec3 direction{0.0};   // sums over reflectors
+    glm::dvec3 direction{0.0};  // sums over reflectors
     double range_m = 0.0;
 };
 struct Reflector {
@@ -40,7 +41,8 @@ std::pair<int, int> square_of(const glm::dvec3& direction) {
 }
 
 bool is_reflector(const RenderedScan& scan, std::size_t ray) {
-    return returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) && scan.image.intensity[ray] >= kSaturated;
+    return returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) &&
+           scan.image.intensity[ray] >= kSaturated;
 }
 
 std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
@@ -64,9 +66,13 @@ std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
 Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;
     std::size_t most = 0;
-    const auto power = [&](std::size_t i) { return share[i] / (reflectors[i].range_m * reflectors[i].range_m); };
+    const auto power = [&](std::size_t i) {
+        return share[i] / (reflectors[i].range_m * reflectors[i].range_m);
+    };
     for (const Reflector& reflector : reflectors) {
-        const double off_deg = std::max(std::acos(std::clamp(glm::dot(reflector.direction, direction), -1.0, 1.0)) * kPerRad, kNearest_deg);
+        const double off_deg =
+            std::max(std::acos(std::clamp(glm::dot(reflector.direction, direction), -1.0, 1.0)) * kPerRad,
+                     kNearest_deg);
         share.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
         if (power(share.size() - 1) > power(most)) most = share.size() - 1;
     }
@@ -86,7 +92,8 @@ std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint6
     for_each_block(stray.size(), [&](std::size_t ray) {
         if (is_reflector(scan, ray)) return;
         stray[ray] = brightest(reflectors, glm::dvec3(scan.image.direction[ray]));
-        stray[ray].reflectivity *= bloom * std::exp(kSpread * Random(hash64(of_scan, scan.ring[ray])).normal());
+        stray[ray].reflectivity *=
+            bloom * std::exp(kSpread * Random(hash64(of_scan, scan.ring[ray])).normal());
     });
     return stray;
 }

@@ -9,16 +9,18 @@
 namespace relidar {
 namespace {
 
-constexpr float kHidesSun = 0.5f;   // accumulated alpha of what is before the sun
+constexpr float kHidesSun = 0.5f;  // accumulated alpha of what is before the sun
 
 }  // namespace
 
 glm::dvec3 direction_of(const Sun& sun) {
     const double azimuth = sun.azimuth_deg * kPi / 180.0, elevation = sun.elevation_deg * kPi / 180.0;
-    return {std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)};
+    return {std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
+            std::sin(elevation)};
 }
 
-std::vector<float> angles_from_sun(const RenderedScan& scan, const Sun& sun, const glm::dvec3& world_offset_m, Renderer& renderer) {
+std::vector<float> angles_from_sun(const RenderedScan& scan, const Sun& sun, const glm::dvec3& world_offset_m,
+                                   Renderer& renderer) {
     if (sun.klux == 0.0) return {};
     const glm::dvec3 to_sun = direction_of(sun);
     WorldRays sight;

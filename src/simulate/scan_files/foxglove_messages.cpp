@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moments as messages of Foxglove's schemas in protobuf, with the descriptors that a reader decodes them by.
+// Moments as messages of Foxglove's schemas in protobuf, with the descriptors that a
+// reader decodes them by.
 #include "recording_format.hpp"
 
 #include <initializer_list>
@@ -16,13 +17,23 @@ namespace {
 using protozero::pbf_writer;
 
 /// Types of fields, by their numbers in descriptor.proto.
-enum Type { kDouble = 1, kInt64 = 3, kInt32 = 5, kFixed32 = 7, kBool = 8, kString = 9, kMessage = 11, kBytes = 12, kEnum = 14 };
+enum Type {
+    kDouble = 1,
+    kInt64 = 3,
+    kInt32 = 5,
+    kFixed32 = 7,
+    kBool = 8,
+    kString = 9,
+    kMessage = 11,
+    kBytes = 12,
+    kEnum = 14
+};
 
 struct Field {
     int number;
     const char* name;
     Type type;
-    const char* type_name = "";   ///< of messages and enumerations
+    const char* type_name = "";  ///< of messages and enumerations
     bool repeated = false;
 };
 struct MessageType {
@@ -31,19 +42,22 @@ struct MessageType {
 };
 struct EnumType {
     const char* name;
-    std::initializer_list<const char*> values;   ///< from 0
+    std::initializer_list<const char*> values;  ///< from 0
 };
 
 constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".google.protobuf.Duration";
-constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3", *kQuaternion = ".foxglove.Quaternion";
+constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
+                     *kQuaternion = ".foxglove.Quaternion";
 
-/// Primitives that are never written are there without their fields: readers want to find the lists empty.
+/// Primitives that are never written are there without their fields: readers want to find
+/// the lists empty.
 const std::initializer_list<MessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
     {"Pose", {{1, "position", kMessage, kVector}, {2, "orientation", kMessage, kQuaternion}}},
     {"Color", {{1, "r", kDouble}, {2, "g", kDouble}, {3, "b", kDouble}, {4, "a", kDouble}}},
-    {"PackedElementField", {{1, "name", kString}, {2, "offset", kFixed32}, {3, "type", kEnum, ".foxglove.NumericType"}}},
+    {"PackedElementField",
+     {{1, "name", kString}, {2, "offset", kFixed32}, {3, "type", kEnum, ".foxglove.NumericType"}}},
     {"PointCloud",
      {{1, "timestamp", kMessage, kTimestamp},
       {2, "frame_id", kString},
@@ -59,7 +73,10 @@ const std::initializer_list<MessageType> kMessages = {
       {5, "rotation", kMessage, kQuaternion}}},
     {"FrameTransforms", {{1, "transforms", kMessage, ".foxglove.FrameTransform", true}}},
     {"KeyValuePair", {{1, "key", kString}, {2, "value", kString}}},
-    {"CubePrimitive", {{1, "pose", kMessage, kPose}, {2, "size", kMessage, kVector}, {3, "color", kMessage, ".foxglove.Color"}}},
+    {"CubePrimitive",
+     {{1, "pose", kMessage, kPose},
+      {2, "size", kMessage, kVector},
+      {3, "color", kMessage, ".foxglove.Color"}}},
     {"ArrowPrimitive", {}},
     {"SpherePrimitive", {}},
     {"CylinderPrimitive", {}},
@@ -68,7 +85,9 @@ const std::initializer_list<MessageType> kMessages = {
     {"TextPrimitive", {}},
     {"ModelPrimitive", {}},
     {"SceneEntityDeletion",
-     {{1, "timestamp", kMessage, kTimestamp}, {2, "type", kEnum, ".foxglove.SceneEntityDeletionType"}, {3, "id", kString}}},
+     {{1, "timestamp", kMessage, kTimestamp},
+      {2, "type", kEnum, ".foxglove.SceneEntityDeletionType"},
+      {3, "id", kString}}},
     {"SceneEntity",
      {{1, "timestamp", kMessage, kTimestamp},
       {2, "frame_id", kString},
@@ -85,7 +104,8 @@ const std::initializer_list<MessageType> kMessages = {
       {13, "texts", kMessage, ".foxglove.TextPrimitive", true},
       {14, "models", kMessage, ".foxglove.ModelPrimitive", true}}},
     {"SceneUpdate",
-     {{1, "deletions", kMessage, ".foxglove.SceneEntityDeletion", true}, {2, "entities", kMessage, ".foxglove.SceneEntity", true}}},
+     {{1, "deletions", kMessage, ".foxglove.SceneEntityDeletion", true},
+      {2, "entities", kMessage, ".foxglove.SceneEntity", true}}},
 };
 
 const std::initializer_list<EnumType> kEnums = {
@@ -99,7 +119,7 @@ const std::initializer_list<MessageType> kTimes = {
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
 };
 
-constexpr int kOptional = 1, kRepeated = 3;   // labels of fields
+constexpr int kOptional = 1, kRepeated = 3;  // labels of fields
 
 std::string field_descriptor(const Field& field) {
     std::string bytes;
@@ -135,7 +155,8 @@ std::string enum_descriptor(const EnumType& type) {
     return bytes;
 }
 
-std::string file_descriptor(const char* file, const char* package, const char* imported, std::initializer_list<MessageType> messages,
+std::string file_descriptor(const char* file, const char* package, const char* imported,
+                            std::initializer_list<MessageType> messages,
                             std::initializer_list<EnumType> enums) {
     std::string bytes;
     pbf_writer writer(bytes);
@@ -182,10 +203,12 @@ struct PointField {
     std::uint32_t offset;
     Numeric type;
 };
-const PointField kPointFields[] = {{"x", 0, kFloat32},          {"y", 4, kFloat32},     {"z", 8, kFloat32},
-                                       {"intensity", 12, kFloat32}, {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
-                                       {"ring", 24, kUint16},       {"return", 26, kUint8}};
-constexpr std::uint32_t kStride = 28;   // a multiple of 4, so that floats lie where processors like them; channels come behind
+const PointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
+                                   {"z", 8, kFloat32},     {"intensity", 12, kFloat32},
+                                   {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
+                                   {"ring", 24, kUint16},  {"return", 26, kUint8}};
+// a multiple of 4, so that floats lie where processors like them; channels come behind
+constexpr std::uint32_t kStride = 28;
 
 std::vector<PointField> fields_of(const PointCloud& cloud) {
     std::vector<PointField> fields(std::begin(kPointFields), std::end(kPointFields));
@@ -202,10 +225,11 @@ std::string point_bytes(const PointCloud& cloud) {
     bytes.reserve(cloud.position_m.size() * kStride);
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         append(bytes, cloud.position_m[i]);
-        append(bytes, cloud.intensity[i]), append(bytes, (*cloud.time)[i]), append(bytes, (*cloud.instance)[i]);
+        append(bytes, cloud.intensity[i]), append(bytes, (*cloud.time)[i]),
+            append(bytes, (*cloud.instance)[i]);
         append(bytes, (*cloud.ring)[i]);
         append(bytes, cloud.return_number ? (*cloud.return_number)[i] : std::uint8_t(1));
-        append(bytes, std::uint8_t(0));   // to a multiple of 4
+        append(bytes, std::uint8_t(0));  // to a multiple of 4
         append_row(bytes, cloud.channels, i);
     }
     return bytes;
@@ -232,7 +256,8 @@ std::string points(const RecordedCloud& cloud, const std::string& frame) {
 }
 
 /// A foxglove.FrameTransforms of one.
-std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child, const Pose& parent_from_child) {
+std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
+                            const Pose& parent_from_child) {
     std::string all, bytes;
     pbf_writer transforms(all), writer(bytes);
     writer.add_message(1, timestamp(time_ns));
@@ -249,7 +274,8 @@ std::string box(const RecordedActor& actor) {
     pbf_writer writer(bytes);
     writer.add_message(1, pose_message(actor.faced.world_from_box));
     writer.add_message(2, vector(actor.size_m));
-    writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));   // a translucent orange, so that points inside are seen
+    // a translucent orange, so that points inside are seen
+    writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
 
@@ -264,9 +290,10 @@ std::string key_value(const char* key, const std::string& value) {
 /// "x y z"
 std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
 
-/// Boxes of the actors, which replace all earlier ones. Each box has a time; velocities are in the world.
+/// Boxes of the actors, which replace all earlier ones. Each box has a time; velocities
+/// are in the world.
 std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    constexpr int kAll = 1;   // of SceneEntityDeletionType: who has left since the last scan goes
+    constexpr int kAll = 1;  // of SceneEntityDeletionType: who has left since the last scan goes
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
     deletion.add_message(1, timestamp(stamp_ns));
@@ -280,8 +307,10 @@ std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& acto
         entity.add_string(2, kWorldFrame);
         entity.add_string(3, actor.name);
         entity.add_message(6, key_value("category", actor.category));
-        entity.add_message(6, key_value("velocity_mps", vector_text(world_from_box.rotation * velocity.linear_mps)));
-        entity.add_message(6, key_value("angular_velocity_radps", vector_text(world_from_box.rotation * velocity.angular_radps)));
+        entity.add_message(
+            6, key_value("velocity_mps", vector_text(world_from_box.rotation * velocity.linear_mps)));
+        entity.add_message(6, key_value("angular_velocity_radps",
+                                        vector_text(world_from_box.rotation * velocity.angular_radps)));
         entity.add_message(8, box(actor));
         writer.add_message(2, of_actor);
     }
@@ -300,11 +329,13 @@ std::string descriptors() {
 std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
     std::vector<RecordedMessage> messages;
     for (const RecordedPose& pose : moment.poses)
-        messages.push_back({pose.time_ns, frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle)});
+        messages.push_back({pose.time_ns, frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame,
+                                                          pose.world_from_vehicle)});
     return messages;
 }
 
-/// Once a moment, so that who begins in the middle has them. Lists of messages follow each other as one list.
+/// Once a moment, so that who begins in the middle has them. Lists of messages follow
+/// each other as one list.
 std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)
@@ -314,7 +345,8 @@ std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMom
 
 std::vector<RecordedMessage> scene_updates(const RecordedMoment& moment) {
     std::vector<RecordedMessage> messages;
-    for (const auto& [stamp_ns, actors] : moment.actors) messages.push_back({moment.last_ns, boxes(stamp_ns, actors)});
+    for (const auto& [stamp_ns, actors] : moment.actors)
+        messages.push_back({moment.last_ns, boxes(stamp_ns, actors)});
     return messages;
 }
 
@@ -323,14 +355,19 @@ std::vector<RecordedMessage> scene_updates(const RecordedMoment& moment) {
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
     const std::string definition = descriptors(), transforms = "foxglove.FrameTransforms";
     std::vector<RecordedTopic> topics{
-        {"/tf_static", transforms, definition, {}, [rig](const RecordedMoment& moment) { return mountings(rig, moment); }},
+        {"/tf_static",
+         transforms,
+         definition,
+         {},
+         [rig](const RecordedMoment& moment) { return mountings(rig, moment); }},
         {"/tf", transforms, definition, {}, moving_transforms},
         {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
         const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
-        topics.push_back({rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedMoment& moment) {
-                              return std::vector<RecordedMessage>{{moment.last_ns, points(moment.clouds[s], frame)}};
-                          }});
+        topics.push_back(
+            {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedMoment& moment) {
+                 return std::vector<RecordedMessage>{{moment.last_ns, points(moment.clouds[s], frame)}};
+             }});
     }
     return topics;
 }

@@ -14,7 +14,9 @@ namespace relidar::scan_files {
 namespace {
 
 constexpr double kLatest_s = 2147483647.0;  // seconds of a stamp of ROS have 31 bits
-constexpr double kPoseStep_s = 0.01;  // between poses readers interpolate: a sensor 2 m from the vehicle's origin is 0.03 mm off at 1 rad/s
+// between poses readers interpolate: a sensor 2 m from the vehicle's origin is 0.03 mm
+// off at 1 rad/s
+constexpr double kPoseStep_s = 0.01;
 constexpr double kVelocityStep_s = 0.005;
 
 /// Where a scan's sensor was at a time of the log.
@@ -25,10 +27,12 @@ Pose sensor_pose(const RenderedScan& scan, double time_s) {
 /// @param world_from_thing  by time
 template <class PoseAt>
 Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
-    const Twist twist = twist_between(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
+    const Twist twist =
+        twist_between(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
     const glm::dquat to_own = glm::conjugate(world_from_thing(time_s).rotation);
     const double span_s = 2.0 * kVelocityStep_s;
-    return {to_own * glm::dvec3(twist[0], twist[1], twist[2]) / span_s, to_own * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
+    return {to_own * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
+            to_own * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
 /// Some rays of a scan, spread over all of it.
@@ -36,13 +40,16 @@ class SampledRays {
 public:
     explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;   // odd: rows have different columns
-        for (std::size_t i = 0; i < n; i += step) rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
+        // odd: rows have different columns
+        const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
+        for (std::size_t i = 0; i < n; i += step)
+            rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
-    /// When the ray is fired that passes nearest to a place. @param place_m  by time, the dataset's world
+    /// When the ray is fired that passes nearest to a place. @param place_m  by time, the
+    /// dataset's world
     template <class PlaceAt>
     double faced_at(const PlaceAt& place_m) const {
-        constexpr int kRounds = 3;   // place and sensor move while the head turns there
+        constexpr int kRounds = 3;  // place and sensor move while the head turns there
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
             const glm::vec3 towards(glm::normalize(inverse(sensor_pose(scan_, time_s)) * place_m(time_s)));
@@ -66,7 +73,8 @@ void add_times(std::vector<double>& times_s, const PoseTrack& track, double firs
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
     if (track.time_s.size() < 2) return;
-    const auto begin = std::ranges::upper_bound(track.time_s, first_s), end = std::ranges::lower_bound(track.time_s, last_s);
+    const auto begin = std::ranges::upper_bound(track.time_s, first_s),
+               end = std::ranges::lower_bound(track.time_s, last_s);
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
@@ -88,23 +96,26 @@ void MomentRecorder::check_times(const RenderedScan& scan, const Sweep& all) {
     const bool falls = shift_s_ && scan.time_s < last_scan_s_;
     if (!shift_s_) shift_s_ = all.first_s < 0.0 ? std::ceil(-all.first_s) : 0.0;
     if (falls || !(all.first_s + *shift_s_ >= 0.0 && all.last_s + *shift_s_ < kLatest_s))
-        throw DataError(
-            fmt::format("writing a recording: found a scan at {} s, expected times that do not fall, and lie before 2038", scan.time_s));
+        throw DataError(fmt::format(
+            "writing a recording: found a scan at {} s, expected times that do not fall, and lie before 2038",
+            scan.time_s));
     last_scan_s_ = scan.time_s;
 }
 
 RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     if (scans.size() != sensors_.size())
-        throw UsageError(
-            fmt::format("writing a recording: found {} scans, expected {}, one of each sensor", scans.size(), sensors_.size()));
+        throw UsageError(fmt::format("writing a recording: found {} scans, expected {}, one of each sensor",
+                                     scans.size(), sensors_.size()));
     std::vector<Sweep> sweeps;
     for (std::size_t s = 0; s < scans.size(); ++s) {
         const std::vector<float>& offsets_s = scans[s].time_offset_s;
-        const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f} : std::ranges::minmax(offsets_s);
+        const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
+                                                     : std::ranges::minmax(offsets_s);
         sweeps.push_back({scans[s].time_s + double(first), scans[s].time_s + double(last)});
     }
     Sweep all = sweeps.front();
-    for (const Sweep& sweep : sweeps) all = {std::min(all.first_s, sweep.first_s), std::max(all.last_s, sweep.last_s)};
+    for (const Sweep& sweep : sweeps)
+        all = {std::min(all.first_s, sweep.first_s), std::max(all.last_s, sweep.last_s)};
     check_times(scans[0], all);
     RecordedMoment moment{stamp(all.first_s), stamp(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
@@ -133,9 +144,12 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
     return poses;
 }
 
-RecordedCloud MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const {
-    RecordedCloud result{stamp(sweep.first_s), cloud_of(place(scan, format, sensor_pose(scan, sweep.first_s), 0))};
-    for (float& time_s : *result.cloud.time) time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
+RecordedCloud MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
+                                    const Sweep& sweep) const {
+    RecordedCloud result{stamp(sweep.first_s),
+                         cloud_of(place(scan, format, sensor_pose(scan, sweep.first_s), 0))};
+    for (float& time_s : *result.cloud.time)
+        time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     return result;
 }
 
@@ -149,7 +163,9 @@ std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, doub
             const Pose pose = box.world_from_box.at(t_s);
             return Pose{pose.rotation, pose.translation + sensors_.front().world_offset_m};
         };
-        const auto state = [&](double t_s) { return BoxState{stamp(t_s), world_from_box(t_s), velocity_of(world_from_box, t_s)}; };
+        const auto state = [&](double t_s) {
+            return BoxState{stamp(t_s), world_from_box(t_s), velocity_of(world_from_box, t_s)};
+        };
         const double faced_s = rays.faced_at([&](double t_s) { return world_from_box(t_s).translation; });
         actors.push_back({box.id, box.category, box.size_m, !box.moves(), state(faced_s), state(stamp_s)});
     }

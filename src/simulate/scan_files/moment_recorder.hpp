@@ -18,9 +18,11 @@ class MomentRecorder {
 public:
     explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}
     RecordedRig rig() const;
-    /// @param scans  one of each sensor, taken together @throws DataError for times that fall or that a file cannot have
+    /// @param scans  one of each sensor, taken together @throws DataError for times that
+    /// fall or that a file cannot have
     RecordedMoment take(std::span<const RenderedScan> scans);
-    /// Added to times of the log, whole seconds: times of files begin at 0. Known with the first moment.
+    /// Added to times of the log, whole seconds: times of files begin at 0. Known with
+    /// the first moment.
     double shift_s() const { return shift_s_.value_or(0.0); }
 
 private:

@@ -26,13 +26,16 @@ struct PlacedScan {
     const RangeImage& image() const { return scan.image; }
 };
 
-/// Calls visit(info, values) for each channel that files hold, in their order; second returns are range_2 and intensity_2.
+/// Calls visit(info, values) for each channel that files hold, in their order; second
+/// returns are range_2 and intensity_2.
 template <class Visit>
 void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     const RenderedScan& scan = placed.scan;
     const BasicChannels& basic = basic_channels();
-    visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m), visit(basic.intensity, scan.image.intensity);
-    visit(basic.drop_prob, scan.image.drop_prob), visit(basic.weight, scan.weight), visit(basic.time, scan.time_offset_s);
+    visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m),
+        visit(basic.intensity, scan.image.intensity);
+    visit(basic.drop_prob, scan.image.drop_prob), visit(basic.weight, scan.weight),
+        visit(basic.time, scan.time_offset_s);
     visit(basic.ring, scan.ring), visit(basic.instance, scan.instance);
     if (!scan.second_returns.empty()) {
         visit(ChannelInfo{"range_2", "m"}, scan.second_returns[0].range_m);
@@ -42,13 +45,16 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
         std::visit([&](const auto& values) { visit(channel.info, values); }, channel.values);
         ChannelInfo of_second = channel.info;
         of_second.name += "_2";
-        if (size(channel.second) > 0) std::visit([&](const auto& values) { visit(of_second, values); }, channel.second);
+        if (size(channel.second) > 0)
+            std::visit([&](const auto& values) { visit(of_second, values); }, channel.second);
     }
 }
 
-/// Rays in the frame that the format asks for. @param world_from_deskewed  of that of deskewed rays @param notes  of the files
+/// Rays in the frame that the format asks for. @param world_from_deskewed  of that of
+/// deskewed rays @param notes  of the files
 /// @throws DataError as check_channels()
-PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed, int frame, FileNotes notes = {});
+PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed,
+                 int frame, FileNotes notes = {});
 
 /// Points of returned rays, second returns behind their first.
 PointCloud cloud_of(const PlacedScan& placed);

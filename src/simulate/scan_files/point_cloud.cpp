@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Point clouds as files: PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin.
-// PLY and PCD hold the same packed records under different headers; KITTI has neither header nor extra fields.
-// Names and types of fields are those that readers of spinning LiDARs look for: intensity, ring (uint16), time (float32, seconds).
+// Point clouds as files: PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin. PLY
+// and PCD hold the same packed records under different headers; KITTI has neither header
+// nor extra fields. Names and types of fields are those that readers of spinning LiDARs
+// look for: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/simulate/point_cloud.hpp>
 
 #include <algorithm>
@@ -18,7 +19,8 @@
 namespace relidar {
 namespace {
 
-/// A field of a record, as both headers call it. (PLY has two names of 16 bits, ushort and uint16: Open3D reads the second alone.)
+/// A field of a record, as both headers call it. (PLY has two names of 16 bits, ushort
+/// and uint16: Open3D reads the second alone.)
 struct Field {
     std::string name;
     const char* ply_type;
@@ -49,7 +51,8 @@ std::string ply_name(const std::string& name) {
 void check_cloud(const PointCloud& cloud) {
     const std::size_t n = cloud.position_m.size();
     const auto check = [n](const char* name, std::size_t found) {
-        if (found != n) throw DataError(fmt::format("point cloud: {} values of {}, expected {}", found, name, n));
+        if (found != n)
+            throw DataError(fmt::format("point cloud: {} values of {}, expected {}", found, name, n));
     };
     check("intensity", cloud.intensity.size());
     if (cloud.ring) check("ring", cloud.ring->size());
@@ -91,7 +94,8 @@ void write_ply(const std::filesystem::path& path, const PointCloud& cloud) {
     std::string text = "ply\nformat binary_little_endian 1.0\n";
     for (const auto& note : cloud.notes) text += fmt::format("comment {}\n", export_detail::note_line(note));
     text += fmt::format("element vertex {}\n", cloud.position_m.size());
-    for (const Field& field : fields_of(cloud)) text += fmt::format("property {} {}\n", field.ply_type, ply_name(field.name));
+    for (const Field& field : fields_of(cloud))
+        text += fmt::format("property {} {}\n", field.ply_type, ply_name(field.name));
     export_detail::write_file(path, text + "end_header\n" + packed_records(cloud));
 }
 
@@ -107,7 +111,8 @@ void write_pcd(const std::filesystem::path& path, const PointCloud& cloud) {
     }
     const std::size_t n = cloud.position_m.size();
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
-    header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n, viewpoint(cloud.world_from_points), n);
+    header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
+                          viewpoint(cloud.world_from_points), n);
     export_detail::write_file(path, header + packed_records(cloud));
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What recordings hold of scans that were taken together, whatever their messages look like.
+// What recordings hold of scans that were taken together, whatever their messages look
+// like.
 #pragma once
 
 #include <cstdint>
@@ -50,12 +51,14 @@ struct RecordedActor {
 };
 struct RecordedCloud {
     std::uint64_t stamp_ns;  ///< of the first ray
-    PointCloud cloud;        ///< with ring, time from the stamp, and instance; deskewed: in the sensor's frame at the stamp
+    /// with ring, time from the stamp, and instance; deskewed: in the sensor's frame at
+    /// the stamp
+    PointCloud cloud;
 };
 struct RecordedMoment {
-    std::uint64_t first_ns, last_ns;                             ///< of all rays
-    std::vector<RecordedPose> poses;                             ///< ascending, behind those of earlier moments
-    std::vector<RecordedCloud> clouds;                           ///< [sensors]
+    std::uint64_t first_ns, last_ns;    ///< of all rays
+    std::vector<RecordedPose> poses;    ///< ascending, behind those of earlier moments
+    std::vector<RecordedCloud> clouds;  ///< [sensors]
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;  ///< by the stamps of the clouds
 };
 

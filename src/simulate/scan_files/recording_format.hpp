@@ -30,8 +30,10 @@ struct RecordingFormat {
     const char* file;
     const char* profile;  ///< of the container
     const char *definition_encoding, *message_encoding;
-    std::map<std::string, std::map<std::string, std::string>> metadata;  ///< records, beside what is said of the rendering
-    std::vector<RecordedTopic> (*topics)(const RecordedRig&);            ///< messages of one time are logged in the order of the topics
+    /// records, beside what is said of the rendering
+    std::map<std::string, std::map<std::string, std::string>> metadata;
+    /// messages of one time are logged in the order of the topics
+    std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
 std::span<const RecordingFormat> recording_formats();

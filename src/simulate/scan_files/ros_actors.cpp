@@ -25,23 +25,28 @@ std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     return cdr.take();
 }
 
-/// Numbers of autoware_perception_msgs/ObjectClassification by what names of categories have in them, those that others contain first.
+/// Numbers of autoware_perception_msgs/ObjectClassification by what names of categories
+/// have in them, those that others contain first.
 struct Label {
     const char* word;
     std::uint8_t number;
 };
-constexpr Label kLabels[] = {{"caravan", 4}, {"trailer", 4}, {"truck", 2}, {"large_vehicle", 2}, {"bus", 3},    {"motorcycl", 5},
-                             {"bicycl", 6},  {"cyclist", 6}, {"rider", 6}, {"pedestrian", 7},    {"person", 7}, {"people", 7},
-                             {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
+constexpr Label kLabels[] = {
+    {"caravan", 4}, {"trailer", 4}, {"truck", 2}, {"large_vehicle", 2}, {"bus", 3},    {"motorcycl", 5},
+    {"bicycl", 6},  {"cyclist", 6}, {"rider", 6}, {"pedestrian", 7},    {"person", 7}, {"people", 7},
+    {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
 constexpr std::uint8_t kUnknown = 0;
 
 std::uint8_t label_of(std::string category) {
-    std::ranges::transform(category, category.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-    const auto found = std::ranges::find_if(kLabels, [&](const Label& label) { return category.find(label.word) != std::string::npos; });
+    std::ranges::transform(category, category.begin(),
+                           [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    const auto found = std::ranges::find_if(
+        kLabels, [&](const Label& label) { return category.find(label.word) != std::string::npos; });
     return found == std::end(kLabels) ? kUnknown : found->number;
 }
 
-/// 16 bytes that are the same for a name in every file: two FNV-1a hashes, marked as a UUID of one's own making (version 8).
+/// 16 bytes that are the same for a name in every file: two FNV-1a hashes, marked as a
+/// UUID of one's own making (version 8).
 void add_uuid(Cdr& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -57,7 +62,8 @@ void add_uuid(Cdr& cdr, const std::string& name) {
     }
 }
 
-/// One time for all boxes, because objects have none of their own: the stamp. Their velocities take them to other times.
+/// One time for all boxes, because objects have none of their own: the stamp. Their
+/// velocities take them to other times.
 std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
@@ -65,7 +71,8 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
-        cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);  // it exists, and is that
+        // it exists, and is that
+        cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);
         add_velocity(cdr, {});  // its acceleration, which is not known
@@ -79,10 +86,12 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
 }  // namespace
 
 std::vector<RecordedTopic> ros_actor_topics() {
-    const auto topic = [](const char* name, const char* type, std::string (*message)(std::uint64_t, const Actors&)) {
+    const auto topic = [](const char* name, const char* type,
+                          std::string (*message)(std::uint64_t, const Actors&)) {
         return ros_topic(name, type, [message](const RecordedMoment& moment) {
             std::vector<RecordedMessage> messages;
-            for (const auto& [stamp_ns, actors] : moment.actors) messages.push_back({moment.last_ns, message(stamp_ns, actors)});
+            for (const auto& [stamp_ns, actors] : moment.actors)
+                messages.push_back({moment.last_ns, message(stamp_ns, actors)});
             return messages;
         });
     };

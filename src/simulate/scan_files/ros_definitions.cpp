@@ -29,33 +29,44 @@ const std::map<std::string, std::string>& known_types() {
         {"geometry_msgs/Accel", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"},
         {"geometry_msgs/AccelWithCovariance", "geometry_msgs/Accel accel\nfloat64[36] covariance\n"},
         {"geometry_msgs/Transform", "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"},
-        {"geometry_msgs/TransformStamped", "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"},
+        {"geometry_msgs/TransformStamped",
+         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"},
         {"tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"},
         {"sensor_msgs/PointField",
-         "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\nuint8 UINT32=6\nuint8 FLOAT32=7\nuint8 FLOAT64=8\n"
+         "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\nuint8 UINT32=6\nuint8 "
+         "FLOAT32=7\nuint8 FLOAT64=8\n"
          "string name\nuint32 offset\nuint8 datatype\nuint32 count\n"},
         {"sensor_msgs/PointCloud2",
-         "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\nuint32 point_step\n"
+         "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool "
+         "is_bigendian\nuint32 point_step\n"
          "uint32 row_step\nuint8[] data\nbool is_dense\n"},
         {"nav_msgs/Odometry",
-         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n"},
+         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance "
+         "pose\ngeometry_msgs/TwistWithCovariance twist\n"},
         {"rosgraph_msgs/Clock", "builtin_interfaces/Time clock\n"},
         {"vision_msgs/ObjectHypothesis", "string class_id\nfloat64 score\n"},
-        {"vision_msgs/ObjectHypothesisWithPose", "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"},
+        {"vision_msgs/ObjectHypothesisWithPose",
+         "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"},
         {"vision_msgs/BoundingBox3D", "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n"},
         {"vision_msgs/Detection3D",
-         "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id\n"},
+         "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D "
+         "bbox\nstring id\n"},
         {"vision_msgs/Detection3DArray", "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n"},
         {"autoware_perception_msgs/ObjectClassification", "uint8 label\nfloat32 probability\n"},
-        {"autoware_perception_msgs/Shape", "uint8 type\ngeometry_msgs/Polygon footprint\ngeometry_msgs/Vector3 dimensions\n"},
+        {"autoware_perception_msgs/Shape",
+         "uint8 type\ngeometry_msgs/Polygon footprint\ngeometry_msgs/Vector3 dimensions\n"},
         {"autoware_perception_msgs/TrackedObjectKinematics",
-         "geometry_msgs/PoseWithCovariance pose_with_covariance\ngeometry_msgs/TwistWithCovariance twist_with_covariance\n"
-         "geometry_msgs/AccelWithCovariance acceleration_with_covariance\nuint8 orientation_availability\nbool is_stationary\n"},
+         "geometry_msgs/PoseWithCovariance pose_with_covariance\ngeometry_msgs/TwistWithCovariance "
+         "twist_with_covariance\n"
+         "geometry_msgs/AccelWithCovariance acceleration_with_covariance\nuint8 "
+         "orientation_availability\nbool is_stationary\n"},
         {"autoware_perception_msgs/TrackedObject",
          "unique_identifier_msgs/UUID object_id\nfloat32 existence_probability\n"
-         "autoware_perception_msgs/ObjectClassification[] classification\nautoware_perception_msgs/TrackedObjectKinematics kinematics\n"
+         "autoware_perception_msgs/ObjectClassification[] "
+         "classification\nautoware_perception_msgs/TrackedObjectKinematics kinematics\n"
          "autoware_perception_msgs/Shape shape\n"},
-        {"autoware_perception_msgs/TrackedObjects", "std_msgs/Header header\nautoware_perception_msgs/TrackedObject[] objects\n"},
+        {"autoware_perception_msgs/TrackedObjects",
+         "std_msgs/Header header\nautoware_perception_msgs/TrackedObject[] objects\n"},
     };
     return types;
 }
@@ -75,7 +86,8 @@ std::string ros_definition(const std::string& type) {
     constexpr std::string_view kMessages = "/msg/";
     const std::size_t middle = type.find(kMessages);
     const bool is_short = middle == std::string::npos;
-    std::vector<std::string> types{is_short ? type : type.substr(0, middle) + type.substr(middle + kMessages.size() - 1)};
+    std::vector<std::string> types{
+        is_short ? type : type.substr(0, middle) + type.substr(middle + kMessages.size() - 1)};
     std::string definition;
     for (std::size_t i = 0; i < types.size(); ++i) {
         const std::string& fields = known_types().at(types[i]);

@@ -6,8 +6,10 @@
 
 namespace relidar::scan_files {
 
-/// Of a type, followed by those of all that it is made of, as a reader decodes messages by them.
-/// @param type  as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry", one of those that are known here
+/// Of a type, followed by those of all that it is made of, as a reader decodes messages
+/// by them.
+/// @param type  as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry", one of those that are
+/// known here
 std::string ros_definition(const std::string& type);
 
 }  // namespace relidar::scan_files

@@ -15,22 +15,26 @@ struct RosField {
 };
 constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
 /// By the names of Velodyne's drivers; channels come behind.
-const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},     {"z", 8, kRosFloat32},
-                               {"intensity", 12, kRosFloat32}, {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
+const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
+                                      {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
+                                      {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
 /// PointXYZIRCAEDT of Autoware and Nebula.
-const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},         {"y", 4, kRosFloat32},          {"z", 8, kRosFloat32},
-                                  {"intensity", 12, kRosUint8},  {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
-                                  {"azimuth", 16, kRosFloat32},  {"elevation", 20, kRosFloat32}, {"distance", 24, kRosFloat32},
-                                  {"time_stamp", 28, kRosUint32}};
+const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},
+                                         {"z", 8, kRosFloat32},          {"intensity", 12, kRosUint8},
+                                         {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
+                                         {"azimuth", 16, kRosFloat32},   {"elevation", 20, kRosFloat32},
+                                         {"distance", 24, kRosFloat32},  {"time_stamp", 28, kRosUint32}};
 
 /// Nebula's numbers of returns.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
-/// A second return lies behind its first: it is the last; or before it: then the first was the last, and this the next strongest.
+/// A second return lies behind its first: it is the last; or before it: then the first
+/// was the last, and this the next strongest.
 ReturnType return_type(const PointCloud& cloud, std::size_t point) {
     const bool second = cloud.return_number && (*cloud.return_number)[point] == 2;
     if (!second || point == 0) return kStrongest;
-    return glm::length(cloud.position_m[point]) > glm::length(cloud.position_m[point - 1]) ? kLast : kSecondStrongest;
+    return glm::length(cloud.position_m[point]) > glm::length(cloud.position_m[point - 1]) ? kLast
+                                                                                           : kSecondStrongest;
 }
 
 /// Angles are those of x y z: azimuth from x to the left, elevation up, radians.
@@ -42,7 +46,8 @@ std::string autoware_points(const PointCloud& cloud) {
         append(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
         append(bytes, std::uint8_t(return_type(cloud, i)));
         append(bytes, (*cloud.ring)[i]);
-        append(bytes, std::atan2(p.y, p.x)), append(bytes, std::atan2(p.z, std::hypot(p.x, p.y))), append(bytes, glm::length(p));
+        append(bytes, std::atan2(p.y, p.x)), append(bytes, std::atan2(p.z, std::hypot(p.x, p.y))),
+            append(bytes, glm::length(p));
         append(bytes, std::uint32_t(std::llround(1e9 * std::max(0.0, double((*cloud.time)[i])))));
     }
     return bytes;
@@ -62,25 +67,34 @@ std::string plain_points(const PointCloud& cloud) {
 /// What points of a cloud look like.
 struct PointType {
     const std::vector<RosField>& fields;
-    std::uint32_t step;   ///< without channels
+    std::uint32_t step;  ///< without channels
     std::string (*points)(const PointCloud&);
     bool has_channels;
 };
-const PointType kPlainType{kPlain, 24, plain_points, true}, kAutowareType{kAutoware, 32, autoware_points, false};
+const PointType kPlainType{kPlain, 24, plain_points, true},
+    kAutowareType{kAutoware, 32, autoware_points, false};
 
 std::string cloud_message(const RecordedCloud& cloud, const std::string& frame, const PointType& type) {
     const std::string points = type.points(cloud.cloud);
     std::vector<RosField> fields = type.fields;
     std::uint32_t step = type.step;
-    for (const auto& [name, is_integer] : type.has_channels ? numbers_of(cloud.cloud.channels) : std::vector<ChannelNumber>{}) {
+    for (const auto& [name, is_integer] :
+         type.has_channels ? numbers_of(cloud.cloud.channels) : std::vector<ChannelNumber>{}) {
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
     Cdr cdr;
     add_header(cdr, cloud.stamp_ns, frame);
-    cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.cloud.position_m.size())).add(std::uint32_t(fields.size()));
-    for (const RosField& field : fields) cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
-    cdr.add(std::uint8_t(0)).add(step).add(std::uint32_t(points.size())).add_bytes(points).add(std::uint8_t(1));
+    cdr.add(std::uint32_t(1))
+        .add(std::uint32_t(cloud.cloud.position_m.size()))
+        .add(std::uint32_t(fields.size()));
+    for (const RosField& field : fields)
+        cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
+    cdr.add(std::uint8_t(0))
+        .add(step)
+        .add(std::uint32_t(points.size()))
+        .add_bytes(points)
+        .add(std::uint8_t(1));
     return cdr.take();
 }
 
@@ -91,11 +105,13 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
     const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor].frame_id;
     const auto of_type = [&](const std::string& name, const PointType& type) {
         return ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedMoment& moment) {
-            return std::vector<RecordedMessage>{{moment.last_ns, cloud_message(moment.clouds[sensor], frame, type)}};
+            return std::vector<RecordedMessage>{
+                {moment.last_ns, cloud_message(moment.clouds[sensor], frame, type)}};
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));  // its angles are the sensor's
+    // its angles are the sensor's
+    if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A bag of ROS 2: the tree of frames, the vehicle's motion, the clock, and the topics of sensors and actors.
+// A bag of ROS 2: the tree of frames, the vehicle's motion, the clock, and the topics of
+// sensors and actors.
 #include "ros_parts.hpp"
 
 #include <utility>
@@ -11,17 +12,21 @@
 namespace relidar::scan_files {
 namespace {
 
-/// Quality of service as rosbag2 writes it: policies by their numbers in rmw, times without an end.
+/// Quality of service as rosbag2 writes it: policies by their numbers in rmw, times
+/// without an end.
 std::string service_quality(bool is_latched) {
     constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
     constexpr const char* kEndless = "\n    sec: 9223372036\n    nsec: 854775807\n";
     return fmt::format(
-        "- history: {}\n  depth: {}\n  reliability: {}\n  durability: {}\n  deadline:{}  lifespan:{}  liveliness: {}\n"
+        "- history: {}\n  depth: {}\n  reliability: {}\n  durability: {}\n  deadline:{}  lifespan:{}  "
+        "liveliness: {}\n"
         "  liveliness_lease_duration:{}  avoid_ros_namespace_conventions: false",
-        kKeepLast, is_latched ? 1 : 10, kReliable, is_latched ? kTransientLocal : kVolatile, kEndless, kEndless, kAutomatic, kEndless);
+        kKeepLast, is_latched ? 1 : 10, kReliable, is_latched ? kTransientLocal : kVolatile, kEndless,
+        kEndless, kAutomatic, kEndless);
 }
 
-void add_transform(Cdr& cdr, std::uint64_t stamp_ns, const std::string& parent, const std::string& child, const Pose& pose) {
+void add_transform(Cdr& cdr, std::uint64_t stamp_ns, const std::string& parent, const std::string& child,
+                   const Pose& pose) {
     add_header(cdr, stamp_ns, parent);
     cdr.add_text(child);
     add_pose(cdr, pose);
@@ -72,12 +77,18 @@ RecordedTopic mounting_topic(const RecordedRig& rig) {
 }  // namespace
 
 RecordedTopic ros_topic(const std::string& name, const std::string& type,
-                        std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages, bool is_latched) {
-    return {name, type, ros_definition(type), {{"offered_qos_profiles", service_quality(is_latched)}}, std::move(messages)};
+                        std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
+                        bool is_latched) {
+    return {name,
+            type,
+            ros_definition(type),
+            {{"offered_qos_profiles", service_quality(is_latched)}},
+            std::move(messages)};
 }
 
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig) {
-    std::vector<RecordedTopic> topics{pose_topic("/clock", "rosgraph_msgs/msg/Clock", clock), mounting_topic(rig),
+    std::vector<RecordedTopic> topics{pose_topic("/clock", "rosgraph_msgs/msg/Clock", clock),
+                                      mounting_topic(rig),
                                       pose_topic("/tf", "tf2_msgs/msg/TFMessage", transform),
                                       pose_topic("/odom", "nav_msgs/msg/Odometry", odometry)};
     for (RecordedTopic& topic : ros_actor_topics()) topics.push_back(std::move(topic));

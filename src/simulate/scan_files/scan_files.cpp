@@ -39,7 +39,8 @@ std::vector<double> matrix_of(const Pose& pose) {
 
 std::string frame_text(const ScanFormat& format) {
     if (format.frame == PointFrame::world) return "world: the dataset's own";
-    return is_deskewed(format) ? "sensor at time_s: x forward, y left, z up" : "sensor at each ray's firing time: x forward, y left, z up";
+    return is_deskewed(format) ? "sensor at time_s: x forward, y left, z up"
+                               : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
 FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan) {
@@ -56,12 +57,16 @@ FileNotes notes_of(const ScanFormat& format, int frame, const RenderedScan& scan
 
 template <class T>
 NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
-    return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)}, values.data(), values.size());
+    return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)},
+                      values.data(), values.size());
 }
 
-NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<glm::vec3>& values) {
+NamedArray image_array(const std::string& name, const RangeImage& image,
+                       const std::vector<glm::vec3>& values) {
     const float* first = values.empty() ? nullptr : &values.front().x;
-    return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3}, first, values.size() * 3);
+    return make_array(name,
+                      {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3},
+                      first, values.size() * 3);
 }
 
 std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
@@ -93,13 +98,15 @@ void exr(const fs::path& path, const PlacedScan& placed) {
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
         if constexpr (std::is_same_v<T, glm::vec3>) {
             for (const glm::vec3& v : values)
-                for (int axis = 0; axis < 3; ++axis) channels[fmt::format("{}.{}", name, "xyz"[axis])].push_back(v[axis]);
+                for (int axis = 0; axis < 3; ++axis)
+                    channels[fmt::format("{}.{}", name, "xyz"[axis])].push_back(v[axis]);
         } else {
             channels[name].assign(values.begin(), values.end());
         }
     };
     add("origin", placed.origin), add("direction", placed.direction);
-    for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
+    for_each_file_channel(placed,
+                          [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
     const RangeImage& image = placed.scan.image;
     write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
@@ -108,20 +115,24 @@ void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, array
 void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
 void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
 void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, cloud_of(placed)); }
-void png(const fs::path& path, const PlacedScan& placed) { write_png(path, scan_picture(placed.scan), placed.notes); }
+void png(const fs::path& path, const PlacedScan& placed) {
+    write_png(path, scan_picture(placed.scan), placed.notes);
+}
 
 struct Format {
-    const char* name;   ///< and extension
+    const char* name;  ///< and extension
     void (*write)(const fs::path&, const PlacedScan&);
 };
-constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply}, {"pcd", pcd}, {"bin", bin}, {"png", png}};
+constexpr Format kFormats[] = {{"npz", npz}, {"exr", exr}, {"ply", ply},
+                               {"pcd", pcd}, {"bin", bin}, {"png", png}};
 
 }  // namespace
 
 std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
     for (const Format& format : kFormats) names.emplace_back(format.name);
-    for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) names.emplace_back(format.name);
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats())
+        names.emplace_back(format.name);
     return names;
 }
 
@@ -131,7 +142,8 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
     }
     for (const BoxTrack& box : run.sequence.boxes)
-        if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) != format.instance_names.end())
+        if (std::find(format.instance_names.begin(), format.instance_names.end(), box.id) !=
+            format.instance_names.end())
             format.actors.push_back(box);
     format.world_offset_m = run.sequence.world_offset_m;
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
@@ -159,7 +171,8 @@ bool ScanFolder::wants(const std::string& format) const {
 }
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {
-    const PlacedScan placed = place(scan, format_, scan.world_from_sensor, frame, notes_of(format_, frame, scan));
+    const PlacedScan placed =
+        place(scan, format_, scan.world_from_sensor, frame, notes_of(format_, frame, scan));
     std::vector<std::string> files;
     for (const Format& format : kFormats) {
         if (!wants(format.name)) continue;
@@ -168,8 +181,10 @@ void ScanFolder::write(int frame, const RenderedScan& scan) {
     }
     if (recordings_) recordings_->write({&scan, 1});
     for (const ScanChannel& channel : scan.channels)
-        if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end()) channels_.push_back(channel.info);
-    entries_.push_back(scan_files::entry_json(frame, scan, scan_files::count_points(scan, format_.config), files));
+        if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end())
+            channels_.push_back(channel.info);
+    entries_.push_back(
+        scan_files::entry_json(frame, scan, scan_files::count_points(scan, format_.config), files));
 }
 
 }  // namespace relidar

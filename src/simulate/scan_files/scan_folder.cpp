@@ -23,7 +23,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSummary = "scans.json";
 
-/// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken for a rendering.
+/// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken
+/// for a rendering.
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || std::ranges::any_of(scan_files::recording_formats(), is_named)) return true;
@@ -37,7 +38,8 @@ bool is_of_rendering(const fs::path& name) {
 Json matrix_json(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     Json rows = Json::array();
-    for (int row = 0; row < 4; ++row) rows.push_back({columns[0][row], columns[1][row], columns[2][row], columns[3][row]});
+    for (int row = 0; row < 4; ++row)
+        rows.push_back({columns[0][row], columns[1][row], columns[2][row], columns[3][row]});
     return rows;
 }
 
@@ -56,7 +58,9 @@ Json settings_json(const Config& config) {
 /// What arrays of files are called, what they hold and in what unit.
 Json channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
-    const auto add = [&](const ChannelInfo& channel) { json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}}; };
+    const auto add = [&](const ChannelInfo& channel) {
+        json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}};
+    };
     std::ranges::for_each(file_channels(), add);
     std::ranges::for_each(channels, add);
     return json;
@@ -64,12 +68,13 @@ Json channels_json(const std::vector<ChannelInfo>& channels) {
 
 }  // namespace
 
-ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining) : folder_(std::move(folder)), format_(std::move(format)) {
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining)
+    : folder_(std::move(folder)), format_(std::move(format)) {
     const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(fmt::format("writing scans: found format \"{}\"{} (known: {})", name, did_you_mean(name, known),
-                                         fmt::join(known, ", ")));
+            throw UsageError(fmt::format("writing scans: found format \"{}\"{} (known: {})", name,
+                                         did_you_mean(name, known), fmt::join(known, ", ")));
     check_writable(folder_);
     channels_ = wanted_channels(format_.config.render.channels);
 }
@@ -79,11 +84,14 @@ ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
     for (const std::string& name : joined.format_.formats)
         if (is_recording(name))
             throw UsageError(
-                fmt::format("writing scans by several processes: found format {}, one file of all scans; expected one process", name));
+                fmt::format("writing scans by several processes: found format {}, one file of all scans; "
+                            "expected one process",
+                            name));
     return joined;
 }
 
-ScanFolder::ScanFolder(fs::path folder, ScanFormat format) : ScanFolder(std::move(folder), std::move(format), Joining{}) {
+ScanFolder::ScanFolder(fs::path folder, ScanFormat format)
+    : ScanFolder(std::move(folder), std::move(format), Joining{}) {
     recordings_ = std::make_shared<ScanRecordings>(folder_, std::vector{format_});
 }
 
@@ -101,32 +109,38 @@ void ScanFolder::summarise() const {
         {"deskewed", is_deskewed(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
-        {"returns",
-         config.sensor.returns == 2 ? "1 the strongest, 2 the last, or the next strongest where that is the last" : "one a ray"}};
-    Json json = {{"format", "relidar scans"},
-                 {"version", 1},
-                 {"relidar", RELIDAR_VERSION},
-                 {"run", format_.run},
-                 {"dataset", config.dataset.path},
-                 {"sensor", {{"name", format_.sensor}, {"min_range_m", format_.limits.min_m}, {"max_range_m", format_.limits.max_m}}},
-                 {"sensor_offset", matrix_json(format_.offset)},
-                 {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
-                 {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
-                 {"points", points},
-                 {"channels", channels_json(channels_)},
-                 {"instances", format_.instance_names},
-                 {"only", format_.only},
-                 {"sample", format_.sample ? Json(*format_.sample) : Json()},
-                 {"weather", to_text(format_.weather)},
-                 {"recordings", Json::array()},
-                 {"scans", Json::array()},
-                 {"settings", settings_json(config)}};
+        {"returns", config.sensor.returns == 2
+                        ? "1 the strongest, 2 the last, or the next strongest where that is the last"
+                        : "one a ray"}};
+    Json json = {
+        {"format", "relidar scans"},
+        {"version", 1},
+        {"relidar", RELIDAR_VERSION},
+        {"run", format_.run},
+        {"dataset", config.dataset.path},
+        {"sensor",
+         {{"name", format_.sensor},
+          {"min_range_m", format_.limits.min_m},
+          {"max_range_m", format_.limits.max_m}}},
+        {"sensor_offset", matrix_json(format_.offset)},
+        {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
+        {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
+        {"points", points},
+        {"channels", channels_json(channels_)},
+        {"instances", format_.instance_names},
+        {"only", format_.only},
+        {"sample", format_.sample ? Json(*format_.sample) : Json()},
+        {"weather", to_text(format_.weather)},
+        {"recordings", Json::array()},
+        {"scans", Json::array()},
+        {"settings", settings_json(config)}};
     if (recordings_) json["recordings"] = recordings_->names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
     write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
-std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::size_t n_points, const std::vector<std::string>& files) {
+std::string scan_files::entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
+                                   const std::vector<std::string>& files) {
     const Json entry = {{"frame_number", frame},
                         {"time_s", scan.time_s},
                         {"world_from_sensor", matrix_json(scan.world_from_sensor)},
@@ -151,7 +165,9 @@ void scan_files::remove_scans(const fs::path& folder) {
     for (const fs::path& file : scans_in(folder)) {
         std::error_code failed;
         fs::remove(file, failed);
-        if (failed) throw DataError(fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
+        if (failed)
+            throw DataError(
+                fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
     }
     remove_temporaries(folder);
 }

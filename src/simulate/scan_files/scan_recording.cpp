@@ -14,13 +14,19 @@ namespace relidar::scan_files {
 
 namespace fs = std::filesystem;
 
-ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig, const FileNotes& notes)
-    : path_(std::move(path)), temporary_(temporary_path(path_)), notes_(notes), writer_(temporary_, format.profile) {
+ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
+                             const FileNotes& notes)
+    : path_(std::move(path)),
+      temporary_(temporary_path(path_)),
+      notes_(notes),
+      writer_(temporary_, format.profile) {
     std::map<std::string, std::uint16_t> schemas;
     for (RecordedTopic& topic : format.topics(rig)) {
         if (!schemas.contains(topic.type))
-            schemas[topic.type] = writer_.add_schema(topic.type, format.definition_encoding, topic.definition);
-        const std::uint16_t id = writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata);
+            schemas[topic.type] =
+                writer_.add_schema(topic.type, format.definition_encoding, topic.definition);
+        const std::uint16_t id =
+            writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata);
         channels_.push_back({id, std::move(topic)});
     }
     for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
@@ -39,10 +45,12 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     }
     std::vector<std::pair<std::uint16_t, RecordedMessage>> messages;
     for (const Channel& channel : channels_)
-        for (RecordedMessage& message : channel.topic.messages(moment)) messages.emplace_back(channel.id, std::move(message));
+        for (RecordedMessage& message : channel.topic.messages(moment))
+            messages.emplace_back(channel.id, std::move(message));
     std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
     for (const auto& [channel, message] : messages) {
-        last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);  // sweeps may overlap: what is late is logged when it comes
+        // sweeps may overlap: what is late is logged when it comes
+        last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);
         writer_.add_message(channel, last_logged_ns_, message.bytes);
     }
     writer_.end_chunk();  // one a moment: what a player shows at a time
@@ -50,7 +58,8 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
 
 void ScanRecording::finish() {
     writer_.close();
-    write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });  // flushes it, and gives it its name
+    // flushes it, and gives it its name
+    write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
 }
 
 }  // namespace relidar::scan_files

@@ -11,17 +11,20 @@
 
 namespace relidar::scan_files {
 
-/// A recording appears under its name when it is finished; until then it lies beside it under a temporary name.
+/// A recording appears under its name when it is finished; until then it lies beside it
+/// under a temporary name.
 class ScanRecording {
 public:
     /// @param notes  what the file says of itself @throws DataError as all that write
-    ScanRecording(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig, const FileNotes& notes);
+    ScanRecording(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
+                  const FileNotes& notes);
     /// Leaves nothing behind where finish() was not called.
     ~ScanRecording();
     ScanRecording(const ScanRecording&) = delete;
     ScanRecording& operator=(const ScanRecording&) = delete;
 
-    /// @param shift_s  by how much the times of the file are later than the log's, the same for all moments
+    /// @param shift_s  by how much the times of the file are later than the log's, the
+    /// same for all moments
     void add(const RecordedMoment& moment, double shift_s);
     void finish();
 

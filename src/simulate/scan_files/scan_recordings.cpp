@@ -20,17 +20,17 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool is_topic_letter(char c) {
-    return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_';
-}
+bool is_topic_letter(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_'; }
 
-/// Whether ROS takes a name for a topic: /words/of/letters, digits and _, none of which begins with a digit.
+/// Whether ROS takes a name for a topic: /words/of/letters, digits and _, none of which
+/// begins with a digit.
 bool is_topic(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
         const bool begins_word = topic[i - 1] == '/';
         if (topic[i] == '/' ? begins_word
-                            : !is_topic_letter(topic[i]) || (begins_word && std::isdigit(static_cast<unsigned char>(topic[i]))))
+                            : !is_topic_letter(topic[i]) ||
+                                  (begins_word && std::isdigit(static_cast<unsigned char>(topic[i]))))
             return false;
     }
     return true;
@@ -42,12 +42,15 @@ void check_names(const scan_files::RecordedRig& rig) {
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
         if (!is_topic(sensor.topic))
             throw UsageError(
-                fmt::format("recording: found topic \"{}\", expected one as /lidar/points: words of letters, digits and _, not "
+                fmt::format("recording: found topic \"{}\", expected one as /lidar/points: words of letters, "
+                            "digits and _, not "
                             "beginning with a digit, each behind a /",
                             sensor.topic));
-        if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' || !taken.insert(sensor.frame_id).second)
+        if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' ||
+            !taken.insert(sensor.frame_id).second)
             throw UsageError(
-                fmt::format("recording: found frame \"{}\" of the sensor with topic {}, expected a name without a / in front, "
+                fmt::format("recording: found frame \"{}\" of the sensor with topic {}, expected a name "
+                            "without a / in front, "
                             "other than {}",
                             sensor.frame_id, sensor.topic, fmt::join(taken, ", ")));
     }
@@ -58,15 +61,16 @@ void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> taken;
     for (const scan_files::RecordedTopic& topic : topics)
         if (!taken.insert(topic.name).second)
-            throw UsageError(
-                fmt::format("recording: found topic {} twice, expected another for each of {}", topic.name, fmt::join(taken, ", ")));
+            throw UsageError(fmt::format("recording: found topic {} twice, expected another for each of {}",
+                                         topic.name, fmt::join(taken, ", ")));
 }
 
 /// What a recording says of itself.
 FileNotes recording_notes(const std::vector<ScanFormat>& sensors) {
     const ScanFormat& format = sensors.front();
     std::vector<std::string> names;
-    for (const ScanFormat& sensor : sensors) names.push_back(sensors.size() > 1 ? sensor.frame_id + ": " + sensor.sensor : sensor.sensor);
+    for (const ScanFormat& sensor : sensors)
+        names.push_back(sensors.size() > 1 ? sensor.frame_id + ": " + sensor.sensor : sensor.sensor);
     return {{"relidar", RELIDAR_VERSION},
             {"run", format.run},
             {"dataset", format.config.dataset.path},
@@ -84,7 +88,8 @@ std::string topic_word(const std::string& name) {
     std::string word = name;
     std::ranges::replace_if(
         word, [](char c) { return !is_topic_letter(c); }, '_');
-    if (!word.empty() && std::isdigit(static_cast<unsigned char>(word.front()))) word.insert(word.begin(), '_');
+    if (!word.empty() && std::isdigit(static_cast<unsigned char>(word.front())))
+        word.insert(word.begin(), '_');
     return word;
 }
 
@@ -94,7 +99,8 @@ void name_in_recordings(ScanFormat& format, const std::string& name) {
 }
 
 bool is_recording(const std::string& format) {
-    return std::ranges::any_of(scan_files::recording_formats(), [&](const auto& known) { return format == known.name; });
+    return std::ranges::any_of(scan_files::recording_formats(),
+                               [&](const auto& known) { return format == known.name; });
 }
 
 struct ScanRecordings::Impl {
@@ -112,7 +118,8 @@ ScanRecordings::ScanRecordings(fs::path folder, std::vector<ScanFormat> sensors)
         if (std::ranges::find(wanted, format.name) == wanted.end()) continue;
         check_names(rig), check_topics(format.topics(rig));
         impl_->names.emplace_back(format.file);
-        impl_->files.push_back(std::make_unique<scan_files::ScanRecording>(folder / format.file, format, rig, recording_notes(sensors)));
+        impl_->files.push_back(std::make_unique<scan_files::ScanRecording>(folder / format.file, format, rig,
+                                                                           recording_notes(sensors)));
     }
 }
 
@@ -126,8 +133,6 @@ void ScanRecordings::finish() {
     for (const auto& file : impl_->files) file->finish();
 }
 
-std::vector<std::string> ScanRecordings::names() const {
-    return impl_->names;
-}
+std::vector<std::string> ScanRecordings::names() const { return impl_->names; }
 
 }  // namespace relidar

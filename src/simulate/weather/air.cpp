@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Returns of fog, drops and flakes along a ray, and which of them a sensor reports. Fog is a soft target by Rasshofer, Spies and Spies
-// (2011), as Hahner et al. (ICCV 2021) use it; particles are drawn for each beam as in LISA (Kilic et al. 2021) and by Hahner et al.
-// (CVPR 2022). That fog is uneven from stretch to stretch, and how much, is an assumption.
+// Returns of fog, drops and flakes along a ray, and which of them a sensor reports. Fog
+// is a soft target by Rasshofer, Spies and Spies (2011), as Hahner et al. (ICCV 2021) use
+// it; particles are drawn for each beam as in LISA (Kilic et al. 2021) and by Hahner et
+// al. (CVPR 2022). That fog is uneven from stretch to stretch, and how much, is an
+// assumption.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -16,12 +18,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kStep_m = 0.05;           // of the tables
-constexpr double kOverlap_m = 1.0;         // nearer the receiver does not see what the beam lights (Hahner et al. 2021)
+constexpr double kStep_m = 0.05;  // of the tables
+// nearer the receiver does not see what the beam lights (Hahner et al. 2021)
+constexpr double kOverlap_m = 1.0;
 constexpr double kLight_m_s = 299792458.0;
-constexpr double kBackscatter = 0.046;     // per steradian: beta of fog over its visibility (Rasshofer et al. 2011)
-constexpr double kFogSpread = 1.0;         // standard deviation of ln(beta); an assumption
-constexpr double kRareFog = 5.0;           // standard deviations: thicker fog is too rare to wait for
+// per steradian: beta of fog over its visibility (Rasshofer et al. 2011)
+constexpr double kBackscatter = 0.046;
+constexpr double kFogSpread = 1.0;  // standard deviation of ln(beta); an assumption
+constexpr double kRareFog = 5.0;    // standard deviations: thicker fog is too rare to wait for
 
 double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 
@@ -51,12 +55,15 @@ Echo second_of(const Candidates& candidates, const Echo& strongest, double separ
 
 }  // namespace
 
-double WeatherSensor::threshold(double range_m) const { return std::max(weakest(), weakest_reflectivity / (range_m * range_m)); }
+double WeatherSensor::threshold(double range_m) const {
+    return std::max(weakest(), weakest_reflectivity / (range_m * range_m));
+}
 
 Air::Air(const Weather& weather, const WeatherSensor& sensor)
     : weather_(weather), sensor_(sensor), falling_(falling_in(weather)), alpha_(extinction(weather)) {
     check_weather(weather);
-    const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)), rises_to_m = nearest_m() + pulse_m(sensor);
+    const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)),
+                 rises_to_m = nearest_m() + pulse_m(sensor);
     bool fog_shows = std::isfinite(weather.fog_visibility_m);
     double expected = 0.0, before = 0.0;
     for (double r = nearest_m(); r <= sensor.max_range_m + kStep_m; r += kStep_m) {
@@ -64,7 +71,8 @@ Air::Air(const Weather& weather, const WeatherSensor& sensor)
         fog_shows = fog_shows && (r < rises_to_m || fog_power_.back() * thickest > sensor.weakest());
         if (falling_.per_m3_mm == 0.0) continue;
         const double area = 0.25 * kPi * beam_m(r) * beam_m(r),
-                     density = area * falling_.per_m3_mm / falling_.slope_per_mm * std::exp(-falling_.slope_per_mm * smallest_mm(r));
+                     density = area * falling_.per_m3_mm / falling_.slope_per_mm *
+                               std::exp(-falling_.slope_per_mm * smallest_mm(r));
         if (!particles_.empty()) expected += 0.5 * (before + density) * kStep_m;
         before = density;
         particles_.push_back(expected);
@@ -73,9 +81,11 @@ Air::Air(const Weather& weather, const WeatherSensor& sensor)
 
 double Air::nearest_m() const { return std::max(kOverlap_m, sensor_.min_range_m); }
 
-/// Diameter as water of the smallest particle that is bright enough; infinite where one that fills the beam is not.
+/// Diameter as water of the smallest particle that is bright enough; infinite where one
+/// that fills the beam is not.
 double Air::smallest_mm(double range_m) const {
-    const double share = sensor_.threshold(range_m) * range_m * range_m * std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
+    const double share = sensor_.threshold(range_m) * range_m * range_m * std::exp(2.0 * alpha_ * range_m) /
+                         falling_.reflectivity;
     if (share > 1.0) return std::numeric_limits<double>::infinity();
     return 1e3 * beam_m(range_m) * std::sqrt(share) / falling_.widening;
 }
@@ -86,18 +96,21 @@ double Air::fog_power(double range_m) const {
     const double width_m = pulse_m(sensor_), part_m = width_m / kParts;
     double sum = 0.0;
     for (int i = 0; i < kParts; ++i) {
-        const double x = -0.5 * width_m + (i + 0.5) * part_m, r = range_m + x, pulse = std::cos(kPi * x / width_m);
+        const double x = -0.5 * width_m + (i + 0.5) * part_m, r = range_m + x,
+                     pulse = std::cos(kPi * x / width_m);
         if (r >= kOverlap_m) sum += pulse * pulse * std::exp(-2.0 * alpha_ * r) / (r * r) * part_m;
     }
     return kPi * kBackscatter / weather_.fog_visibility_m * sum;
 }
 
-/// Returns the reflectivity of a surface that the log returned. Below one intensity step the log does
-/// not contain the reflectivity, so this draws it between the weakest that is returned and one step.
+/// Returns the reflectivity of a surface that the log returned. Below one intensity step
+/// the log does not contain the reflectivity, so this draws it between the weakest that
+/// is returned and one step.
 double Air::surface_reflectivity(const Echo& surface, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface.reflectivity >= step) return surface.reflectivity;
-    return std::lerp(sensor_.threshold(surface.range_m) * surface.range_m * surface.range_m, step, random.uniform());
+    return std::lerp(sensor_.threshold(surface.range_m) * surface.range_m * surface.range_m, step,
+                     random.uniform());
 }
 
 void Air::add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces, Random& random) const {
@@ -105,13 +118,15 @@ void Air::add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surf
         if (echo.source == PointSource::nothing) continue;
         const bool is_surface = echo.source == PointSource::surface;
         if (!is_surface && echo.range_m > sensor_.max_range_m) continue;
-        const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * std::exchange(echo.through_water, 1.0);
+        const double transmission =
+            std::exp(-2.0 * alpha_ * echo.range_m) * std::exchange(echo.through_water, 1.0);
         const double darkest = echo.source == PointSource::mirror ? sensor_.darkest : 0.0;
         const double reflectivity =
             is_surface ? surface_reflectivity(echo, random) : std::max(echo.reflectivity, darkest);
         const double power = reflectivity * transmission / (echo.range_m * echo.range_m);
         echo.reflectivity *= transmission;
-        if (power >= (is_surface ? sensor_.threshold(echo.range_m) : sensor_.weakest())) candidates.push_back({echo, power});
+        if (power >= (is_surface ? sensor_.threshold(echo.range_m) : sensor_.weakest()))
+            candidates.push_back({echo, power});
     }
 }
 
@@ -123,7 +138,8 @@ void Air::add_fog(std::vector<Candidate>& candidates, double free_m, Random& ran
         if (range_m >= free_m || k + 1 >= fog_power_.size()) return;
         const double mean = std::lerp(fog_power_[k], fog_power_[k + 1], place - double(k));
         const double power = mean * std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
-        if (power >= sensor_.threshold(range_m)) candidates.push_back({{range_m, power * range_m * range_m, PointSource::fog}, power});
+        if (power >= sensor_.threshold(range_m))
+            candidates.push_back({{range_m, power * range_m * range_m, PointSource::fog}, power});
     }
 }
 
@@ -141,18 +157,23 @@ void Air::add_particles(std::vector<Candidate>& candidates, double free_m, Rando
     }
 }
 
-/// Levels above the weakest power are those of a Gaussian's crests: power^2 = weakest^2 + 2 sigma^2 E, E exponential.
-void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m, Random& random) const {
+/// Levels above the weakest power are those of a Gaussian's crests: power^2 = weakest^2 +
+/// 2 sigma^2 E, E exponential.
+void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m,
+                    Random& random) const {
     const bool meets_surface = surfaces.strongest.source == PointSource::surface;
     const double albedo = meets_surface ? std::min(surfaces.strongest.reflectivity, 1.0) : 0.0;
-    const double sigma =
-        sun_noise(weather_.sun, sensor_, surfaces.from_sun_rad, albedo, !meets_surface && free_m >= sensor_.max_range_m);
+    const double sigma = sun_noise(weather_.sun, sensor_, surfaces.from_sun_rad, albedo,
+                                   !meets_surface && free_m >= sensor_.max_range_m);
     const double per_m = false_returns_per_m(sensor_, sensor_.weakest() / sigma);
     const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
     if (!(per_m > 0.0)) return;
-    for (double range_m = nearest_m() + waiting() / per_m; range_m < sensor_.max_range_m; range_m += waiting() / per_m) {
-        const double power = std::sqrt(sensor_.weakest() * sensor_.weakest() + 2.0 * sigma * sigma * waiting());
-        if (power >= sensor_.threshold(range_m)) candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
+    for (double range_m = nearest_m() + waiting() / per_m; range_m < sensor_.max_range_m;
+         range_m += waiting() / per_m) {
+        const double power =
+            std::sqrt(sensor_.weakest() * sensor_.weakest() + 2.0 * sigma * sigma * waiting());
+        if (power >= sensor_.threshold(range_m))
+            candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
     }
 }
 
@@ -162,7 +183,8 @@ RayEchoes Air::look(const RayEchoes& surfaces, double free_m, std::uint64_t seed
     add_surfaces(candidates, surfaces, random);
     if (!fog_power_.empty()) add_fog(candidates, free_m, random);
     if (!particles_.empty()) add_particles(candidates, free_m, random);
-    if (weather_.sun.klux > 0.0 && std::isfinite(surfaces.from_sun_rad) && free_m > 0.0) add_noise(candidates, surfaces, free_m, random);
+    if (weather_.sun.klux > 0.0 && std::isfinite(surfaces.from_sun_rad) && free_m > 0.0)
+        add_noise(candidates, surfaces, free_m, random);
     if (candidates.empty()) return {};
     const Echo strongest = std::ranges::max_element(candidates, {}, &Candidate::power)->echo;
     return {strongest, second_of(candidates, strongest, sensor_.separation_m)};

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather as text, and what it takes away: alpha of fog by the definition of visibility, exp(-alpha V) = 0.05; of drops and flakes the sum
-// of their shadows, each of which takes twice its area of light (Q_ext = 2, particles far larger than the wavelength).
+// Weather as text, and what it takes away: alpha of fog by the definition of visibility,
+// exp(-alpha V) = 0.05; of drops and flakes the sum of their shadows, each of which takes
+// twice its area of light (Q_ext = 2, particles far larger than the wavelength).
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -22,17 +23,19 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kExpected = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
-                                  "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
-constexpr const char* kSun = "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
-constexpr double kUsual_klux = 100.0;   // on a clear day
+constexpr const char* kExpected =
+    "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
+    "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
+constexpr const char* kSun =
+    "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
+constexpr double kUsual_klux = 100.0;  // on a clear day
 
 struct Kind {
     std::string_view name;
     double Weather::*value;
     double least, most;
     const char* range;
-    double usual = 0.0;   ///< of the word alone; 0: it needs a number
+    double usual = 0.0;  ///< of the word alone; 0: it needs a number
 };
 constexpr Kind kKinds[] = {
     {"fog", &Weather::fog_visibility_m, 1.0, 1e6, "a visibility of 1 to 1e6 metres"},
@@ -44,8 +47,8 @@ constexpr Kind kKinds[] = {
 
 bool is_weather(const Kind& kind, double value) { return value >= kind.least && value <= kind.most; }
 bool is_sun(const Sun& sun) {
-    return std::abs(sun.azimuth_deg) <= 360.0 && sun.elevation_deg >= 0.0 && sun.elevation_deg <= 90.0 && sun.klux > 0.0 &&
-           sun.klux <= 150.0;
+    return std::abs(sun.azimuth_deg) <= 360.0 && sun.elevation_deg >= 0.0 && sun.elevation_deg <= 90.0 &&
+           sun.klux > 0.0 && sun.klux <= 150.0;
 }
 
 [[noreturn]] void refuse(const Kind& kind, const std::string& found) {
@@ -67,12 +70,14 @@ Sun read_sun(std::string_view text) {
     for (bool more = true; more; ++n) {
         const std::size_t colon = text.find(':', begin);
         const std::optional<double> value = number_of(text.substr(begin, colon - begin));
-        if (n >= std::size(values) || !value) throw UsageError(fmt::format("weather: found sun={}, expected {}", excerpt(text), kSun));
+        if (n >= std::size(values) || !value)
+            throw UsageError(fmt::format("weather: found sun={}, expected {}", excerpt(text), kSun));
         *values[n] = *value;
         more = colon != std::string_view::npos;
         begin = colon + 1;
     }
-    if (n < 2 || !is_sun(sun)) throw UsageError(fmt::format("weather: found sun={}, expected {}", excerpt(text), kSun));
+    if (n < 2 || !is_sun(sun))
+        throw UsageError(fmt::format("weather: found sun={}, expected {}", excerpt(text), kSun));
     return sun;
 }
 
@@ -86,7 +91,8 @@ void read_word(Weather& weather, std::string_view word, std::size_t equals) {
     const auto twice = [](std::string_view name) {
         throw UsageError(fmt::format("weather: found {} twice, expected it once", name));
     };
-    const std::string_view name = word.substr(0, equals), text = word.substr(std::min(equals + 1, word.size()));
+    const std::string_view name = word.substr(0, equals),
+                           text = word.substr(std::min(equals + 1, word.size()));
     if (name == "sun" && equals < word.size()) {
         if (weather.sun != Sun{}) twice(name);
         weather.sun = read_sun(text);
@@ -107,7 +113,8 @@ void read_word(Weather& weather, std::string_view word, std::size_t equals) {
 Weather parse_weather(const std::string& text) {
     Weather weather;
     if (text == "clear") return weather;
-    for (const std::string& word : words_of(text)) read_word(weather, word, std::min(word.find('='), word.size()));
+    for (const std::string& word : words_of(text))
+        read_word(weather, word, std::min(word.find('='), word.size()));
     check_weather(weather);
     return weather;
 }
@@ -116,7 +123,8 @@ std::string to_text(const Weather& weather) {
     const Weather clear;
     std::vector<std::string> words;
     for (const Kind& kind : kKinds)
-        if (const double value = weather.*kind.value; value != clear.*kind.value) words.push_back(fmt::format("{}={}", kind.name, value));
+        if (const double value = weather.*kind.value; value != clear.*kind.value)
+            words.push_back(fmt::format("{}={}", kind.name, value));
     if (weather.sun != Sun{}) words.push_back(sun_text(weather.sun));
     return words.empty() ? "clear" : fmt::format("{}", fmt::join(words, ","));
 }
@@ -130,21 +138,28 @@ void check_weather(const Weather& weather) {
     if (weather.sun != Sun{} && !is_sun(weather.sun))
         throw UsageError(fmt::format("weather: found {}, expected {}", sun_text(weather.sun), kSun));
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
-        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected one of them", weather.rain_mm_h, weather.snow_mm_h));
+        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected one of them",
+                                     weather.rain_mm_h, weather.snow_mm_h));
 }
 
 double extinction(const Weather& weather) {
     const Particles p = falling_in(weather);
-    const double shadows = p.per_m3_mm > 0.0 ? kPi * p.per_m3_mm * 1e-6 * p.widening * p.widening / std::pow(p.slope_per_mm, 3) : 0.0;
+    const double shadows =
+        p.per_m3_mm > 0.0 ? kPi * p.per_m3_mm * 1e-6 * p.widening * p.widening / std::pow(p.slope_per_mm, 3)
+                          : 0.0;
     return std::log(20.0) / weather.fog_visibility_m + shadows;
 }
 
 Particles falling_in(const Weather& weather) {
-    if (weather.rain_mm_h > 0.0)   // Marshall and Palmer 1948; a drop mirrors as water does at normal incidence, ((n - 1) / (n + 1))^2
+    // Marshall and Palmer 1948; a drop mirrors as water does at normal incidence, ((n -
+    // 1) / (n + 1))^2
+    if (weather.rain_mm_h > 0.0)
         return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
-    if (weather.snow_mm_h > 0.0)   // Gunn and Marshall 1958, of melted diameters; a flake of a tenth of water's density is wider
-        return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87), 2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0),
-                0.25};
+    // Gunn and Marshall 1958, of melted diameters; a flake of a tenth of water's density
+    // is wider
+    if (weather.snow_mm_h > 0.0)
+        return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
+                2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
     return {};
 }
 

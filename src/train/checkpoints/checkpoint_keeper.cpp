@@ -16,8 +16,9 @@
 namespace relidar {
 
 namespace {
-constexpr int kKept = 2;   // checkpoints: the newest, and the one before where a machine fails while it is written
-}
+// checkpoints: the newest, and the one before where a machine fails while it is written
+constexpr int kKept = 2;
+}  // namespace
 
 CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
                                    const std::function<void(const std::string&)>& note)
@@ -26,8 +27,10 @@ CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest, std
 void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill) {
     const int iteration = checkpoint.iteration;
     const auto failed = [&](const std::string& why) {
-        const std::string safe = newest_ > 0 ? fmt::format("the last one is of {} {}", count_, newest_) : "there is none yet";
-        if (note_) note_(fmt::format("checkpoint of {} {} not written, {}: {}", count_, iteration, safe, why));
+        const std::string safe =
+            newest_ > 0 ? fmt::format("the last one is of {} {}", count_, newest_) : "there is none yet";
+        if (note_)
+            note_(fmt::format("checkpoint of {} {} not written, {}: {}", count_, iteration, safe, why));
     };
     try {
         fill(checkpoint);
@@ -47,23 +50,26 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
     }
 }
 
-CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config, const TrainSession& session)
+CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
+                                   const TrainSession& session)
     : config_(config.train),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.wanted())
-        texts_ = std::async(std::launch::async, [&sequence, &split, &config] { return training_texts(sequence, split, config); });
+        texts_ = std::async(std::launch::async,
+                            [&sequence, &split, &config] { return training_texts(sequence, split, config); });
 }
 
 bool CheckpointKeeper::due(int step) const {
     if (!folder_.wanted()) return false;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
-    const bool by_time = config_.checkpoint_minutes > 0.0 && since_last.count() >= 60.0 * config_.checkpoint_minutes;
+    const bool by_time =
+        config_.checkpoint_minutes > 0.0 && since_last.count() >= 60.0 * config_.checkpoint_minutes;
     return by_count || by_time || (step == config_.iterations && folder_.newest() > 0);
 }
 
 void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
-    last_ = Clock::now();   // a full disk is tried again when the next one is due
+    last_ = Clock::now();  // a full disk is tried again when the next one is due
     if (!folder_.wanted()) return;
     folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         StateWriter write(checkpoint);

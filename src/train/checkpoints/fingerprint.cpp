@@ -17,17 +17,21 @@ namespace relidar {
 namespace {
 
 constexpr const char* kSetting = "setting/";
-constexpr const char* kTrainAgain = "a checkpoint of another version of relidar cannot be continued: train again";
+constexpr const char* kTrainAgain =
+    "a checkpoint of another version of relidar cannot be continued: train again";
 
 /// Hash of everything added, in order.
 class Hash {
 public:
     template <class T, class Allocator>
-    void add(const std::vector<T, Allocator>& values) { add(values.data(), values.size() * sizeof(T)); }
+    void add(const std::vector<T, Allocator>& values) {
+        add(values.data(), values.size() * sizeof(T));
+    }
     void add(const std::string& text) { add(text.data(), text.size()); }
     void add(const PoseTrack& track) {
         add(track.time_s);
-        for (const Pose& pose : track.pose) add(&pose.rotation, sizeof pose.rotation), add(&pose.translation, sizeof pose.translation);
+        for (const Pose& pose : track.pose)
+            add(&pose.rotation, sizeof pose.rotation), add(&pose.translation, sizeof pose.translation);
     }
     void add(const void* bytes, std::size_t n) {
         for (std::size_t i = 0; i < n; i += 8) {
@@ -102,7 +106,8 @@ std::string found_in(const Checkpoint& checkpoint, const std::string& key) {
     return it == checkpoint.texts.end() ? "nothing" : it->second;
 }
 
-std::string differs(const std::string& doing, const std::string& what, const std::string& found, const std::string& expected) {
+std::string differs(const std::string& doing, const std::string& what, const std::string& found,
+                    const std::string& expected) {
     return fmt::format("{}: {}: found {}, expected {} as in the checkpoint", doing, what, found, expected);
 }
 
@@ -117,16 +122,21 @@ std::vector<Mark> marks_of(const Sequence& sequence, const Split& split) {
 
 Mark mark_of(const Scene& scene) { return {"scene", "the scene", hash_scene(scene)}; }
 
-void put(const ConfigKey& setting, std::map<std::string, std::string>& texts) { texts[kSetting + setting.key] = setting.value; }
+void put(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
+    texts[kSetting + setting.key] = setting.value;
+}
 void put(const Mark& mark, std::map<std::string, std::string>& texts) { texts[mark.key] = mark.value; }
 
-void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint, const std::string& doing) {
+void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                const std::string& doing) {
     const std::map<std::string, std::string> saved = settings_in(checkpoint);
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
         if (it == saved.end())
-            throw DataError(fmt::format("{}: setting {}: missing in the checkpoint; {}", doing, setting.key, kTrainAgain));
-        if (it->second != setting.value) throw UsageError(differs(doing, "setting " + setting.key, setting.value, it->second));
+            throw DataError(fmt::format("{}: setting {}: missing in the checkpoint; {}", doing, setting.key,
+                                        kTrainAgain));
+        if (it->second != setting.value)
+            throw UsageError(differs(doing, "setting " + setting.key, setting.value, it->second));
     }
 }
 
@@ -144,8 +154,8 @@ std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint) {
         if (!text.starts_with(prefix)) continue;
         const std::string key = text.substr(prefix.size());
         if (!known.contains(key))
-            throw DataError(fmt::format("checkpoint of iteration {}: setting {}: unknown key; {}", checkpoint.iteration,
-                                        excerpt(key), kTrainAgain));
+            throw DataError(fmt::format("checkpoint of iteration {}: setting {}: unknown key; {}",
+                                        checkpoint.iteration, excerpt(key), kTrainAgain));
         settings.emplace(key, value);
     }
     return settings;

@@ -16,9 +16,9 @@
 namespace relidar {
 namespace {
 
-constexpr std::array kFollows{"refine.", "render."};   // settings of what begins where the steps end
-/// Settings that change where training ends, what it reports, or where the log lies, but not a step of it. Paths are free because the log
-/// itself is compared.
+constexpr std::array kFollows{"refine.", "render."};  // settings of what begins where the steps end
+/// Settings that change where training ends, what it reports, or where the log lies, but
+/// not a step of it. Paths are free because the log itself is compared.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",
@@ -49,13 +49,15 @@ struct LogColumns {
         visit("log/iteration", iteration);
         visit("log/seconds", seconds);
         visit("log/surfels", surfels);
-        for (std::size_t k = 0; k < terms.size(); ++k) visit(std::string("log/") + kLossTermNames[k], terms[k]);
-        for (std::size_t k = 0; k < densified.size(); ++k) visit(std::string("log/densified/") + kDensifyCounts[k].first, densified[k]);
+        for (std::size_t k = 0; k < terms.size(); ++k)
+            visit(std::string("log/") + kLossTermNames[k], terms[k]);
+        for (std::size_t k = 0; k < densified.size(); ++k)
+            visit(std::string("log/densified/") + kDensifyCounts[k].first, densified[k]);
     }
 };
 
-TrainProgress progress_at(int step, const Config& config, double seconds, const std::array<double, kLossTerms>& terms,
-                          std::uint32_t n_surfels) {
+TrainProgress progress_at(int step, const Config& config, double seconds,
+                          const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels) {
     TrainProgress p;
     p.iteration = step;
     p.n_iterations = config.train.iterations;
@@ -69,7 +71,8 @@ TrainProgress progress_at(int step, const Config& config, double seconds, const 
 
 }  // namespace
 
-std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split, const Config& config) {
+std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split,
+                                                  const Config& config) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : config_keys(config)) put(key, texts);
     for (const Mark& mark : marks_of(sequence, split)) put(mark, texts);
@@ -83,19 +86,22 @@ std::string differing_setting(const Config& config, const Config& other) {
     return "";
 }
 
-void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split, const Config& config) {
+void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
+                     const Config& config) {
     const std::string doing = fmt::format("resuming from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = config_keys(config);
     std::erase_if(settings, [](const ConfigKey& key) { return is_free(key.key); });
     check_same(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
-        throw UsageError(fmt::format("{}: setting train.iterations: found {}, expected at least as many", doing, config.train.iterations));
+        throw UsageError(fmt::format("{}: setting train.iterations: found {}, expected at least as many",
+                                     doing, config.train.iterations));
     for (const Mark& mark : marks_of(sequence, split)) check_same(checkpoint, mark, doing);
 }
 
 void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds) {
     TrainProgress p = progress_at(line.step, config, seconds, line.terms, line.n_surfels);
-    const int left = p.n_iterations - p.iteration, done = log.empty() ? 0 : p.iteration - log.front().iteration;
+    const int left = p.n_iterations - p.iteration,
+              done = log.empty() ? 0 : p.iteration - log.front().iteration;
     p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
     if (left > 0 && done > 0) p.eta_s = left * (p.seconds - log.front().seconds) / done;
     p.densified = line.densified;
@@ -109,7 +115,8 @@ void write_result(StateWriter& write, const TrainResult& result, double train_s)
         log.seconds.push_back(p.seconds);
         log.surfels.push_back(p.n_surfels);
         for (std::size_t k = 0; k < p.terms.size(); ++k) log.terms[k].push_back(p.terms[k]);
-        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
+        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
+            log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
     }
     log.visit_state(write);
     write("initialise_s", result.initialise_s);
@@ -121,15 +128,18 @@ std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Confi
     log.visit_state(StateReader(checkpoint));
     const std::size_t n = log.iteration.size();
     const auto as_long = [n](const auto& column) { return column.size() == n; };
-    const bool even = as_long(log.seconds) && as_long(log.surfels) && std::ranges::all_of(log.terms, as_long) &&
-                      std::ranges::all_of(log.densified, as_long);
-    if (!even) throw DataError(fmt::format("resuming from iteration {}: the columns of the log differ in length", checkpoint.iteration));
+    const bool even = as_long(log.seconds) && as_long(log.surfels) &&
+                      std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
+    if (!even)
+        throw DataError(fmt::format("resuming from iteration {}: the columns of the log differ in length",
+                                    checkpoint.iteration));
     std::vector<TrainProgress> lines;
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};
         for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = log.terms[k][i];
         lines.push_back(progress_at(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
-        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k) lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
+        for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
+            lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
     }
     return lines;
 }
@@ -145,7 +155,8 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 Scene scene_of(const Checkpoint& checkpoint) {
     Scene scene;
     scene.surfels = StateReader(checkpoint).surfels("parameters");
-    read_layout_json(checkpoint.text("layout"), fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
+    read_layout_json(checkpoint.text("layout"),
+                     fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
     return scene;
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The last stage of training (paper, section 3.5): training frames rendered once, and a network that learns from them what the sensor
-// dropped. Rays are the sensor's nominal ones: those of a scan have jitter where they returned and none where they did not, which would
-// tell the answer.
+// The last stage of training (paper, section 3.5): training frames rendered once, and a
+// network that learns from them what the sensor dropped. Rays are the sensor's nominal
+// ones: those of a scan have jitter where they returned and none where they did not,
+// which would tell the answer.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -20,36 +21,44 @@
 namespace relidar {
 namespace {
 
-bool looks_at_grid(const Config& config) { return config.refine.image == "grid" && config.sensor.grid != "native"; }
+bool looks_at_grid(const Config& config) {
+    return config.refine.image == "grid" && config.sensor.grid != "native";
+}
 
 /// Rays of a frame's LiDAR; with refine.image = grid, binned.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!looks_at_grid(config)) return nominal_rays_of(config, sequence, frame);
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan that the network learns from
+    sensor.rolling_shutter = sequence.rolling_shutter;  // like the scan that the network learns from
     return sensor;
 }
 
-/// Rays between a sensor's own: each turned towards the next column by a share of the way. Surfels have been fitted to the sensor's own
-/// rays, and what they make of those is better than what they make of held-out ones.
+/// Rays between a sensor's own: each turned towards the next column by a share of the
+/// way. Surfels have been fitted to the sensor's own rays, and what they make of those is
+/// better than what they make of held-out ones.
 RayTable turned_rays(RayTable rays, float share) {
     const RayTable own = rays;
-    constexpr float kNear = 0.9f;   // cosine: the next column of a window's last one lies at its other end
+    constexpr float kNear = 0.9f;  // cosine: the next column of a window's last one lies at its other end
     for (std::size_t i = 0; i < own.size(); ++i) {
         const std::size_t row = i / std::size_t(own.columns), next = (i + 1) % std::size_t(own.columns);
-        const glm::vec3& towards = own.direction[row * std::size_t(own.columns) + next % std::size_t(own.columns)];
-        if (glm::dot(own.direction[i], towards) > kNear) rays.direction[i] = glm::normalize(glm::mix(own.direction[i], towards, share));
+        const glm::vec3& towards =
+            own.direction[row * std::size_t(own.columns) + next % std::size_t(own.columns)];
+        if (glm::dot(own.direction[i], towards) > kNear)
+            rays.direction[i] = glm::normalize(glm::mix(own.direction[i], towards, share));
     }
     return rays;
 }
 
-/// measured_drops() of the cells of config.sensor.grid. A cell is not known where something returned that is not.
-std::vector<float> measured_cell_drops(const Config& config, const Frame& frame, const std::vector<float>& dropped) {
+/// measured_drops() of the cells of config.sensor.grid. A cell is not known where
+/// something returned that is not.
+std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
+                                       const std::vector<float>& dropped) {
     std::vector<float> cells = real_image(config, frame.scan).drop_prob;
     const RangeGrid grid = find_grid(config.sensor.grid);
     for (std::size_t i = 0; i < dropped.size(); ++i) {
         if (dropped[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
-        if (const std::optional<int> cell = project(grid, glm::dvec3(frame.scan.point(i)))) cells[std::size_t(*cell)] = -1.0f;
+        if (const std::optional<int> cell = project(grid, glm::dvec3(frame.scan.point(i))))
+            cells[std::size_t(*cell)] = -1.0f;
     }
     return cells;
 }
@@ -62,17 +71,22 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
         const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
         if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
     }
-    const auto most = std::max_element(by_shape.begin(), by_shape.end(),
-                                       [](const auto& a, const auto& b) { return a.second.size() < b.second.size(); });
+    const auto most = std::max_element(by_shape.begin(), by_shape.end(), [](const auto& a, const auto& b) {
+        return a.second.size() < b.second.size();
+    });
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// What a network sees of the training frames and what came of it. @return nothing where stopped
-std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config, const RefineSession& session) {
-    const std::vector<int> positions = spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
+/// What a network sees of the training frames and what came of it. @return nothing where
+/// stopped
+std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config,
+                                       const RefineSession& session) {
+    const std::vector<int> positions =
+        spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
-            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and columns, expected one",
+            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and "
+                        "columns, expected one",
                         run.sequence.name));
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const Unknown masks = masks_of(config, run.scene);
@@ -80,7 +94,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
     if (kind_of(config.image.primitive).has_normals) renderer.want_channels("incidence");
     std::vector<DropImage> images;
     for (const int position : positions) {
-        if (session.progress) session.progress("rendering training frames", double(images.size()) / double(positions.size()));
+        if (session.progress)
+            session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         SensorChoice sensor = rays_of(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
@@ -92,7 +107,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         if (looks_at_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;   // whatever the network says of it, it drops
+            // whatever the network says of it, it drops
+            if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
         if (session.stop && session.stop()) return {};
     }
     if (session.progress) session.progress("rendering training frames", 1.0);
@@ -110,7 +126,8 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
     begin_stage(session.stages, "network");
     if (images.empty()) return {};
     RefineKeeper checkpoints(run, session);
-    const std::optional<RefineState> start = session.start ? std::optional(refine_state(*session.start)) : std::nullopt;
+    const std::optional<RefineState> start =
+        session.start ? std::optional(refine_state(*session.start)) : std::nullopt;
     bool stopped = false;
     const auto after_step = [&](const RefineProgress& progress, const std::function<RefineState()>& state) {
         if (session.step) session.step(progress);
@@ -118,7 +135,8 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
         checkpoints.after_step(progress, stopped, state);
         return !stopped;
     };
-    DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step, start ? &*start : nullptr);
+    DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step,
+                                             start ? &*start : nullptr);
     if (looks_at_grid(config)) network.image = config.sensor.grid;
     return stopped ? DropNetwork{} : network;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// When the training of a ray-drop network writes a checkpoint, and what must be as it was where it goes on: the scene and the log by
-// hashes, and the settings that images and network depend on.
+// When the training of a ray-drop network writes a checkpoint, and what must be as it was
+// where it goes on: the scene and the log by hashes, and the settings that images and
+// network depend on.
 #include "train/drops/refine_keeper.hpp"
 
 #include <algorithm>
@@ -16,7 +17,8 @@ namespace {
 /// What images and network depend on beside the scene and the log.
 bool matters(const std::string& key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
-    return key != "refine.enabled" && std::ranges::any_of(kGroups, [&](const char* group) { return key.starts_with(group); });
+    return key != "refine.enabled" &&
+           std::ranges::any_of(kGroups, [&](const char* group) { return key.starts_with(group); });
 }
 
 std::vector<Mark> marks_of(const Run& run) {
@@ -43,13 +45,15 @@ RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
     if (folder_.wanted()) texts_ = std::async(std::launch::async, [&run] { return texts_of(run); });
 }
 
-void RefineKeeper::after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state) {
+void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
+                              const std::function<RefineState()>& state) {
     const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
-    last_ = Clock::now();   // a full disk is tried again when the next one is due
-    folder_.save({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
+    last_ = Clock::now();  // a full disk is tried again when the next one is due
+    folder_.save({progress.step, texts_.get(), {}},
+                 [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
 }
 
 RefineState refine_state(const Checkpoint& checkpoint) {
@@ -64,7 +68,7 @@ void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
     std::erase_if(settings, [](const ConfigKey& key) { return !matters(key.key); });
     check_same(settings, checkpoint, doing);
     for (const Mark& mark : marks_of(run)) check_same(checkpoint, mark, doing);
-    refine_state(checkpoint);   // it is whole
+    refine_state(checkpoint);  // it is whole
 }
 
 void take_refine_settings(const Checkpoint& checkpoint, Config& config) {

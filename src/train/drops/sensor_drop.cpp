@@ -11,9 +11,11 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-constexpr int kNeighbours = 2;              // bins to either side that a bin is expected to be like
-constexpr std::uint32_t kCertainRays = 60;  // fewer do not tell a blind spot from a hole that a few sweeps have seen
-constexpr double kPriorRays = 8.0;          // returns assumed before anything was seen, and what the expectation counts in a bin
+constexpr int kNeighbours = 2;  // bins to either side that a bin is expected to be like
+// fewer do not tell a blind spot from a hole that a few sweeps have seen
+constexpr std::uint32_t kCertainRays = 60;
+// returns assumed before anything was seen, and what the expectation counts in a bin
+constexpr double kPriorRays = 8.0;
 
 int bins_of(const Sequence& sequence) {
     int columns = 0;
@@ -34,7 +36,8 @@ void DropCounts::add(const Frame& frame, std::size_t ray) {
     if (!beam) return;
     const std::size_t slot = index_.index(*beam, frame.scan.rays.direction[ray]);
     std::atomic_ref(rays_[slot]).fetch_add(1, std::memory_order_relaxed);
-    if (!(frame.scan.range_m[ray] > 0.0f)) std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
+    if (!(frame.scan.range_m[ray] > 0.0f))
+        std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
 }
 
 DropTable DropCounts::persistent() const {

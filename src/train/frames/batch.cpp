@@ -9,14 +9,14 @@
 #include <relidar/base/error.hpp>
 
 #include "gpu/stream.hpp"
-#include "train/shared/train.h"
 #include "train/frames/frame_data.hpp"
+#include "train/shared/train.h"
 
 namespace relidar {
 
 struct BatchSampler::Impl {
     TrainConfig config;
-    bool windows;   ///< batches are windows of neighbouring columns
+    bool windows;  ///< batches are windows of neighbouring columns
     Array<DeviceRay> rays;
     Array<DeviceTarget> targets;
     Kernel<shared::GatherColumnsParams> gather;
@@ -27,7 +27,7 @@ namespace {
 /// n columns of an image, as far apart as every stride-th column.
 struct Columns {
     std::uint32_t stride = 1;
-    std::uint32_t n = 0;   ///< 0 = the batch is no choice of columns
+    std::uint32_t n = 0;  ///< 0 = the batch is no choice of columns
 };
 
 std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
@@ -36,17 +36,20 @@ std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config
 }
 
 /// Image of a whole frame; one without image order is a row of rays.
-ImageShape frame_image(const FrameData& frame) { return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false}; }
+ImageShape frame_image(const FrameData& frame) {
+    return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
+}
 
 Columns window(const FrameData& frame, const TrainConfig& config) {
     const ImageShape image = frame_image(frame);
     const std::uint32_t n =
-        std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u, image.columns);
+        std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u,
+                   image.columns);
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// One of n rays by groups of columns, so that neighbours of the batch are near each other in both directions, however many columns there
-/// are.
+/// One of n rays by groups of columns, so that neighbours of the batch are near each
+/// other in both directions, however many columns there are.
 Columns every_nth(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
@@ -61,7 +64,8 @@ Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool
 std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
-        largest = std::max(largest, std::size_t(frame_image(frame).rows) * columns_of_batch(frame, config.train, config.needs_images()).n);
+        largest = std::max(largest, std::size_t(frame_image(frame).rows) *
+                                        columns_of_batch(frame, config.train, config.needs_images()).n);
     return largest;
 }
 
@@ -69,7 +73,8 @@ std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config&
 void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
         if (!frame.image.is_image())
-            throw UsageError(fmt::format("setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
+            throw UsageError(fmt::format(
+                "setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
 }
 
 }  // namespace
@@ -80,19 +85,23 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
                      {device, largest_gathered(frames, config), "batch rays"},
                      {device, largest_gathered(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
-    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f) check_images("loss.intensity_ssim", frames);
+    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
+        check_images("loss.intensity_ssim", frames);
     if (config.loss.normal > 0.0f) check_images("loss.normal", frames);
     if (config.loss.normal > 0.0f && !kind_of(config.image.primitive).has_normals)
-        throw UsageError(fmt::format("setting loss.normal: found image.primitive={}, which has no normal, expected surfel, or 0",
-                                     kind_of(config.image.primitive).name));
+        throw UsageError(fmt::format(
+            "setting loss.normal: found image.primitive={}, which has no normal, expected surfel, or 0",
+            kind_of(config.image.primitive).name));
 }
 BatchSampler::~BatchSampler() = default;
 
 /// The columns are those of frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
     if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
-    const std::uint32_t row = k / window.n_columns, column = k % window.n_columns, within = column % RELIDAR_COLUMN_GROUP;
-    return std::size_t(row) * window.columns + (window.first + (column - within) * window.stride + within) % window.columns;
+    const std::uint32_t row = k / window.n_columns, column = k % window.n_columns,
+                        within = column % RELIDAR_COLUMN_GROUP;
+    return std::size_t(row) * window.columns +
+           (window.first + (column - within) * window.stride + within) % window.columns;
 }
 
 std::uint32_t BatchSampler::n_batches(const FrameData& frame) const {
@@ -105,7 +114,8 @@ std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) c
     std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
-        choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;   // only a window must not jump
+        // only a window must not jump
+        choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
     return static_cast<std::uint32_t>(random.next() % choices);
 }
@@ -114,7 +124,8 @@ SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random
     return take(stream, frame, draw_first(frame, random), 0);
 }
 
-SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k) {
+SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uint32_t first,
+                                std::uint32_t k) {
     Impl& b = *impl_;
     const Columns columns = columns_of_batch(frame, b.config, b.windows);
     if (columns.n > 0) {
@@ -131,9 +142,16 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
              .first_column = first,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        const double share = double(n) / frame.n_rays;   // of the whole frame's count: unbiased, and no sector counts more for being empty
+        // of the whole frame's count: unbiased, and no sector counts more for being empty
+        const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
-                {&b.targets, 0, 1, n, share * frame.n_returned, share * frame.n_known, {image.rows, columns.n, false}},
+                {&b.targets,
+                 0,
+                 1,
+                 n,
+                 share * frame.n_returned,
+                 share * frame.n_known,
+                 {image.rows, columns.n, false}},
                 {image.columns, first, columns.stride, columns.n}};
     }
     const std::uint32_t stride = n_batches(frame);

@@ -7,8 +7,8 @@
 #include <relidar/scene/device_scene.hpp>
 
 #include "base/parallel.hpp"
-#include "train/poses/placed_box.hpp"
 #include "train/drops/sensor_drop.hpp"
+#include "train/poses/placed_box.hpp"
 
 namespace relidar {
 
@@ -18,20 +18,24 @@ namespace {
 struct MaskedBox {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    double reach_m;   ///< of all that it sweeps, from its centre at placed.world_from_model
+    double reach_m;  ///< of all that it sweeps, from its centre at placed.world_from_model
 
     bool may_meet(const WorldRay& ray) const {
         const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
         const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
         return glm::distance(to_centre, along_m * ray.direction) <= reach_m;
     }
-    PlacedBox at(double after_s) const { return {inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m}; }
+    PlacedBox at(double after_s) const {
+        return {inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m};
+    }
 };
 
-std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMoment& sweep, const Unknown& masks) {
+std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMoment& sweep,
+                                       const Unknown& masks) {
     std::vector<MaskedBox> result;
     for (const BoxTrack& box : separate_boxes(sequence, masks.moving)) {
-        const bool is_actor = std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
+        const bool is_actor =
+            std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
         if (is_actor || !box.present(sweep.time_s)) continue;
         const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
         const InstancePose placed = pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
@@ -52,8 +56,8 @@ bool is_unknown(const std::vector<MaskedBox>& boxes, const WorldRay& ray, double
 
 }  // namespace
 
-void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks, std::vector<DeviceRay>& rays,
-                  std::vector<DeviceTarget>& targets) {
+void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& masks,
+                  std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
     const std::vector<MaskedBox> boxes = masked_boxes_in(sequence, moment_of(frame), masks);
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
@@ -62,8 +66,8 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
     for_each_block(scan.range_m.size(), [&](std::size_t i) {
         const WorldRay w = world_ray(track, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         const float after_s = sequence.rolling_shutter ? scan.rays.time_offset_s[i] : 0.0f;
-        const bool unknown =
-            is_blind(masks.observed_drops, sequence, frame, i) || is_unknown(boxes, w, double(after_s), scan.range_m[i]);
+        const bool unknown = is_blind(masks.observed_drops, sequence, frame, i) ||
+                             is_unknown(boxes, w, double(after_s), scan.range_m[i]);
         rays[i] = {glm::vec3(w.origin_m), glm::vec3(w.direction), after_s};
         const SurfaceReturn surface = surface_return(sequence, frame, i);
         targets[i] = {surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f};
@@ -77,8 +81,10 @@ std::uint32_t most_rays(std::span<const FrameData> frames) {
 }
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
-    const bool whole = image.columns % stride == 0 && first < stride;   // every stride-th column of each row
-    return {&rays(), first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0, &targets()};
+    const bool whole = image.columns % stride == 0 && first < stride;  // every stride-th column of each row
+    return {
+        &rays(),   first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0,
+        &targets()};
 }
 
 }  // namespace relidar

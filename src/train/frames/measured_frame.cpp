@@ -9,7 +9,7 @@ SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, con
     SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
         sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    sensor.rolling_shutter = sequence.rolling_shutter;   // like the scan that is measured
+    sensor.rolling_shutter = sequence.rolling_shutter;  // like the scan that is measured
     return sensor;
 }
 
@@ -33,7 +33,8 @@ std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, 
 std::vector<int> spread(const std::vector<int>& positions, int n) {
     if (n <= 0 || positions.size() <= std::size_t(n)) return positions;
     std::vector<int> chosen;
-    for (std::size_t i = 0; i < std::size_t(n); ++i) chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
+    for (std::size_t i = 0; i < std::size_t(n); ++i)
+        chosen.push_back(positions[i * positions.size() / std::size_t(n)]);
     return chosen;
 }
 

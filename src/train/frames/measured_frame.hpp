@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training frames rendered beside what was measured, for what is learnt of a sensor after training. Private to train.
+// Training frames rendered beside what was measured, for what is learnt of a sensor after
+// training. Private to train.
 #pragma once
 
 #include <vector>
@@ -13,13 +14,15 @@
 
 namespace relidar {
 
-/// Rays of a frame's LiDAR: the nominal ones where they are in the order of its scan, else those of the scan.
+/// Rays of a frame's LiDAR: the nominal ones where they are in the order of its scan,
+/// else those of the scan.
 SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame);
 
 /// Where nothing is known of what was measured: moving things that are not in the scene.
 Unknown masks_of(const Config& config, const Scene& scene);
 
-/// What came back of a frame, 1 dropped, -1 where a moving thing that is not in the scene was or may have been.
+/// What came back of a frame, 1 dropped, -1 where a moving thing that is not in the scene
+/// was or may have been.
 std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
 
 /// At most n of the positions, spread over all; 0: all.

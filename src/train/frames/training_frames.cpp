@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which frames stay is fixed: in random order any choice of as many serves as well, and this one needs no bookkeeping. A copy is part of
-// the stream, between the iteration that uses the place before it and the one that wants the frame, so that one place is enough.
+// Which frames stay is fixed: in random order any choice of as many serves as well, and
+// this one needs no bookkeeping. A copy is part of the stream, between the iteration that
+// uses the place before it and the one that wants the frame, so that one place is enough.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -17,7 +18,8 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kPreparedAtOnce = 32;   // frames whose rays are on the host together on their way to where they stay
+// frames whose rays are on the host together on their way to where they stay
+constexpr std::size_t kPreparedAtOnce = 32;
 
 double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
@@ -29,7 +31,8 @@ struct TrainedFrame {
     const Frame& frame;
 
     TrainedFrame(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid)
-        : binned(grid ? std::optional(on_grid(sequence, sequence.frames[std::size_t(position)], *grid)) : std::nullopt),
+        : binned(grid ? std::optional(on_grid(sequence, sequence.frames[std::size_t(position)], *grid))
+                      : std::nullopt),
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
@@ -38,19 +41,24 @@ FrameData describe(const Sequence& sequence, int position, const std::optional<R
     const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
-        throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one", frame.index, sequence.name));
+        throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one",
+                                    frame.index, sequence.name));
     FrameData data;
     data.position = position;
     data.index = frame.index;
     data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
     const bool spins = !sequence.lidar_of(frame).sensor.beams.empty();
-    if (table.rows > 1) data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns), spins};
+    if (table.rows > 1)
+        data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns),
+                      spins};
     const PoseTrack& track = sequence.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
     data.first_knot = track.place(firing_time(sequence, frame, *first)).left;
-    const std::size_t last_knot = std::min(track.place(firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
+    const std::size_t last_knot =
+        std::min(track.place(firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
-    data.sensor_position_m = glm::vec3(track.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
+    data.sensor_position_m =
+        glm::vec3(track.at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
     return data;
 }
 
@@ -73,7 +81,8 @@ std::size_t TrainingFrames::bytes_per_ray() const {
     return sizeof(DeviceRay) + sizeof(DeviceTarget) + (use_.moves_rays ? sizeof(shared::RayPlace) : 0);
 }
 
-TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions, FrameUse use)
+TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions,
+                               FrameUse use)
     : sequence_(sequence), use_(std::move(use)) {
     for (const int position : positions) frames_.push_back(describe(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
@@ -96,7 +105,8 @@ TrainingFrames::~TrainingFrames() = default;
 void TrainingFrames::keep_on_device(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrame> some(std::min(kPreparedAtOnce, n_staying_ - first));
-        run_parallel(static_cast<int>(some.size()), [&](int k) { some[std::size_t(k)] = prepare(first + std::size_t(k)); });
+        run_parallel(static_cast<int>(some.size()),
+                     [&](int k) { some[std::size_t(k)] = prepare(first + std::size_t(k)); });
         for (std::size_t k = 0; k < some.size(); ++k) {
             FrameData& frame = frames_[first + k];
             frame.arrays = std::make_shared<FrameArrays>(
@@ -116,8 +126,10 @@ TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t i) const {
     make_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
-            const TrackPlace place = sequence_.world_from_vehicle.place(firing_time(sequence_, frame, offset_s));
-            host.places.push_back({static_cast<std::uint32_t>(place.left - data.first_knot), static_cast<float>(place.s)});
+            const TrackPlace place =
+                sequence_.world_from_vehicle.place(firing_time(sequence_, frame, offset_s));
+            host.places.push_back(
+                {static_cast<std::uint32_t>(place.left - data.first_knot), static_cast<float>(place.s)});
         }
     return host;
 }

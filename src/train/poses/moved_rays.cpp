@@ -30,7 +30,8 @@ void MovedRays::move(Stream& stream, const TrackCorrection& sensor, FrameData& f
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
         const Twist c = sensor.at(k);
-        knots.push_back({glm::vec3(sensor.uncorrected().pose[k].translation), glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
+        knots.push_back({glm::vec3(sensor.uncorrected().pose[k].translation), glm::vec3(c[0], c[1], c[2]),
+                         glm::vec3(c[3], c[4], c[5])});
     }
     impl_of(stream).write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
@@ -62,12 +63,14 @@ void MovedRays::sum_gradients(Stream& stream, const FrameData& frame, const Samp
          .n_rows = kRows});
 }
 
-std::vector<PoseGradient> MovedRays::gradients_in(std::span<const float> gradient_rows, const FrameData& frame) const {
+std::vector<PoseGradient> MovedRays::gradients_in(std::span<const float> gradient_rows,
+                                                  const FrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = frame.first_knot + k;
         for (std::size_t row = 0; row < kRows; ++row)
-            for (std::size_t j = 0; j < 6; ++j) result[k].gradient[j] += gradient_rows[6 * (row * most_knots_ + k) + j];
+            for (std::size_t j = 0; j < 6; ++j)
+                result[k].gradient[j] += gradient_rows[6 * (row * most_knots_ + k) + j];
     }
     return result;
 }

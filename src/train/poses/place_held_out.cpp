@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Held-out scans placed on the scene that was trained without them: six numbers of each are found from its own returns, so that scores are
-// of the scene, not of where a scan was thought to be.
+// Held-out scans placed on the scene that was trained without them: six numbers of each
+// are found from its own returns, so that scores are of the scene, not of where a scan
+// was thought to be.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -16,14 +17,17 @@
 namespace relidar {
 namespace {
 
-constexpr float kFewestWeight = 0.5f;   // of a ray that has met a surface
+constexpr float kFewestWeight = 0.5f;  // of a ray that has met a surface
 
-/// What a run's background shows. Actors are no place to stand on: their own poses are estimates.
+/// What a run's background shows. Actors are no place to stand on: their own poses are
+/// estimates.
 class RunView {
 public:
-    RunView(Device& device, const Run& run) : run_(run), renderer_(device, run.scene, view_config(run.config), run.sequence) {}
+    RunView(Device& device, const Run& run)
+        : run_(run), renderer_(device, run.scene, view_config(run.config), run.sequence) {}
 
-    std::vector<SeenSurface> look(int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
+    std::vector<SeenSurface> look(int position, const std::vector<std::size_t>& rays,
+                                  const PoseTrack& world_from_vehicle) {
         const Frame& frame = run_.sequence.frames[std::size_t(position)];
         SensorChoice sensor;
         sensor.rays = some_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
@@ -31,16 +35,19 @@ public:
         sensor.rolling_shutter = run_.sequence.rolling_shutter;
         const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
-        const RenderedScan scan =
-            renderer_.render(sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
+        const RenderedScan scan = renderer_.render(
+            sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
         std::vector<SeenSurface> seen(rays.size());
         FiringPoses firing(scan);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const std::int32_t instance = scan.instance[i];
-            if (scan.weight[i] < kFewestWeight || instance < 0 || !run_.scene.instances[std::size_t(instance)].track.empty()) continue;
+            if (scan.weight[i] < kFewestWeight || instance < 0 ||
+                !run_.scene.instances[std::size_t(instance)].track.empty())
+                continue;
             const Pose& pose = firing.at(i);
-            const glm::vec3 point_m = sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
+            const glm::vec3 point_m =
+                sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
             seen[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
         }
         return seen;
@@ -71,14 +78,18 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
-    std::set<std::size_t> poses;   // of sweeps: LiDARs that sweep together are placed together
-    for (const int position : run.split.test) poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
+    std::set<std::size_t> poses;  // of sweeps: LiDARs that sweep together are placed together
+    for (const int position : run.split.test)
+        poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {
-        if (session.progress) session.progress("placing held-out scans", double(result.scans) / double(poses.size()));
+        if (session.progress)
+            session.progress("placing held-out scans", double(result.scans) / double(poses.size()));
         if (session.stop && session.stop()) return {};
         const ScanPlacement placed = place_scan(
             run.sequence, pose,
-            [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) { return view.look(position, rays, from); },
+            [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
+                return view.look(position, rays, from);
+            },
             options);
         ++result.scans;
         if (!placed.found) continue;

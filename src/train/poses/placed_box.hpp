@@ -13,7 +13,8 @@ struct PlacedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
-    /// Distances along a ray, from 0 on, between which it is inside of the box grown on every side. @return entry > exit where it misses
+    /// Distances along a ray, from 0 on, between which it is inside of the box grown on
+    /// every side. @return entry > exit where it misses
     glm::dvec2 interval(const WorldRay& ray, double grown_m = 0.0) const;
 };
 

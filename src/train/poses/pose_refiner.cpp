@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pose refinement: gradients of rays and of instances become steps of the poses between which they are interpolated.
+// Pose refinement: gradients of rays and of instances become steps of the poses between
+// which they are interpolated.
 #include "train/poses/pose_refiner.hpp"
 
 #include <algorithm>
@@ -9,19 +10,20 @@
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/train/train.hpp>
 
+#include "train/frames/training_frames.hpp"
 #include "train/poses/moved_rays.hpp"
 #include "train/readback_lag.hpp"
-#include "train/frames/training_frames.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr double kFinalShare = 0.1;   // of the rates, at the end of training
-/// Rates follow train.pose_rate_m, the sensor's in metres. A turn moves what is 10 m away, where most returns are, as far as a shift does
-/// at a tenth of the rate a metre; boxes start ten times as far off as a sensor that registration has placed.
+constexpr double kFinalShare = 0.1;  // of the rates, at the end of training
+/// Rates follow train.pose_rate_m, the sensor's in metres. A turn moves what is 10 m
+/// away, where most returns are, as far as a shift does at a tenth of the rate a metre;
+/// boxes start ten times as far off as a sensor that registration has placed.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
-/// Weights of the squares of every correction in the loss, per square metre and per square radian: so small that they only hold what no
-/// ray tells.
+/// Weights of the squares of every correction in the loss, per square metre and per
+/// square radian: so small that they only hold what no ray tells.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 Sequence without_scans(const Sequence& sequence) {
@@ -51,8 +53,8 @@ PoseStep step_at(const TrainConfig& c, double rate_m, int step) {
 
 }  // namespace
 
-PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
-                         const TrainingFrames& frames)
+PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout,
+                         const TrainConfig& config, const TrainingFrames& frames)
     : config_(config),
       is_active_(config.refine_poses != "none"),
       frames_(frames),
@@ -67,7 +69,8 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
     if (!config.refines("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
         if (const BoxTrack* box = find_box(sequence, layout_.instances[i].track))
-            actors_.push_back({i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
+            actors_.push_back(
+                {i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
     }
     if (actors_.empty()) return;
     floats_of_instances_ = 6 * layout_.instances.size();
@@ -78,30 +81,35 @@ PoseRefiner::~PoseRefiner() = default;
 
 RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_vehicle, poses_.boxes}; }
 
-WantedGradients PoseRefiner::wanted() const { return {.rays = sensor_.has_value(), .poses = !actors_.empty()}; }
+WantedGradients PoseRefiner::wanted() const {
+    return {.rays = sensor_.has_value(), .poses = !actors_.empty()};
+}
 
 void PoseRefiner::place(Stream& stream, FrameData& frame) {
     if (!is_active()) return;
     if (rays_) rays_->move(stream, *sensor_, frame);
     const Frame& sweep = poses_.frames[std::size_t(frame.position)];
     frame.placed = place_instances(layout_, poses_, moment_of(sweep));
-    frame.sensor_position_m = glm::vec3(poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
+    frame.sensor_position_m = glm::vec3(
+        poses_.world_from_vehicle.at(sweep.time_s, poses_.lidar_of(sweep).vehicle_from_sensor).translation);
 }
 
-void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
-                         const Gradients& gradients, int step) {
+void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameData& frame,
+                         const SampledBatch& batch, const Gradients& gradients, int step) {
     if (!is_active()) return;
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
         rays_->sum_gradients(stream, frame, batch, gradients.rays);
         of_rays_[slot].record(stream, rays_->gradient_rows().buffer(), floats_of_rays_ * sizeof(float));
     }
-    if (!actors_.empty()) of_instances_[slot].record(stream, gradients.poses.buffer(), floats_of_instances_ * sizeof(float));
+    if (!actors_.empty())
+        of_instances_[slot].record(stream, gradients.poses.buffer(), floats_of_instances_ * sizeof(float));
     coming_.step.push_back(std::uint64_t(step));
     coming_.frame.push_back(frame_index);
     for (const Actor& actor : actors_) {
         const InstancePose& placed = frame.placed[actor.instance];
-        for (const double side : {-1.0, 1.0}) coming_.actor_time_s.push_back(placed.time_s + side * placed.motion.half_span_s);
+        for (const double side : {-1.0, 1.0})
+            coming_.actor_time_s.push_back(placed.time_s + side * placed.motion.half_span_s);
     }
     coming_.gradient.resize(coming_.gradient.size() + floats_of_rays_ + floats_of_instances_);
 }
@@ -109,9 +117,11 @@ void PoseRefiner::record(Stream& stream, std::size_t frame_index, const FrameDat
 std::span<float> PoseRefiner::fetch(Stream& stream, std::size_t i) {
     const std::size_t n = floats_of_rays_ + floats_of_instances_, slot = coming_.step[i] % kReadbackLag;
     const std::span<float> gradient(coming_.gradient.data() + i * n, n);
-    if (rays_ && of_rays_[slot].pending()) std::memcpy(gradient.data(), of_rays_[slot].wait(stream), floats_of_rays_ * sizeof(float));
+    if (rays_ && of_rays_[slot].pending())
+        std::memcpy(gradient.data(), of_rays_[slot].wait(stream), floats_of_rays_ * sizeof(float));
     if (!actors_.empty() && of_instances_[slot].pending())
-        std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait(stream), floats_of_instances_ * sizeof(float));
+        std::memcpy(gradient.data() + floats_of_rays_, of_instances_[slot].wait(stream),
+                    floats_of_instances_ * sizeof(float));
     return gradient;
 }
 
@@ -123,16 +133,18 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
     const std::span<const float> gradient = fetch(stream, 0);
     const int step = static_cast<int>(coming_.step.front());
     if (rays_) {
-        for (const PoseGradient& g : rays_->gradients_in(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
+        for (const PoseGradient& g :
+             rays_->gradients_in(gradient.first(floats_of_rays_), frames_.all()[coming_.frame.front()]))
             sensor_->add_gradient(g.pose, 1.0, g.gradient);
         sensor_->step(step_at(config_, config_.pose_rate_m, step));
         sensor_->remove_common_motion();
     }
     for (std::size_t k = 0; k < actors_.size(); ++k) {
         Twist twist;
-        std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6, twist.begin());
-        for (double& g : twist) g *= 0.5;   // both ends of the time that it is seen move alike
-        for (std::size_t end = 0; end < 2; ++end)   // zeros where it was absent, which count as not seen
+        std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
+                    twist.begin());
+        for (double& g : twist) g *= 0.5;          // both ends of the time that it is seen move alike
+        for (std::size_t end = 0; end < 2; ++end)  // zeros where it was absent, which count as not seen
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));
     }
@@ -155,12 +167,14 @@ void PoseRefiner::update_poses() {
 
 bool PoseRefiner::take_over() {
     const std::size_t n = coming_.step.size();
-    const bool sound = (!sensor_ || sensor_->is_sound()) &&
-                       std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
-                       n <= kReadbackLag && coming_.frame.size() == n && coming_.actor_time_s.size() == 2 * n * actors_.size() &&
-                       coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
-                       std::all_of(coming_.frame.begin(), coming_.frame.end(),
-                                   [this](std::uint64_t frame) { return frame < frames_.all().size(); });
+    const bool sound =
+        (!sensor_ || sensor_->is_sound()) &&
+        std::all_of(actors_.begin(), actors_.end(), [](const Actor& a) { return a.correction.is_sound(); }) &&
+        n <= kReadbackLag && coming_.frame.size() == n &&
+        coming_.actor_time_s.size() == 2 * n * actors_.size() &&
+        coming_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
+        std::all_of(coming_.frame.begin(), coming_.frame.end(),
+                    [this](std::uint64_t frame) { return frame < frames_.all().size(); });
     if (sound) update_poses();
     return sound;
 }

@@ -7,7 +7,9 @@
 
 namespace relidar {
 
-inline bool registers_sensor(const TrainConfig& config) { return config.pose_register && config.refines("sensor"); }
+inline bool registers_sensor(const TrainConfig& config) {
+    return config.pose_register && config.refines("sensor");
+}
 
 /// Without what a session adds: stop, progress and group.
 RegisterOptions register_options(const Sequence& sequence, const Config& config);

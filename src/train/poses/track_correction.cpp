@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba 2015) on a few poses, on the host. The second moment forgets faster than usual: a pose is seen tens of times in a
-// training, not thousands.
+// Adam (Kingma and Ba 2015) on a few poses, on the host. The second moment forgets faster
+// than usual: a pose is seen tens of times in a training, not thousands.
 #include "train/poses/track_correction.hpp"
 
 #include <algorithm>
@@ -11,7 +11,9 @@ namespace {
 
 constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
 
-glm::dvec3 vector(const Twist& twist, std::size_t first) { return {twist[first], twist[first + 1], twist[first + 2]}; }
+glm::dvec3 vector(const Twist& twist, std::size_t first) {
+    return {twist[first], twist[first + 1], twist[first + 2]};
+}
 
 }  // namespace
 
@@ -38,7 +40,8 @@ Twist TrackCorrection::at(std::size_t pose) const {
     if (!is_known(before) && !is_known(after)) return {};
     if (before == after || !is_known(after)) return value(before);
     if (!is_known(before)) return value(after);
-    const double s = (track_.time_s[pose] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
+    const double s =
+        (track_.time_s[pose] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
     Twist twist;
     for (std::size_t i = 0; i < 6; ++i) twist[i] = (1.0 - s) * value(before)[i] + s * value(after)[i];
     return twist;
@@ -65,14 +68,16 @@ void TrackCorrection::add_gradient(std::size_t pose, double share, const Twist& 
 void TrackCorrection::step(const PoseStep& step) {
     for (std::size_t k = 0; k < visited_.size(); ++k) {
         if (!visited_[k]) continue;
-        const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n), bias2 = 1.0 - std::pow(kBeta2, n);
+        const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n),
+                     bias2 = 1.0 - std::pow(kBeta2, n);
         for (std::size_t i = 6 * k; i < 6 * k + 6; ++i) {
             const bool is_translation = i < 6 * k + 3;
-            const double g = gradient_[i] + 2.0 * (is_translation ? step.prior_per_m2 : step.prior_per_rad2) * values_[i];
+            const double g =
+                gradient_[i] + 2.0 * (is_translation ? step.prior_per_m2 : step.prior_per_rad2) * values_[i];
             moment1_[i] += (1.0 - kBeta1) * (g - moment1_[i]);
             moment2_[i] += (1.0 - kBeta2) * (g * g - moment2_[i]);
-            values_[i] -=
-                (is_translation ? step.rate_m : step.rate_rad) * (moment1_[i] / bias1) / (std::sqrt(moment2_[i] / bias2) + kEpsilon);
+            values_[i] -= (is_translation ? step.rate_m : step.rate_rad) * (moment1_[i] / bias1) /
+                          (std::sqrt(moment2_[i] / bias2) + kEpsilon);
             gradient_[i] = 0.0;
         }
         visited_[k] = false;
@@ -98,7 +103,8 @@ void TrackCorrection::remove_common_motion() {
 
 bool TrackCorrection::is_sound() const {
     const std::size_t n = track_.pose.size();
-    return values_.size() == 6 * n && moment1_.size() == 6 * n && moment2_.size() == 6 * n && n_steps_.size() == n;
+    return values_.size() == 6 * n && moment1_.size() == 6 * n && moment2_.size() == 6 * n &&
+           n_steps_.size() == n;
 }
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// write_atomically leaves the complete file or nothing: whatever goes wrong, no temporary file and no changed target.
+// write_atomically leaves the complete file or nothing: whatever goes wrong, no temporary
+// file and no changed target.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
@@ -104,18 +105,23 @@ TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
 
 TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
     if (!fs::is_directory("/proc/self")) GTEST_SKIP() << "no /proc";
-    const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });  // refused to root as well
+    // refused to root as well
+    const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });
     EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
 }
 
 TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
-    for (const char* name : {".a.txt.tmp-123-0", ".iteration_00000400.safetensors.tmp-9-17"}) put(folder / name, "half");
-    for (const char* name : {"a.txt", ".a.txt.tmp-123", "a.txt.tmp-1-1", ".hidden", ".a.tmp-1-1.txt"}) put(folder / name, "somebody's");
+    for (const char* name : {".a.txt.tmp-123-0", ".iteration_00000400.safetensors.tmp-9-17"})
+        put(folder / name, "half");
+    for (const char* name : {"a.txt", ".a.txt.tmp-123", "a.txt.tmp-1-1", ".hidden", ".a.tmp-1-1.txt"})
+        put(folder / name, "somebody's");
     remove_temporaries(folder);
     remove_temporaries(folder / "nowhere");
     EXPECT_EQ(files().size(), 5u);
     pid_t child = ::fork();  // the names are those that really are left behind
-    if (child == 0) write_atomically(folder / "b.txt", [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
+    if (child == 0)
+        write_atomically(folder / "b.txt",
+                         [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
     ::waitpid(child, nullptr, 0);
     EXPECT_EQ(files().size(), 6u);
     remove_temporaries(folder);
@@ -172,13 +178,14 @@ TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNextOfTheName) {
 
 TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     std::vector<float> noise(64 * 64);
-    for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;  // does not compress
+    // does not compress
+    for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;
     const NamedArray array = make_array("noise", {64, 64}, noise.data(), noise.size());
     PointCloud cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096), {}, {}};
     Report report;
     report.summary = std::string(20'000, 'x');
     const std::vector<std::function<void(const fs::path&)>> writers = {
-        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },       // fails in the last flush
+        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },  // fails in the last flush
         [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },  // fails in the write
         [&](const fs::path& path) { write_npz(path, {array}); },
         [&](const fs::path& path) { write_safetensors(path, {array}, {}); },

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Feather files: what the tests' writer was given comes back, and so do the values of files that pyarrow wrote (../shared/data/fixtures,
-// skipped where RELIDAR_SHARED does not hold them). Damage of any byte is an error or changes values, never a crash.
+// Feather files: what the tests' writer was given comes back, and so do the values of
+// files that pyarrow wrote (../shared/data/fixtures, skipped where RELIDAR_SHARED does
+// not hold them). Damage of any byte is an error or changes values, never a crash.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -24,12 +25,14 @@ using test::FeatherCodec;
 using test::FeatherColumn;
 
 struct Table {
-    std::vector<std::int64_t> wide{std::numeric_limits<std::int64_t>::min(), 315966265259836001, -1, 0, 1, 2, 3};
+    std::vector<std::int64_t> wide{
+        std::numeric_limits<std::int64_t>::min(), 315966265259836001, -1, 0, 1, 2, 3};
     std::vector<std::uint8_t> narrow{0, 255, 1, 2, 3, 4, 5};
     std::vector<std::int16_t> middle{-32768, 32767, 0, 1, 2, 3, 4};
     std::vector<std::uint32_t> unsigned_wide{4294967295u, 0, 1, 2, 3, 4, 5};
     std::vector<double> f64{1e-300, -2.5, 0, 1, 2, 3, 4};
-    std::vector<float> f32{1e-30f, -2.5f, 0, 1, 2, 3, 4}, f16{65504.0f, -0.333251953125f, 5.9604644775390625e-8f, 0.0f, 1, 2, 3};
+    std::vector<float> f32{1e-30f, -2.5f, 0, 1, 2, 3, 4},
+        f16{65504.0f, -0.333251953125f, 5.9604644775390625e-8f, 0.0f, 1, 2, 3};
     std::vector<std::string> text{"up_lidar", "", "äö", "b", "b", "b", "up_lidar"};
 
     std::vector<FeatherColumn> columns() const {
@@ -66,12 +69,16 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
 }
 
 TEST(Feather, CompressibleColumnsAreBounded) {
-    const std::vector<double> zeros(20000, 0.0);  // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to hold
+    // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to
+    // hold
+    const std::vector<double> zeros(20000, 0.0);
     std::vector<std::int64_t> noise;
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
-    const std::vector<FeatherColumn> both{test::number_column("zeros", zeros), test::number_column("noise", noise)};
+    const std::vector<FeatherColumn> both{test::number_column("zeros", zeros),
+                                          test::number_column("noise", noise)};
     EXPECT_EQ(Feather("both", test::feather_bytes(both, FeatherCodec::zstd)).numbers("zeros"), zeros);
-    const auto nothing_else = test::feather_bytes({test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
+    const auto nothing_else = test::feather_bytes(
+        {test::number_column("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
     EXPECT_THROW(Feather("zeros", nothing_else), DataError);
 }
 
@@ -94,23 +101,29 @@ TEST(Feather, SaysWhatIsWrong) {
     std::string bad = good;
     bad[bad.size() - 7] = '\x7f';  // the footer's length
     expect(bad, "a footer at -", only_open);
-    expect(good, "column 'wider': no such column among 'wide, narrow, ", [](const Feather& t) { t.numbers("wider"); });
+    expect(good, "column 'wider': no such column among 'wide, narrow, ",
+           [](const Feather& t) { t.numbers("wider"); });
     expect(good, "column 'text': text, expected numbers", [](const Feather& t) { t.numbers("text"); });
     expect(good, "column 'f64': numbers, expected text", [](const Feather& t) { t.texts("f64"); });
     expect(good, "column 'f64': no integers, but expected them", [](const Feather& t) { t.integers("f64"); });
-    const std::string nan = test::feather_bytes({test::number_column("x", std::vector<double>{1.0, std::nan("")})});
-    expect(nan, "column 'x': row 1 is nan, expected a finite number", [](const Feather& t) { t.numbers("x"); });
-    const std::string large = test::feather_bytes({test::number_column("x", std::vector<std::uint64_t>{1, 1ull << 63})});
-    expect(large, "column 'x': 9223372036854775808 is beyond 63 bits", [](const Feather& t) { t.integers("x"); });
+    const std::string nan =
+        test::feather_bytes({test::number_column("x", std::vector<double>{1.0, std::nan("")})});
+    expect(nan, "column 'x': row 1 is nan, expected a finite number",
+           [](const Feather& t) { t.numbers("x"); });
+    const std::string large =
+        test::feather_bytes({test::number_column("x", std::vector<std::uint64_t>{1, 1ull << 63})});
+    expect(large, "column 'x': 9223372036854775808 is beyond 63 bits",
+           [](const Feather& t) { t.integers("x"); });
 }
 
 /// Every byte of a small file in turn.
 TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
-        const std::string good = test::feather_bytes(
-            {test::number_column("x", std::vector<std::int64_t>(40, 7)), test::text_column("t", std::vector<std::string>(40, "car"), true),
-             test::text_column("u", std::vector<std::string>(40, "bus"))},
-            codec);
+        const std::string good =
+            test::feather_bytes({test::number_column("x", std::vector<std::int64_t>(40, 7)),
+                                 test::text_column("t", std::vector<std::string>(40, "car"), true),
+                                 test::text_column("u", std::vector<std::string>(40, "bus"))},
+                                codec);
         std::size_t refused = 0;
         for (std::size_t i = 0; i < good.size(); ++i) {
             std::string bad = good;
@@ -129,8 +142,11 @@ TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
 
 TEST(Feather, ReadsWhatPyarrowWrote) {
     const char* shared = std::getenv("RELIDAR_SHARED");
-    const fs::path folder = (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data" / "fixtures";
-    if (!fs::exists(folder / "av2.npz")) GTEST_SKIP() << folder << " is not there; RELIDAR_SHARED names another folder";
+    const fs::path folder =
+        (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data" /
+        "fixtures";
+    if (!fs::exists(folder / "av2.npz"))
+        GTEST_SKIP() << folder << " is not there; RELIDAR_SHARED names another folder";
     const std::vector<NamedArray> truth = read_npz(folder / "av2.npz");
     ASSERT_EQ(truth.size(), 6u);
     for (const char* file : {"av2_uncompressed.feather", "av2_lz4.feather", "av2_zstd.feather"}) {
@@ -141,9 +157,12 @@ TEST(Feather, ReadsWhatPyarrowWrote) {
                 std::vector<std::int32_t> expected(5000);
                 ASSERT_EQ(array.bytes.size(), 4 * expected.size());
                 std::memcpy(expected.data(), array.bytes.data(), array.bytes.size());
-                EXPECT_EQ(table.integers(array.name), std::vector<std::int64_t>(expected.begin(), expected.end())) << file;
+                EXPECT_EQ(table.integers(array.name),
+                          std::vector<std::int64_t>(expected.begin(), expected.end()))
+                    << file;
             } else {
-                EXPECT_EQ(table.numbers(array.name), as_double(array.as_float())) << file << " " << array.name;
+                EXPECT_EQ(table.numbers(array.name), as_double(array.as_float()))
+                    << file << " " << array.name;
             }
         }
     }

@@ -28,9 +28,7 @@ struct Block {
     std::int64_t body_bytes;
 };
 
-flatbuffers::voffset_t entry(int field) {
-    return flatbuffers::voffset_t(4 + 2 * field);
-}
+flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 
 /// A table whose fields a function adds.
 template <class Add>
@@ -81,10 +79,13 @@ Offset schema_of(Builder& builder, const std::vector<FeatherColumn>& columns) {
 }
 
 std::string compressed(const std::string& bytes, FeatherCodec codec) {
-    std::string packed(codec == FeatherCodec::lz4 ? LZ4F_compressFrameBound(bytes.size(), nullptr) : ZSTD_compressBound(bytes.size()),
+    std::string packed(codec == FeatherCodec::lz4 ? LZ4F_compressFrameBound(bytes.size(), nullptr)
+                                                  : ZSTD_compressBound(bytes.size()),
                        '\0');
-    const std::size_t n = codec == FeatherCodec::lz4 ? LZ4F_compressFrame(packed.data(), packed.size(), bytes.data(), bytes.size(), nullptr)
-                                                     : ZSTD_compress(packed.data(), packed.size(), bytes.data(), bytes.size(), 3);
+    const std::size_t n =
+        codec == FeatherCodec::lz4
+            ? LZ4F_compressFrame(packed.data(), packed.size(), bytes.data(), bytes.size(), nullptr)
+            : ZSTD_compress(packed.data(), packed.size(), bytes.data(), bytes.size(), 3);
     packed.resize(n);
     return packed;
 }
@@ -140,11 +141,13 @@ void add_rows(Body& body, const FeatherColumn& column, std::size_t begin, std::s
         const std::size_t width = std::size_t(column.bits / 8);
         return body.add_numbers(column.values.substr(begin * width, (end - begin) * width), end - begin);
     }
-    const std::vector<std::string> texts(column.texts.begin() + std::ptrdiff_t(begin), column.texts.begin() + std::ptrdiff_t(end));
+    const std::vector<std::string> texts(column.texts.begin() + std::ptrdiff_t(begin),
+                                         column.texts.begin() + std::ptrdiff_t(end));
     if (!column.by_dictionary) return body.add_texts(texts);
     const std::vector<std::string> words = words_of(column);
     std::string indices;
-    for (const std::string& text : texts) indices += char(std::lower_bound(words.begin(), words.end(), text) - words.begin());
+    for (const std::string& text : texts)
+        indices += char(std::lower_bound(words.begin(), words.end(), text) - words.begin());
     body.add_numbers(indices, end - begin);
 }
 
@@ -162,8 +165,10 @@ Offset batch_of(Builder& builder, const Body& body, std::size_t rows) {
     });
 }
 
-/// Appends a message with its body. @param header  table of a kind: 1 schema, 2 dictionary, 3 record batch
-Block append_message(std::string& file, Builder& builder, std::uint8_t kind, Offset header, const std::string& body) {
+/// Appends a message with its body. @param header  table of a kind: 1 schema, 2
+/// dictionary, 3 record batch
+Block append_message(std::string& file, Builder& builder, std::uint8_t kind, Offset header,
+                     const std::string& body) {
     builder.Finish(table(builder, [&] {
         builder.AddElement<std::int16_t>(entry(0), 4, 0);  // metadata version 5
         builder.AddElement<std::uint8_t>(entry(1), kind, 0);
@@ -191,11 +196,13 @@ FeatherColumn half_column(const std::string& name, const std::vector<float>& val
     return column;
 }
 
-FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts, bool by_dictionary) {
+FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts,
+                          bool by_dictionary) {
     return {FeatherColumn::Kind::text, name, 0, false, {}, texts, by_dictionary};
 }
 
-std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec, std::size_t rows_a_batch) {
+std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec,
+                          std::size_t rows_a_batch) {
     std::string file("ARROW1\0\0", 8);
     std::vector<Block> dictionaries, batches;
     {
@@ -229,7 +236,8 @@ std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCode
     file += std::string("\xFF\xFF\xFF\xFF\0\0\0\0", 8);  // end of the messages
     Builder builder;
     const Offset schema = schema_of(builder, columns);
-    const auto of_dictionaries = builder.CreateVectorOfStructs(dictionaries), of_batches = builder.CreateVectorOfStructs(batches);
+    const auto of_dictionaries = builder.CreateVectorOfStructs(dictionaries),
+               of_batches = builder.CreateVectorOfStructs(batches);
     builder.Finish(table(builder, [&] {
         builder.AddElement<std::int16_t>(entry(0), 4, 0);
         builder.AddOffset(entry(1), schema);

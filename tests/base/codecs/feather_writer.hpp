@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes Feather V2 files for tests: Arrow IPC files, their metadata by flatbuffers' own builder.
+// Writes Feather V2 files for tests: Arrow IPC files, their metadata by flatbuffers' own
+// builder.
 #pragma once
 
 #include <cstdint>
@@ -17,28 +18,33 @@ struct FeatherColumn {
     std::vector<std::string> texts;  ///< of text
     bool by_dictionary = false;
 
-    std::size_t rows() const { return kind == Kind::text ? texts.size() : values.size() / std::size_t(bits / 8); }
+    std::size_t rows() const {
+        return kind == Kind::text ? texts.size() : values.size() / std::size_t(bits / 8);
+    }
 };
 
 template <class T>
 FeatherColumn number_column(const std::string& name, const std::vector<T>& values) {
-    FeatherColumn column{std::is_floating_point_v<T> ? FeatherColumn::Kind::floating : FeatherColumn::Kind::integer,
-                         name,
-                         int(8 * sizeof(T)),
-                         std::is_signed_v<T>,
-                         {},
-                         {},
-                         false};
+    FeatherColumn column{
+        std::is_floating_point_v<T> ? FeatherColumn::Kind::floating : FeatherColumn::Kind::integer,
+        name,
+        int(8 * sizeof(T)),
+        std::is_signed_v<T>,
+        {},
+        {},
+        false};
     column.values.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
     return column;
 }
 /// Half precision, rounded to the nearest.
 FeatherColumn half_column(const std::string& name, const std::vector<float>& values);
-FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts, bool by_dictionary = false);
+FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts,
+                          bool by_dictionary = false);
 
 enum class FeatherCodec { none, lz4, zstd };
 
 /// The bytes of a file. @param rows_a_batch  0: all rows in one record batch
-std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec = FeatherCodec::none, std::size_t rows_a_batch = 0);
+std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec = FeatherCodec::none,
+                          std::size_t rows_a_batch = 0);
 
 }  // namespace relidar::test

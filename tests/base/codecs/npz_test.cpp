@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// npz files: round trips of every type, files numpy wrote, and refusal of whatever is damaged. Every cut and every changed
-// byte of a small archive either reads back equal or throws a DataError.
+// npz files: round trips of every type, files numpy wrote, and refusal of whatever is
+// damaged. Every cut and every changed byte of a small archive either reads back equal or
+// throws a DataError.
 #include <relidar/base/arrays.hpp>
 
 #include <cstring>
@@ -16,7 +17,8 @@ using Npz = TemporaryFolder;
 
 std::string from_hex(std::string_view text) {
     std::string bytes;
-    for (std::size_t i = 0; i < text.size(); i += 2) bytes += char(std::stoi(std::string(text.substr(i, 2)), nullptr, 16));
+    for (std::size_t i = 0; i < text.size(); i += 2)
+        bytes += char(std::stoi(std::string(text.substr(i, 2)), nullptr, 16));
     return bytes;
 }
 
@@ -27,7 +29,8 @@ void expect_equal(const NamedArray& a, const NamedArray& b) {
     EXPECT_EQ(a.bytes, b.bytes);
 }
 
-NamedArray bytes_array(std::string name, std::string dtype, std::vector<std::size_t> shape, std::size_t n_bytes) {
+NamedArray bytes_array(std::string name, std::string dtype, std::vector<std::size_t> shape,
+                       std::size_t n_bytes) {
     NamedArray array{std::move(name), std::move(dtype), std::move(shape), std::vector<std::byte>(n_bytes)};
     for (std::size_t i = 0; i < n_bytes; ++i) array.bytes[i] = std::byte(i * 37 % 251);
     return array;
@@ -36,7 +39,8 @@ NamedArray bytes_array(std::string name, std::string dtype, std::vector<std::siz
 std::vector<NamedArray> one_of_each_type() {
     std::vector<NamedArray> arrays;
     for (const char* dtype : {"f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "b1"})
-        arrays.push_back(bytes_array(std::string("of_") + dtype, dtype, {3, 2}, 6 * std::size_t(dtype[1] - '0')));
+        arrays.push_back(
+            bytes_array(std::string("of_") + dtype, dtype, {3, 2}, 6 * std::size_t(dtype[1] - '0')));
     arrays.push_back(bytes_array("scalar", "f8", {}, 8));
     arrays.push_back(bytes_array("empty", "f4", {0, 7}, 0));
     arrays.push_back(bytes_array("flat", "i4", {5}, 20));
@@ -126,7 +130,8 @@ TEST_F(Npz, SurvivesEveryChangedByte) {
             changed[i] = char(changed[i] ^ change);
             put(folder / "changed.npz", changed);
             try {
-                EXPECT_EQ(read_npz(folder / "changed.npz").size(), 4u) << i;   // a field nobody needs, such as a date
+                // a field nobody needs, such as a date
+                EXPECT_EQ(read_npz(folder / "changed.npz").size(), 4u) << i;
             } catch (const DataError&) {
                 ++n_refused;
             }
@@ -139,7 +144,8 @@ TEST_F(Npz, RefusesAbsurdSizes) {
     const std::size_t directory = file.find("PK\x01\x02");
     ASSERT_NE(directory, std::string::npos);
     const std::uint32_t absurd = 0xFFFFFFF0;
-    std::memcpy(file.data() + directory + 24, &absurd, sizeof absurd);   // the unpacked size of the first entry
+    // the unpacked size of the first entry
+    std::memcpy(file.data() + directory + 24, &absurd, sizeof absurd);
     put(folder / "a.npz", file);
     EXPECT_NE(data_error([&] { read_npz(folder / "a.npz"); }).find("impossible"), std::string::npos);
 }
@@ -150,7 +156,8 @@ TEST_F(Npz, RefusesBadArrays) {
     short_of_bytes.shape = {3};
     unknown.dtype = "c8";
     nameless.name.clear();
-    for (const std::vector<NamedArray>& arrays : {std::vector{short_of_bytes}, {unknown}, {nameless}, {good, good}})
+    for (const std::vector<NamedArray>& arrays :
+         {std::vector{short_of_bytes}, {unknown}, {nameless}, {good, good}})
         data_error([&] { write_npz(folder / "a.npz", arrays); });
     EXPECT_TRUE(files().empty());
 }
@@ -170,16 +177,20 @@ TEST(NamedArray, ConvertsToFloat) {
     EXPECT_EQ(make_array("a", {2}, doubles, 2).as_float(), (std::vector<float>{0.25f, -3.0f}));
     EXPECT_EQ(make_array("a", {2}, integers, 2).as_float(), (std::vector<float>{-5.0f, 1048576.0f}));
     NamedArray half = bytes_array("a", "f2", {7}, 14);
-    const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};   // IEEE 754 binary16
+    // IEEE 754 binary16
+    const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};
     std::memcpy(half.bytes.data(), bits, sizeof bits);
-    EXPECT_EQ(half.as_float(), (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f,
-                                                   -std::numeric_limits<float>::infinity()}));
+    EXPECT_EQ(half.as_float(),
+              (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f,
+                                  -std::numeric_limits<float>::infinity()}));
     data_error([] { (void)bytes_array("a", "f4", {2}, 7).as_float(); });
 }
 
 TEST_F(Npz, TextsComeBackPadded) {
-    const std::string broken = "a\xC3(\xED\xA0\x80\xF0\x9F";   // a lead without its tail, a surrogate, an end in the middle
-    write_npz(folder / "a.npz", {make_text_array("names", {"Fußgänger", "", "车\U0001F697", broken}), make_text_array("none", {})});
+    // a lead without its tail, a surrogate, an end in the middle
+    const std::string broken = "a\xC3(\xED\xA0\x80\xF0\x9F";
+    write_npz(folder / "a.npz", {make_text_array("names", {"Fußgänger", "", "车\U0001F697", broken}),
+                                 make_text_array("none", {})});
     const std::vector<NamedArray> arrays = read_npz(folder / "a.npz");
     EXPECT_EQ(arrays[0].dtype, "U9");
     EXPECT_EQ(arrays[0].shape, std::vector<std::size_t>{4});
@@ -187,7 +198,8 @@ TEST_F(Npz, TextsComeBackPadded) {
     ASSERT_EQ(arrays[0].bytes.size(), letters.size() * sizeof(char32_t));
     std::memcpy(letters.data(), arrays[0].bytes.data(), arrays[0].bytes.size());
     const std::u32string zeros(9, U'\0'), unreadable = U"a\uFFFD(\uFFFD\uFFFD\uFFFD\uFFFD\uFFFD";
-    EXPECT_EQ(letters, U"Fußgänger" + zeros + U"车\U0001F697" + zeros.substr(2) + unreadable + zeros.substr(unreadable.size()));
+    EXPECT_EQ(letters, U"Fußgänger" + zeros + U"车\U0001F697" + zeros.substr(2) + unreadable +
+                           zeros.substr(unreadable.size()));
     EXPECT_EQ(arrays[1].shape, std::vector<std::size_t>{0});
     data_error([&] { arrays[0].as_float(); });
     data_error([&] { write_safetensors(folder / "a.safetensors", {arrays[0]}, {}); });

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// EXR and PNG files read back by OpenEXR and libpng themselves; colour maps and stacks by their pixels.
+// EXR and PNG files read back by OpenEXR and libpng themselves; colour maps and stacks by
+// their pixels.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -21,7 +22,8 @@ namespace {
 
 using Picture = TemporaryFolder;
 
-std::vector<float> read_channel(const std::filesystem::path& path, const std::string& name, int rows, int columns) {
+std::vector<float> read_channel(const std::filesystem::path& path, const std::string& name, int rows,
+                                int columns) {
     Imf::InputFile file(path.c_str());
     const auto box = file.header().dataWindow();
     EXPECT_EQ(box.max.x - box.min.x + 1, columns);
@@ -41,7 +43,7 @@ std::vector<float> read_channel(const std::filesystem::path& path, const std::st
 }
 
 TEST_F(Picture, ExrKeepsEveryBit) {
-    constexpr int rows = 37, columns = 53;   // not a multiple of the 16 rows OpenEXR packs together
+    constexpr int rows = 37, columns = 53;  // not a multiple of the 16 rows OpenEXR packs together
     std::vector<float> range(rows * columns), intensity(rows * columns);
     for (std::size_t i = 0; i < range.size(); ++i) {
         range[i] = 80.0f * float(i * 2654435761u % 1009u) / 1009.0f;
@@ -55,7 +57,8 @@ TEST_F(Picture, ExrKeepsEveryBit) {
 }
 
 TEST_F(Picture, ExrCarriesNotes) {
-    write_exr(folder / "a.exr", 1, 2, {{"range", {1.0f, 2.0f}}}, {{"sensor", "VLP-16"}, {"run", "über\nzwei"}});
+    write_exr(folder / "a.exr", 1, 2, {{"range", {1.0f, 2.0f}}},
+              {{"sensor", "VLP-16"}, {"run", "über\nzwei"}});
     const Imf::InputFile file((folder / "a.exr").c_str());
     EXPECT_EQ(file.header().typedAttribute<Imf::StringAttribute>("sensor").value(), "VLP-16");
     EXPECT_EQ(file.header().typedAttribute<Imf::StringAttribute>("run").value(), "über\nzwei");
@@ -72,10 +75,13 @@ TEST_F(Picture, ExrRefusesWrongSizes) {
 Image read_png(const std::vector<std::uint8_t>& bytes) {
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
-    EXPECT_TRUE(png_image_begin_read_from_memory(&description, bytes.data(), bytes.size())) << description.message;
+    EXPECT_TRUE(png_image_begin_read_from_memory(&description, bytes.data(), bytes.size()))
+        << description.message;
     EXPECT_EQ(description.format, PNG_FORMAT_RGB);
-    Image image{int(description.height), int(description.width), std::vector<std::uint8_t>(PNG_IMAGE_SIZE(description))};
-    EXPECT_TRUE(png_image_finish_read(&description, nullptr, image.rgb.data(), 0, nullptr)) << description.message;
+    Image image{int(description.height), int(description.width),
+                std::vector<std::uint8_t>(PNG_IMAGE_SIZE(description))};
+    EXPECT_TRUE(png_image_finish_read(&description, nullptr, image.rgb.data(), 0, nullptr))
+        << description.message;
     return image;
 }
 
@@ -167,7 +173,9 @@ TEST(ColourMap, NoValueIsDarkGray) {
     EXPECT_EQ(pixel(image, 4), (Rgb{0, 0, 0}));
 }
 
-TEST(ColourMap, TakesConstantImages) { EXPECT_EQ(pixel(colour_map({3}, 1, 1, 3, 3, "gray"), 0), (Rgb{0, 0, 0})); }
+TEST(ColourMap, TakesConstantImages) {
+    EXPECT_EQ(pixel(colour_map({3}, 1, 1, 3, 3, "gray"), 0), (Rgb{0, 0, 0}));
+}
 
 TEST(ColourMap, RefusesWrongArguments) {
     const float nan = std::numeric_limits<float>::quiet_NaN();
@@ -184,7 +192,8 @@ TEST(Stack, StretchesAndSeparates) {
     ASSERT_EQ(image.rows, 3 + 2 + 6);
     ASSERT_EQ(image.rgb.size(), std::size_t(11 * 2 * 3));
     const std::vector<int> first_column{0, 0, 0, 128, 128, 255, 255, 255, 0, 0, 0};
-    for (int row = 0; row < image.rows; ++row) EXPECT_EQ(pixel(image, 2 * row)[0], first_column[std::size_t(row)]) << row;
+    for (int row = 0; row < image.rows; ++row)
+        EXPECT_EQ(pixel(image, 2 * row)[0], first_column[std::size_t(row)]) << row;
 }
 
 TEST(Stack, RefusesUnequalWidths) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// safetensors files: round trips, the layout byte by byte, and refusal of every cut and of headers
-// whose sizes, ranges or types do not hold.
+// safetensors files: round trips, the layout byte by byte, and refusal of every cut and
+// of headers whose sizes, ranges or types do not hold.
 #include <relidar/base/arrays.hpp>
 
 #include <algorithm>
@@ -26,8 +26,8 @@ std::vector<NamedArray> some_arrays() {
     const double exact[1] = {0.1};
     const std::int32_t ids[3] = {7, -8, 9};
     NamedArray mask{"mask", "b1", {2}, {std::byte(1), std::byte(0)}};
-    return {mask, make_array("z_first", {2, 3}, mean, 6), make_array("exact", {}, exact, 1), make_array("none", {0, 3}, mean, 0),
-            make_array("a_last \"quoted\" \xC3\xA9", {3}, ids, 3)};
+    return {mask, make_array("z_first", {2, 3}, mean, 6), make_array("exact", {}, exact, 1),
+            make_array("none", {0, 3}, mean, 0), make_array("a_last \"quoted\" \xC3\xA9", {3}, ids, 3)};
 }
 
 TEST_F(Safetensors, RoundTrips) {
@@ -39,13 +39,14 @@ TEST_F(Safetensors, RoundTrips) {
     EXPECT_EQ(read_metadata, metadata);
     ASSERT_EQ(read.size(), arrays.size());
     for (const NamedArray& array : arrays) {
-        const auto it = std::find_if(read.begin(), read.end(), [&](const NamedArray& other) { return other.name == array.name; });
+        const auto it = std::find_if(read.begin(), read.end(),
+                                     [&](const NamedArray& other) { return other.name == array.name; });
         ASSERT_NE(it, read.end()) << array.name;
         EXPECT_EQ(it->dtype, array.dtype);
         EXPECT_EQ(it->shape, array.shape);
         EXPECT_EQ(it->bytes, array.bytes);
     }
-    EXPECT_EQ(read[0].name, "mask");      // order of the data, not of the alphabet
+    EXPECT_EQ(read[0].name, "mask");  // order of the data, not of the alphabet
     EXPECT_EQ(read[1].name, "z_first");
 }
 
@@ -53,7 +54,8 @@ TEST_F(Safetensors, WritesTheDocumentedLayout) {
     const float values[2] = {1.0f, -2.0f};
     write_safetensors(folder / "a.safetensors", {make_array("w", {2, 1}, values, 2)}, {{"k", "v"}});
     const std::string file = contents(folder / "a.safetensors");
-    std::string header = R"({"__metadata__":{"k":"v"},"w":{"dtype":"F32","shape":[2,1],"data_offsets":[0,8]}})";
+    std::string header =
+        R"({"__metadata__":{"k":"v"},"w":{"dtype":"F32","shape":[2,1],"data_offsets":[0,8]}})";
     header.resize((header.size() + 7) / 8 * 8, ' ');
     EXPECT_EQ(file, file_of(header, std::string("\0\0\x80\x3f\0\0\0\xc0", 8)));
 }
@@ -80,7 +82,7 @@ TEST_F(Safetensors, SurvivesEveryChangedByte) {
             put(folder / "changed", changed);
             try {
                 (void)read_safetensors(folder / "changed");
-            } catch (const DataError&) {   // anything else fails the test
+            } catch (const DataError&) {  // anything else fails the test
             }
         }
 }
@@ -92,7 +94,8 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
         EXPECT_FALSE(data_error([&] { read_safetensors(folder / "bad"); }).empty()) << header;
     };
     const auto entry = [](const char* dtype, const char* shape, const char* offsets) {
-        return std::string(R"({"dtype":")") + dtype + R"(","shape":)" + shape + R"(,"data_offsets":)" + offsets + "}";
+        return std::string(R"({"dtype":")") + dtype + R"(","shape":)" + shape + R"(,"data_offsets":)" +
+               offsets + "}";
     };
     put(folder / "good", file_of("{\"a\":" + entry("F32", "[2]", "[0,8]") + "}", data));
     EXPECT_EQ(read_safetensors(folder / "good").size(), 1u);
@@ -102,34 +105,38 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{");
     refused("{\"a\":1}");
     refused("{\"a\":{}}");
-    refused("{}");                                                                                  // 8 bytes nobody owns
+    refused("{}");  // 8 bytes nobody owns
     refused("{\"a\":" + entry("F33", "[2]", "[0,8]") + "}");
-    refused("{\"a\":" + entry("F32", "[3]", "[0,8]") + "}");                                        // size
-    refused("{\"a\":" + entry("F32", "[2]", "[4,12]") + "}");                                       // beyond the end
+    refused("{\"a\":" + entry("F32", "[3]", "[0,8]") + "}");   // size
+    refused("{\"a\":" + entry("F32", "[2]", "[4,12]") + "}");  // beyond the end
     refused("{\"a\":" + entry("F32", "[2]", "[8,0]") + "}");
     refused("{\"a\":" + entry("F32", "[-2]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[2.0]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "2", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[2]", "[0]") + "}");
-    refused("{\"a\":" + entry("F32", "[4611686018427387904,4,2]", "[0,8]") + "}");                  // product overflows
+    refused("{\"a\":" + entry("F32", "[4611686018427387904,4,2]", "[0,8]") + "}");  // product overflows
     refused("{\"a\":" + entry("F32", "[18446744073709551616]", "[0,8]") + "}");
-    refused("{\"a\":" + entry("F32", "[1]", "[0,4]") + "}");                                        // gap at the end
-    refused("{\"a\":" + entry("F32", "[1]", "[4,8]") + "}");                                        // gap at the start
-    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[1]", "[4,8]") + "}");   // overlap
-    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"a\":" + entry("F32", "[2]", "[0,8]") + "}");    // named twice
-    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") +
-            "}");
+    refused("{\"a\":" + entry("F32", "[1]", "[0,4]") + "}");  // gap at the end
+    refused("{\"a\":" + entry("F32", "[1]", "[4,8]") + "}");  // gap at the start
+    // overlap
+    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[1]", "[4,8]") + "}");
+    // named twice
+    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
+    refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") +
+            ",\"b\":" + entry("F32", "[0]", "[8,8]") + "}");
     refused("{\"" + std::string(201, 'n') + "\":" + entry("F32", "[2]", "[0,8]") + "}");
     refused("{\"__metadata__\":{\"k\":1},\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
     refused("{\"__metadata__\":3,\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
 }
 
-// A header of 1.5 MB took 32 s with a JSON object that looks for each new name among all before it.
+// A header of 1.5 MB took 32 s with a JSON object that looks for each new name among all
+// before it.
 TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
     std::string header = "{";
     constexpr int kArrays = 25000;
     for (int i = kArrays; i > 0; --i)
-        header += "\"" + std::to_string(i) + R"(":{"dtype":"F32","shape":[0],"data_offsets":[0,0]})" + (i > 1 ? "," : "}");
+        header += "\"" + std::to_string(i) + R"(":{"dtype":"F32","shape":[0],"data_offsets":[0,0]})" +
+                  (i > 1 ? "," : "}");
     put(folder / "many", file_of(header, ""));
     const std::vector<NamedArray> arrays = read_safetensors(folder / "many");
     ASSERT_EQ(arrays.size(), std::size_t(kArrays));
@@ -138,7 +145,8 @@ TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
 }
 
 TEST_F(Safetensors, RefusesAbsurdHeaderSizes) {
-    for (std::uint64_t size : {std::uint64_t(4 << 20) + 1, std::uint64_t(1) << 30, ~std::uint64_t(0), ~std::uint64_t(0) - 7}) {
+    for (std::uint64_t size :
+         {std::uint64_t(4 << 20) + 1, std::uint64_t(1) << 30, ~std::uint64_t(0), ~std::uint64_t(0) - 7}) {
         std::string file = file_of("{}", "");
         std::memcpy(file.data(), &size, sizeof size);
         put(folder / "bad", file);
@@ -151,7 +159,7 @@ TEST_F(Safetensors, RefusesBadArrays) {
     const NamedArray good = make_array("a", {2}, values, 2);
     NamedArray reserved = good, latin1 = good;
     reserved.name = "__metadata__";
-    latin1.name = "caf\xE9";   // JSON is UTF-8
+    latin1.name = "caf\xE9";  // JSON is UTF-8
     for (const std::vector<NamedArray>& arrays : {std::vector{good, good}, {reserved}, {latin1}})
         data_error([&] { write_safetensors(folder / "a", arrays, {}); });
     EXPECT_TRUE(files().empty());

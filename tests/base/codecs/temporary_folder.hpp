@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tests of export share: a folder that goes away with the test, whole files as strings, failures as text.
+// What the tests of export share: a folder that goes away with the test, whole files as
+// strings, failures as text.
 #pragma once
 
 #include <filesystem>
@@ -29,7 +30,8 @@ protected:
     /// Names of all files, the hidden ones too.
     std::vector<std::string> files() const {
         std::vector<std::string> names;
-        for (const auto& entry : std::filesystem::directory_iterator(folder)) names.push_back(entry.path().filename());
+        for (const auto& entry : std::filesystem::directory_iterator(folder))
+            names.push_back(entry.path().filename());
         return names;
     }
 
@@ -42,11 +44,13 @@ inline std::string contents(const std::filesystem::path& path) {
 }
 
 inline void put(const std::filesystem::path& path, std::string_view bytes) {
-    std::filesystem::remove(path);   // ext4 flushes a file that is truncated and rewritten: slow over thousands of them
+    // ext4 flushes a file that is truncated and rewritten: slow over thousands of them
+    std::filesystem::remove(path);
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Message of the error of this kind that a call throws; a test failure where it throws none or another.
+/// Message of the error of this kind that a call throws; a test failure where it throws
+/// none or another.
 template <class Wanted, class Call>
 std::string error_message(const Call& call) {
     try {
@@ -63,6 +67,8 @@ std::string error_message(const Call& call) {
     return "";
 }
 template <class Call>
-std::string data_error(const Call& call) { return error_message<DataError>(call); }
+std::string data_error(const Call& call) {
+    return error_message<DataError>(call);
+}
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that walk (diff/accel/proxies, diff/accel/bvh_refit): the trees of models that bend follow their surfels, others are left alone.
+// Actors that walk (diff/accel/proxies, diff/accel/bvh_refit): the trees of models that
+// bend follow their surfels, others are left alone.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -10,8 +11,8 @@
 
 #include "../../support/device.hpp"
 #include "../traversal/cases.hpp"
-#include "diff/accel/bvh.hpp"
 #include "bvh_walk.hpp"
+#include "diff/accel/bvh.hpp"
 
 namespace relidar {
 namespace {
@@ -20,7 +21,8 @@ class Bend : public test::DeviceTest {
 protected:
     static constexpr std::uint32_t kFirstWalker = 1200, kSurfels = 2000;
 
-    /// Actors on a background, the second and the last two of which walk; one has no surfel.
+    /// Actors on a background, the second and the last two of which walk; one has no
+    /// surfel.
     static Scene some_walkers(Primitive primitive) {
         test::TraversalCase random_case = test::random_case(3, kSurfels, 0);
         if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
@@ -28,7 +30,8 @@ protected:
         surfels.add_gait();
         std::mt19937 random(6);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
-        for (Gait& gait : surfels.gait) gait = {u(random), 0.8f * u(random), glm::vec3(u(random), u(random), u(random))};
+        for (Gait& gait : surfels.gait)
+            gait = {u(random), 0.8f * u(random), glm::vec3(u(random), u(random), u(random))};
         Scene scene = make_background_scene(surfels);
         scene.models.clear();
         scene.instances.clear();
@@ -73,18 +76,22 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     };
     Placed some(device(), scene), all(device(), scene);
     const BvhOnHost before = some.bvh.download();
-    for (const double turns : {0.3, 0.7, 0.0, 0.45}) {   // a launch leaves nothing behind that would stop the next one
+    // a launch leaves nothing behind that would stop the next one
+    for (const double turns : {0.3, 0.7, 0.0, 0.45}) {
         const BvhOnHost a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
         ASSERT_EQ(a.nodes.size(), b.nodes.size());
-        EXPECT_EQ(std::memcmp(a.nodes.data(), b.nodes.data(), a.nodes.size() * sizeof(shared::BvhNode)), 0) << turns << " turns";
+        EXPECT_EQ(std::memcmp(a.nodes.data(), b.nodes.data(), a.nodes.size() * sizeof(shared::BvhNode)), 0)
+            << turns << " turns";
         EXPECT_EQ(a.boxes, b.boxes) << turns << " turns";
-        EXPECT_EQ(std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
+        EXPECT_EQ(
+            std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)),
+            0);
     }
     Surfels elsewhere = scene.surfels;
     for (glm::vec3& mean : elsewhere.mean) mean += glm::vec3(50.0f, 0.0f, 0.0f);
     some.scene.parameters().upload(elsewhere);
     const BvhOnHost after = some.at(0.0, walkers);
-    for (std::uint32_t i = 0; i < kSurfels; ++i) {   // where nothing was asked for nothing was done
+    for (std::uint32_t i = 0; i < kSurfels; ++i) {  // where nothing was asked for nothing was done
         if (test::surfel_box(before, i).empty()) continue;
         EXPECT_EQ(after.boxes[6 * i] == before.boxes[6 * i], i < kFirstWalker) << "surfel " << i;
     }
@@ -97,7 +104,8 @@ TEST_F(Bend, RendersAsPlacedAnew) {
         model.primitive = primitive;
         const WorldRays rays = test::random_case(3, 400, 1).rays;
         for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
-            Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}), anew(device(), scene, model, {.accel = {.proxy = proxy}});
+            Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}),
+                anew(device(), scene, model, {.accel = {.proxy = proxy}});
             moved.place(at_phase(scene, 0.0), glm::vec3(0.0f));
             const Rendering start = moved.forward(rays);
             bool differs = false;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The trees over the surfels (diff/accel/bvh_bounds, bvh_keys, bvh_cluster, bvh_wide_mark, bvh_wide_count, bvh_wide_scan, bvh_wide_place,
-// bvh_wide_emit, bvh_refit, bvh_cost): what must hold of every tree, read back after builds and refits of scenes of every kind, and the
-// surfels that rays reach through it against all surfels one by one.
+// The trees over the surfels (diff/accel/bvh_bounds, bvh_keys, bvh_cluster,
+// bvh_wide_mark, bvh_wide_count, bvh_wide_scan, bvh_wide_place, bvh_wide_emit, bvh_refit,
+// bvh_cost): what must hold of every tree, read back after builds and refits of scenes of
+// every kind, and the surfels that rays reach through it against all surfels one by one.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -86,13 +87,15 @@ protected:
             n += model.count;
             if (model.count == 0) {
                 EXPECT_EQ(host.roots[m], RELIDAR_BVH_NO_NODE) << what;
-                ++seen[m];   // a root nobody reaches
+                ++seen[m];  // a root nobody reaches
                 continue;
             }
             EXPECT_EQ(test::fault_of_tree(host, host.roots[m], model, seen), "") << what << ", model " << m;
         }
-        EXPECT_EQ(std::count(seen.begin(), seen.end(), 1), std::ptrdiff_t(seen.size())) << what << ": nodes that no root reaches";
-        EXPECT_LE(host.nodes.size(), Bvh::node_bound(n, static_cast<std::uint32_t>(layout.models.size()))) << what;
+        EXPECT_EQ(std::count(seen.begin(), seen.end(), 1), std::ptrdiff_t(seen.size()))
+            << what << ": nodes that no root reaches";
+        EXPECT_LE(host.nodes.size(), Bvh::node_bound(n, static_cast<std::uint32_t>(layout.models.size())))
+            << what;
     }
 
     void expect_sound(const Surfels& surfels, const std::string& what) {
@@ -113,7 +116,8 @@ TEST_F(BvhBuild, HardScenesAreTrees) {
     expect_sound(s, "identical means");
     for (std::uint32_t i = 0; i < n; ++i) s.mean[i] = {0.01f * float(i), 0.0f, 0.0f};
     expect_sound(s, "collinear");
-    for (std::uint32_t i = 0; i < n; ++i) s.mean[i] = {std::ldexp(1.0f, -int(i % 100)), std::ldexp(1.0f, -int(i % 37)), 0.0f};
+    for (std::uint32_t i = 0; i < n; ++i)
+        s.mean[i] = {std::ldexp(1.0f, -int(i % 100)), std::ldexp(1.0f, -int(i % 37)), 0.0f};
     expect_sound(s, "a chain: means that halve");
     s = random_surfels(n);
     for (glm::vec3& mean : s.mean) mean += glm::vec3(1e5f, -1e5f, 1e5f);
@@ -159,11 +163,12 @@ TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
     sizes.push_back(0);
     std::uint32_t n = 0;
     for (const std::uint32_t size : sizes) n += size;
-    for (const std::vector<std::uint32_t>& some : {std::vector<std::uint32_t>{n}, {0, n}, {n - 1, 1}, {1, 0, n - 1, 0}, sizes}) {
+    for (const std::vector<std::uint32_t>& some :
+         {std::vector<std::uint32_t>{n}, {0, n}, {n - 1, 1}, {1, 0, n - 1, 0}, sizes}) {
         Built built(device(), scene_of(random_surfels(n), some));
         expect_sound(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
     }
-    EXPECT_THROW(Built(device(), scene_of(random_surfels(10), {4, 5})), DataError);   // a surfel of no model
+    EXPECT_THROW(Built(device(), scene_of(random_surfels(10), {4, 5})), DataError);  // a surfel of no model
 }
 
 TEST_F(BvhBuild, RefitFollowsTheSurfels) {
@@ -194,17 +199,23 @@ TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
     const BvhOnHost first = a.build(), second = b.build(), third = a.build(), refitted = a.refit();
     for (const BvhOnHost& other : {second, third, refitted}) {
         ASSERT_EQ(first.nodes.size(), other.nodes.size());
-        EXPECT_EQ(std::memcmp(first.nodes.data(), other.nodes.data(), first.nodes.size() * sizeof(shared::BvhNode)), 0);
+        EXPECT_EQ(
+            std::memcmp(first.nodes.data(), other.nodes.data(), first.nodes.size() * sizeof(shared::BvhNode)),
+            0);
         EXPECT_EQ(first.order, other.order);
         EXPECT_EQ(first.roots, other.roots);
     }
 }
 
-/// Box of a surfel in double: half size along x is k |(s_u a_u.x, s_v a_v.x)|, where sigma exp(-k^2 / 2) = 1 / 255.
+/// Box of a surfel in double: half size along x is k |(s_u a_u.x, s_v a_v.x)|, where
+/// sigma exp(-k^2 / 2) = 1 / 255.
 test::HostBox expected_box(const Surfels& s, std::size_t i) {
-    const double sigma = 1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))), k = std::sqrt(2.0 * std::log(255.0 * sigma));
-    const glm::dmat3 r = glm::mat3_cast(glm::normalize(glm::dquat(s.rotation[i].x, s.rotation[i].y, s.rotation[i].z, s.rotation[i].w)));
-    const glm::dvec3 u = r[0] * std::exp(double(s.log_scale[i].x)) * k, v = r[1] * std::exp(double(s.log_scale[i].y)) * k;
+    const double sigma = 1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
+                 k = std::sqrt(2.0 * std::log(255.0 * sigma));
+    const glm::dmat3 r = glm::mat3_cast(
+        glm::normalize(glm::dquat(s.rotation[i].x, s.rotation[i].y, s.rotation[i].z, s.rotation[i].w)));
+    const glm::dvec3 u = r[0] * std::exp(double(s.log_scale[i].x)) * k,
+                     v = r[1] * std::exp(double(s.log_scale[i].y)) * k;
     const glm::dvec3 half = glm::sqrt(u * u + v * v);
     return {glm::dvec3(s.mean[i]) - half, glm::dvec3(s.mean[i]) + half};
 }
@@ -248,7 +259,7 @@ TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
         n_hits += expected.size();
     }
     EXPECT_GT(n_hits, 1'000u);
-    EXPECT_LT(n_visits, 500u * host.nodes.size() / 4);   // a tree that culls
+    EXPECT_LT(n_visits, 500u * host.nodes.size() / 4);  // a tree that culls
 }
 
 }  // namespace

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree over the instances (diff/accel/bvh_top): every instance that is there in one leaf, none that is
-// absent, world boxes hold what stands
-// in them, after placing, moving and taking away; and rays through both levels against all instances and surfels.
+// The tree over the instances (diff/accel/bvh_top): every instance that is there in one
+// leaf, none that is absent, world boxes hold what stands in them, after placing, moving
+// and taking away; and rays through both levels against all instances and surfels.
 #include <algorithm>
 #include <cstring>
 #include <random>
@@ -31,8 +31,10 @@ std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, doub
     std::normal_distribution<double> normal;
     std::vector<InstancePose> poses(n);
     for (InstancePose& pose : poses) {
-        pose.world_from_model.rotation = glm::normalize(glm::dquat(normal(random), normal(random), normal(random), normal(random)));
-        pose.world_from_model.translation = spread_m * glm::dvec3(normal(random), normal(random), normal(random));
+        pose.world_from_model.rotation =
+            glm::normalize(glm::dquat(normal(random), normal(random), normal(random), normal(random)));
+        pose.world_from_model.translation =
+            spread_m * glm::dvec3(normal(random), normal(random), normal(random));
     }
     return poses;
 }
@@ -69,12 +71,14 @@ protected:
             return bvh.download();
         }
         bool is_there(std::size_t i) const {
-            return scene.poses()[i].present && scene.layout().models[scene.layout().instances[i].model].count > 0;
+            return scene.poses()[i].present &&
+                   scene.layout().models[scene.layout().instances[i].model].count > 0;
         }
     };
 
     /// Real box of all below a node, with every instance counted.
-    static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index, std::vector<int>& seen, test::HostBox& real) {
+    static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index,
+                           std::vector<int>& seen, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
         const auto slots = test::slots_of(host.top_nodes[index]);
         for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
@@ -93,7 +97,8 @@ protected:
         }
     }
 
-    /// Around the corners of the model's surfel boxes where the instance stands, in double.
+    /// Around the corners of the model's surfel boxes where the instance stands, in
+    /// double.
     static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const Model& model = layout.models[layout.instances[instance].model];
@@ -103,7 +108,8 @@ protected:
             for (int corner = 0; corner < 8; ++corner) {
                 const glm::dvec3 p =
                     built.scene.poses()[instance].world_from_model *
-                    glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y, corner & 4 ? b.low.z : b.high.z);
+                    glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y,
+                               corner & 4 ? b.low.z : b.high.z);
                 box.add({p, p});
             }
         }
@@ -127,13 +133,15 @@ TEST_F(BvhTop, EveryInstanceIsWhereItStands) {
     for (const std::uint32_t n : {1u, 2u, 8u, 9u, 64u, 65u, 200u, 1000u}) {
         Built built(device(), scene_of_instances(n, random));
         expect_sound(built, built.move(random_poses(n, random)), std::to_string(n) + " instances");
-        expect_sound(built, built.move(random_poses(n, random, 1e5)), std::to_string(n) + " instances, far away");
+        expect_sound(built, built.move(random_poses(n, random, 1e5)),
+                     std::to_string(n) + " instances, far away");
         std::vector<InstancePose> poses = random_poses(n, random);
         for (InstancePose& pose : poses) pose.present = random() % 2;
         expect_sound(built, built.move(poses), std::to_string(n) + " instances, half of them absent");
         for (InstancePose& pose : poses) pose.present = false;
         expect_sound(built, built.move(poses), std::to_string(n) + " instances, all of them absent");
-        expect_sound(built, built.move(std::vector<InstancePose>(n)), std::to_string(n) + " instances in one place");
+        expect_sound(built, built.move(std::vector<InstancePose>(n)),
+                     std::to_string(n) + " instances in one place");
     }
 }
 
@@ -144,7 +152,8 @@ TEST_F(BvhTop, MovesAreRepeatable) {
     const BvhOnHost a = built.move(poses);
     built.move(random_poses(100, random));
     const BvhOnHost b = built.move(poses);
-    EXPECT_EQ(std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
+    EXPECT_EQ(
+        std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
     EXPECT_EQ(a.top_order, b.top_order);
 }
 
@@ -170,7 +179,8 @@ TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
             const Model& model = layout.models[layout.instances[i].model];
             const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
             test::walk(host.nodes, host.roots[i], local, [&](std::uint32_t leaf) {
-                if (test::meets(local, test::surfel_box(host, model.first + host.order[leaf]))) found.insert({i, host.order[leaf]});
+                if (test::meets(local, test::surfel_box(host, model.first + host.order[leaf])))
+                    found.insert({i, host.order[leaf]});
             });
         });
         EXPECT_EQ(found, expected) << "ray " << r;

@@ -9,11 +9,13 @@
 namespace relidar::test {
 namespace {
 
-std::uint32_t byte_of(const std::uint32_t* words, int slot) { return words[slot / 4] >> (8 * (slot % 4)) & 255u; }
+std::uint32_t byte_of(const std::uint32_t* words, int slot) {
+    return words[slot / 4] >> (8 * (slot % 4)) & 255u;
+}
 
 double decoded(float origin, std::uint32_t exponent, std::uint32_t q) {
     const float scale = std::bit_cast<float>(exponent << 23);
-    volatile float offset = static_cast<float>(q) * scale;   // each step rounded to float
+    volatile float offset = static_cast<float>(q) * scale;  // each step rounded to float
     volatile float x = origin + offset;
     return x;
 }
@@ -38,7 +40,8 @@ struct TreeCheck {
             return fail(fmt::format("leaf entries {} + {} pass the end", slot.first, slot.count));
         for (std::uint32_t k = 0; k < slot.count; ++k) {
             const std::uint32_t surfel = bvh.order[slot.first + k];
-            if (surfel >= model.count) return fail(fmt::format("surfel {} of a model of {}", surfel, model.count));
+            if (surfel >= model.count)
+                return fail(fmt::format("surfel {} of a model of {}", surfel, model.count));
             if (++surfel_seen[surfel] > 1) return fail(fmt::format("surfel {} is in two leaves", surfel));
             real.add(surfel_box(bvh, model.first + surfel));
         }
@@ -52,10 +55,13 @@ struct TreeCheck {
         const std::array<Slot, RELIDAR_BVH_WIDTH> slots = slots_of(bvh.nodes[index]);
         for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
             HostBox below;
-            if (!(slots[s].inner ? node(slots[s].child, depth + 1, below) : leaf(slots[s], below))) return false;
+            if (!(slots[s].inner ? node(slots[s].child, depth + 1, below) : leaf(slots[s], below)))
+                return false;
             const HostBox box = decoded_box(bvh.nodes[index], s);
-            if (!box.holds(below)) return fail(fmt::format("slot {} of node {} is smaller than what is in it", s, index));
-            if (below.empty() && !box.empty()) return fail(fmt::format("slot {} of node {} holds nothing and is not inverted", s, index));
+            if (!box.holds(below))
+                return fail(fmt::format("slot {} of node {} is smaller than what is in it", s, index));
+            if (below.empty() && !box.empty())
+                return fail(fmt::format("slot {} of node {} holds nothing and is not inverted", s, index));
             real.add(below);
         }
         return true;
@@ -98,7 +104,8 @@ std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node) {
     return slots;
 }
 
-std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model, std::vector<int>& seen) {
+std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
+                          std::vector<int>& seen) {
     TreeCheck check{bvh, model, seen};
     check.surfel_seen.assign(model.count, 0);
     HostBox box;
@@ -112,7 +119,8 @@ bool meets(const HostRay& ray, const HostBox& box) {
     if (box.empty()) return false;
     double near = 0.0, far = HUGE_VAL;
     for (int c = 0; c < 3; ++c) {
-        const double a = (box.low[c] - ray.origin[c]) / ray.direction[c], b = (box.high[c] - ray.origin[c]) / ray.direction[c];
+        const double a = (box.low[c] - ray.origin[c]) / ray.direction[c],
+                     b = (box.high[c] - ray.origin[c]) / ray.direction[c];
         near = std::max(near, std::min(a, b));
         far = std::min(far, std::max(a, b));
     }

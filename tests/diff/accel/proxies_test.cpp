@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/accel/proxies and the acceleration structure (M3, Fig. 3): proxies hold all of sigma G >= alpha_min (rays at the rim are found), a
-// refit follows moved surfels, moving an instance builds no bottom level.
+// diff/accel/proxies and the acceleration structure (M3, Fig. 3): proxies hold all of
+// sigma G >= alpha_min (rays at the rim are found), a refit follows moved surfels, moving
+// an instance builds no bottom level.
 #include <algorithm>
 #include <bit>
 #include <cmath>
 
-#include "scene/benchmark_street.hpp"
 #include <relidar/diff/forward.hpp>
+#include "scene/benchmark_street.hpp"
 
 #include "../../support/device.hpp"
-#include "gpu/stream.hpp"
 #include "diff/shared/accel.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
@@ -22,14 +23,15 @@ Surfels one_surfel(float opacity) {
     Surfels s;
     s.resize(1);
     s.mean[0] = {10.0f, 0.0f, 0.0f};
-    s.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};   // a_u = -z, a_v = y, normal = x
+    s.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};  // a_u = -z, a_v = y, normal = x
     s.log_scale[0] = {std::log(0.5f), std::log(0.25f)};
     s.opacity_logit[0] = std::log(opacity / (1.0f - opacity));
     std::fill(s.sh.begin(), s.sh.end(), 0.0f);
     return s;
 }
 
-/// The same outline along x by the second and third scale of a 3D Gaussian, 2 m long along the rays.
+/// The same outline along x by the second and third scale of a 3D Gaussian, 2 m long
+/// along the rays.
 Surfels one_gaussian(float opacity) {
     Surfels s = one_surfel(opacity);
     s.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
@@ -39,25 +41,28 @@ Surfels one_gaussian(float opacity) {
     return s;
 }
 
-/// Parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma G = alpha_min, times `factor`.
+/// Parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma G =
+/// alpha_min, times `factor`.
 WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
     const double k = std::sqrt(2.0 * std::log(opacity / alpha_min)) * factor;
     WorldRays rays;
     for (int i = 0; i < 360; ++i) {
         const double angle = i * kPi / 180.0;
-        rays.origin.push_back({0.0f, static_cast<float>(0.25 * k * std::sin(angle)), static_cast<float>(0.5 * k * std::cos(angle))});
+        rays.origin.push_back({0.0f, static_cast<float>(0.25 * k * std::sin(angle)),
+                               static_cast<float>(0.5 * k * std::cos(angle))});
         rays.direction.push_back({1.0f, 0.0f, 0.0f});
     }
     return rays;
 }
 
-/// diff/accel/model_radii: the rim of every ellipse lies within its model's radius, and not far within.
+/// diff/accel/model_radii: the rim of every ellipse lies within its model's radius, and
+/// not far within.
 TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
-    constexpr std::uint32_t kFirst = 150, kAll = 230;   // more than a thread goes over
+    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more than a thread goes over
     constexpr double kAlphaMin = 1.0 / 255.0;
     Surfels surfels = make_benchmark_street(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
-    surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};   // never hit
+    surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // never hit
     Scene scene = make_background_scene(surfels);
     scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
     DeviceScene on_device(device(), scene);
@@ -80,11 +85,13 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
     const std::vector<std::uint32_t> found = radii.download();
     for (const std::uint32_t m : {0u, 1u}) {
         double expected = 0.0;
-        for (std::uint32_t i = scene.models[m].first; i < scene.models[m].first + scene.models[m].count; ++i) {
+        for (std::uint32_t i = scene.models[m].first; i < scene.models[m].first + scene.models[m].count;
+             ++i) {
             const double opacity = 1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[i])));
             if (opacity <= kAlphaMin) continue;
             const double largest = std::exp(double(std::max(surfels.log_scale[i].x, surfels.log_scale[i].y)));
-            expected = std::max(expected, double(glm::length(surfels.mean[i])) + std::sqrt(2.0 * std::log(opacity / kAlphaMin)) * largest);
+            expected = std::max(expected, double(glm::length(surfels.mean[i])) +
+                                              std::sqrt(2.0 * std::log(opacity / kAlphaMin)) * largest);
         }
         EXPECT_NEAR(double(std::bit_cast<float>(found[m])), expected, 1e-5 * expected) << "model " << m;
     }
@@ -93,12 +100,16 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(one_surfel(opacity)), {}, {.accel = {.proxy = proxy}});
+            Renderer renderer(device(), make_background_scene(one_surfel(opacity)), {},
+                              {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits)
+                EXPECT_EQ(n, 1u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits)
+                EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
-    Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});   // sigma under the cut has no proxy
+    // sigma under the cut has no proxy
+    Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});
     renderer.place(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.forward(rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
@@ -108,10 +119,13 @@ TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
     model.primitive = Primitive::gaussian;
     for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(one_gaussian(opacity)), model, {.accel = {.proxy = proxy}});
+            Renderer renderer(device(), make_background_scene(one_gaussian(opacity)), model,
+                              {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits) EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits) EXPECT_EQ(n, 0u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 0.999)).hits)
+                EXPECT_EQ(n, 1u) << "opacity " << opacity;
+            for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits)
+                EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
 }
 
@@ -120,7 +134,8 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
         for (const float alpha_min : {1e-4f, 0.05f}) {
             ImageModel model;
             model.alpha_min = alpha_min;
-            Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model, {.accel = {.proxy = proxy}});
+            Renderer renderer(device(), make_background_scene(one_surfel(0.6f)), model,
+                              {.accel = {.proxy = proxy}});
             renderer.place(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.forward(rim_rays(0.6f, 0.999, alpha_min)).hits)
                 EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// When a structure is built anew instead of refitted: the first time, when told, after so many refits, and, software tree alone, when it
-// has outgrown its build.
+// When a structure is built anew instead of refitted: the first time, when told, after so
+// many refits, and, software tree alone, when it has outgrown its build.
 #include <relidar/diff/accel.hpp>
 #include <relidar/scene/device_scene.hpp>
 
@@ -48,18 +48,22 @@ TEST_F(Rebuild, WhenTheTreeHasOutgrownItsBuild) {
     accel.check_growth(stream);
     EXPECT_EQ(refits_after(stream, scene, accel), 1) << "nothing has moved";
     accel.check_growth(stream);
-    Surfels scattered = surfels_;   // neighbours in the tree are now far apart
-    for (std::size_t i = 0; i < scattered.size(); ++i) scattered.mean[i] = surfels_.mean[(i * 157) % surfels_.size()];
+    Surfels scattered = surfels_;  // neighbours in the tree are now far apart
+    for (std::size_t i = 0; i < scattered.size(); ++i)
+        scattered.mean[i] = surfels_.mean[(i * 157) % surfels_.size()];
     scene.parameters().upload(scattered);
     EXPECT_EQ(refits_after(stream, scene, accel), 2);
     accel.check_growth(stream);
-    EXPECT_EQ(refits_after(stream, scene, accel), 3) << "growth is measured by one check and seen by the next";
+    EXPECT_EQ(refits_after(stream, scene, accel), 3)
+        << "growth is measured by one check and seen by the next";
     accel.check_growth(stream);
-    const bool measured = device().traversal() == Traversal::software;   // drivers do not tell a structure's cost
+    // drivers do not tell a structure's cost
+    const bool measured = device().traversal() == Traversal::software;
     EXPECT_EQ(refits_after(stream, scene, accel), measured ? 0 : 4);
     for (const int refits : {1, 2, 3}) {
         accel.check_growth(stream);
-        EXPECT_EQ(refits_after(stream, scene, accel), measured ? refits : 4 + refits) << "a new build is its own measure";
+        EXPECT_EQ(refits_after(stream, scene, accel), measured ? refits : 4 + refits)
+            << "a new build is its own measure";
     }
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (ii) of the gradient chain: diff/backward/trace and scene/activate_vjp against the double reference backward (Eq. 9; M7, M8), every
-// parameter lane of every surfel and the ray, in both SH direction modes; and a few direct differences of the device itself, so that
-// the chain is tested as a whole.
+// Link (ii) of the gradient chain: diff/backward/trace and scene/activate_vjp against the
+// double reference backward (Eq. 9; M7, M8), every parameter lane of every surfel and the
+// ray, in both SH direction modes; and a few direct differences of the device itself, so
+// that the chain is tested as a whole.
 #include <cmath>
 #include <span>
 
@@ -23,32 +24,34 @@ using test::random_upstream;
 struct Way {
     const char* name;
     BackwardOptions options;
-    std::uint32_t kept = 0;   ///< hits a ray kept by the forward pass
+    std::uint32_t kept = 0;  ///< hits a ray kept by the forward pass
     HitOrder order = HitOrder::chunks;
     int list_room = 64;
 };
-constexpr Way kWays[] = {{"atomics", {.reduction = Reduction::atomics, .coalesced_atomics = false}},
-                          {"gather", {.reduction = Reduction::gather}},
-                          {"lists, some too short, some kept hits", {.reduction = Reduction::gather}, 5, HitOrder::lists, 8},
-                          {"coalesced atomics", {.reduction = Reduction::atomics, .coalesced_atomics = true}},
-                          {"atomics, kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 64},
-                          {"atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 5},
-                          {"coalesced atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = true}, 5},
-                          {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
-                          {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
-                          {"gather without room for all", {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
-constexpr std::size_t kFewWays = 3;   ///< the first ones: both sums, all ways of finding hits
+constexpr Way kWays[] = {
+    {"atomics", {.reduction = Reduction::atomics, .coalesced_atomics = false}},
+    {"gather", {.reduction = Reduction::gather}},
+    {"lists, some too short, some kept hits", {.reduction = Reduction::gather}, 5, HitOrder::lists, 8},
+    {"coalesced atomics", {.reduction = Reduction::atomics, .coalesced_atomics = true}},
+    {"atomics, kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 64},
+    {"atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 5},
+    {"coalesced atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = true}, 5},
+    {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
+    {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
+    {"gather without room for all",
+     {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
+constexpr std::size_t kFewWays = 3;  ///< the first ones: both sums, all ways of finding hits
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
 /// How a scene is rendered, what of it has a gradient, and how well that must agree.
 struct How {
     Proxy proxy = Proxy::boxes;
-    bool every_way = false;       ///< not the first kFewWays alone: for a scene of each layout of gradients
-    bool brute_force = false;     ///< the first two ways: others of finding hits change nothing there
+    bool every_way = false;    ///< not the first kFewWays alone: for a scene of each layout of gradients
+    bool brute_force = false;  ///< the first two ways: others of finding hits change nothing there
     double tolerance = test::kKernelGradient;
     Outputs outputs = Outputs::image;
-    std::optional<int> chunk = {};   ///< else that of the other tests
+    std::optional<int> chunk = {};  ///< else that of the other tests
 };
 
 class DeviceGradient : public test::DeviceTest {
@@ -58,14 +61,16 @@ protected:
         return how.every_way ? std::span(kWays) : std::span(kWays).first(kFewWays);
     }
 
-    void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, const How& how, const std::string& title) {
+    void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, const How& how,
+                          const std::string& title) {
         reference::Settings settings;
         settings.image = image;
         settings.image.primitive = options.primitive;
         settings.likelihood_scale_m = 0.3;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
-        const std::vector<PixelGradient> upstream = random_upstream(scene.rays.size(), options.seed, how.outputs);
+        const std::vector<PixelGradient> upstream =
+            random_upstream(scene.rays.size(), options.seed, how.outputs);
         RendererOptions renderer = test::options_of(image);
         renderer.accel.proxy = how.proxy;
         TraceOptions& trace = renderer.trace;
@@ -74,7 +79,8 @@ protected:
         reference::Gradients expected(scene.world);
         std::vector<reference::RayGradient> d_rays;
         for (std::size_t i = 0; i < scene.rays.size(); ++i)
-            d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], trace.chunk, upstream[i], expected));
+            d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], trace.chunk,
+                                                 upstream[i], expected));
 
         trace.geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood;
         if (how.outputs == Outputs::likelihood || how.outputs == Outputs::all) trace.likelihood = kKernel;
@@ -91,8 +97,9 @@ protected:
         }
     }
 
-    void expect_rows(const ImageModel& image, const reference::Gradients& expected, const std::vector<reference::RayGradient>& d_rays,
-                     const Gradients& actual, const std::string& title, const How& how) {
+    void expect_rows(const ImageModel& image, const reference::Gradients& expected,
+                     const std::vector<reference::RayGradient>& d_rays, const Gradients& actual,
+                     const std::string& title, const How& how) {
         GradientTable table;
         test::add_surfel_rows(table, expected.surfels, actual.surfels.download());
         const std::vector<float> rays = actual.rays.download();
@@ -104,24 +111,29 @@ protected:
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), how.tolerance) << name << ", " << title;
             EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
-            const bool constant = (name == "sh hit" && image.single_drop_logit) ||
-                                  (name.starts_with("sh ") && how.outputs != Outputs::image && how.outputs != Outputs::all);
+            const bool constant =
+                (name == "sh hit" && image.single_drop_logit) ||
+                (name.starts_with("sh ") && how.outputs != Outputs::image && how.outputs != Outputs::all);
             EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name << ", " << title;
         }
     }
 };
 
 TEST_F(DeviceGradient, ShAlongRayWithInstances) {
-    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60}, {.proxy = Proxy::triangles, .every_way = true},
+    expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60},
+                     {.proxy = Proxy::triangles, .every_way = true},
                      "triangles, SH along the ray, 3 instances");
 }
 
 TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
     const test::RandomSceneOptions options{.seed = 38, .rays = 60, .moving = true};
-    // A kernel turns the ray's origin, 8 m away, in float: that rounds it once more by 1e-6 m.
+    // A kernel turns the ray's origin, 8 m away, in float: that rounds it once more by
+    // 1e-6 m.
     const double tolerance = 3.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.tolerance = tolerance, .outputs = Outputs::normal, .chunk = 4},
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options,
+                     {.tolerance = tolerance, .outputs = Outputs::normal, .chunk = 4},
                      "normals of models that move");
 }
 
@@ -146,12 +158,14 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     test::RandomSceneOptions options;
     options.seed = 34;
     options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha; Eq. 9 divides by that, and the transmittance behind such a
-    // wall carries it on to rows that are themselves small. Single precision holds no fourth digit there.
+    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha; Eq. 9 divides
+    // by that, and the transmittance behind such a wall carries it on to rows that are
+    // themselves small. Single precision holds no fourth digit there.
     const double tolerance = 10.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance},
-                     "brute force, opaque");
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.brute_force = true, .tolerance = tolerance, .chunk = 2},
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.brute_force = true, .tolerance = tolerance}, "brute force, opaque");
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.brute_force = true, .tolerance = tolerance, .chunk = 2},
                      "brute force, opaque, chunk 2");
 }
 
@@ -160,16 +174,20 @@ TEST_F(DeviceGradient, Gaussians) {
     options.primitive = Primitive::gaussian;
     // each is met by more rays than a surfel
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
-    // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest, 0.03 m, in every gradient of alpha.
+    // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest,
+    // 0.03 m, in every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
-    expect_agreement({.sh_direction = ShDirection::ray}, options, {.proxy = Proxy::triangles, .tolerance = tolerance},
+    expect_agreement({.sh_direction = ShDirection::ray}, options,
+                     {.proxy = Proxy::triangles, .tolerance = tolerance},
                      "3D Gaussians, icosahedra, SH along the ray, 3 instances");
     options.seed = 37, options.actor_instances = 1;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.every_way = true, .tolerance = tolerance},
+    expect_agreement({.sh_direction = ShDirection::surfel}, options,
+                     {.every_way = true, .tolerance = tolerance},
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
-/// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing moves them. The first two scenes again.
+/// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing
+/// moves them. The first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
@@ -182,47 +200,61 @@ TEST_F(DeviceGradient, SingleDropLogit) {
                      "one drop logit, SH along sensor -> mean");
 }
 
-/// Blended normal, distortion and likelihood (M10-M12), each alone and with the image, short chunks and long lists.
+/// Blended normal, distortion and likelihood (M10-M12), each alone and with the image,
+/// short chunks and long lists.
 TEST_F(DeviceGradient, Geometry) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.proxy = Proxy::triangles, .every_way = true, .outputs = Outputs::all}, "image and geometry, SH along the ray");
+                     {.proxy = Proxy::triangles, .every_way = true, .outputs = Outputs::all},
+                     "image and geometry, SH along the ray");
     options.actor_instances = 1, options.seed = 62;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::normal, .chunk = 4}, "blended normal alone");
+    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::normal, .chunk = 4},
+                     "blended normal alone");
     options.seed = 63;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::distortion, .chunk = 4}, "distortion alone");
-    options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
-    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    expect_agreement({.sh_direction = ShDirection::surfel}, options,
+                     {.outputs = Outputs::distortion, .chunk = 4}, "distortion alone");
+    options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0,
+    options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
     expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::all},
                      "image and geometry, transparent, long lists");
-    options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all, .chunk = 2},
-                     "image and geometry, opaque with clamps");
+    options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5,
+    options.opacity_high = 0.98, options.wide_surfels = 2;
+    expect_agreement(
+        {.sh_direction = ShDirection::ray}, options,
+        {.brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all, .chunk = 2},
+        "image and geometry, opaque with clamps");
 }
 
-/// The likelihood (M12) alone, without the rest of the geometry. In small rows the hits of many rays cancel, and show that a GPU's exp and
-/// division are off by up to 3 and 2.5 units in the last place, where a processor's are off by half a unit.
+/// The likelihood (M12) alone, without the rest of the geometry. In small rows the hits
+/// of many rays cancel, and show that a GPU's exp and division are off by up to 3 and 2.5
+/// units in the last place, where a processor's are off by half a unit.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
                      "likelihood, SH along the ray");
-    options.seed = 65, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0, options.actor_surfels = 0,
-    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    options.seed = 65, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0,
+    options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
     expect_agreement({.sh_direction = ShDirection::ray}, options, {.outputs = Outputs::likelihood},
                      "likelihood, transparent, long lists");
-    options = {.seed = 66, .background_surfels = 24, .actor_surfels = 8, .actor_instances = 1, .rays = 30,
+    options = {.seed = 66,
+               .background_surfels = 24,
+               .actor_surfels = 8,
+               .actor_instances = 1,
+               .rays = 30,
                .primitive = Primitive::gaussian};
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
-                     {.tolerance = 3.0 * test::kKernelGradient, .outputs = Outputs::likelihood}, "likelihood, 3D Gaussians");
+                     {.tolerance = 3.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
+                     "likelihood, 3D Gaussians");
 }
 
-/// Direct differences of the device: blunt (single precision), but nothing of the chain is shared with the reference.
+/// Direct differences of the device: blunt (single precision), but nothing of the chain
+/// is shared with the reference.
 class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences, testing::Values(Primitive::surfel, Primitive::gaussian));
+INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
+                         testing::Values(Primitive::surfel, Primitive::gaussian));
 
 TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     reference::Settings settings;
@@ -231,7 +263,8 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     options.seed = 35;
     options.primitive = GetParam();
     const test::RandomScene scene = test::make_random_scene(options, settings);
-    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3), test::options_of(settings.image));
+    Passes passes(device(), settings.image, scene, random_upstream(scene.rays.size(), 3),
+                  test::options_of(settings.image));
     passes.run();
     const Surfels d = passes.gradients().surfels.download();
     const Surfels start = passes.renderer.download().surfels;
@@ -252,12 +285,16 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     };
     const double scale = glm::length(d.mean[strongest]);
     for (int k = 0; k < 3; ++k)
-        near_enough(d.mean[strongest][k], difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
+        near_enough(d.mean[strongest][k],
+                    difference([&](Surfels& s, float h) { s.mean[strongest][k] += h; }, 5e-4f), scale);
     for (int k = 0; k < 2; ++k)
-        near_enough(d.log_scale[strongest][k], difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
+        near_enough(d.log_scale[strongest][k],
+                    difference([&](Surfels& s, float h) { s.log_scale[strongest][k] += h; }, 2e-3f), scale);
     if (GetParam() == Primitive::gaussian)
-        near_enough(d.log_scale_w[strongest], difference([&](Surfels& s, float h) { s.log_scale_w[strongest] += h; }, 2e-3f), scale);
-    near_enough(d.opacity_logit[strongest], difference([&](Surfels& s, float h) { s.opacity_logit[strongest] += h; }, 5e-3f), scale);
+        near_enough(d.log_scale_w[strongest],
+                    difference([&](Surfels& s, float h) { s.log_scale_w[strongest] += h; }, 2e-3f), scale);
+    near_enough(d.opacity_logit[strongest],
+                difference([&](Surfels& s, float h) { s.opacity_logit[strongest] += h; }, 5e-3f), scale);
 }
 
 }  // namespace

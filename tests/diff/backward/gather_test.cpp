@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/backward/gather and diff/backward/gather_heads: surfels with thousands of hits, rays without a
-// gradient, and the promise for which they
-// exist: every gradient the same bit for bit in every run, however the hits are found and however much room there is. (Their values against
-// the double reference: device_gradient_test.cpp.)
+// diff/backward/gather and diff/backward/gather_heads: surfels with thousands of hits,
+// rays without a gradient, and the promise for which they exist: every gradient the same
+// bit for bit in every run, however the hits are found and however much room there is.
+// (Their values against the double reference: device_gradient_test.cpp.)
 #include <algorithm>
 #include <cmath>
 
@@ -18,9 +18,16 @@ using test::Passes;
 
 std::vector<float> all_gradients(const Gradients& g) {
     std::vector<float> all;
-    const std::initializer_list<const Array<float>*> arrays{&g.records, &g.surfels.mean, &g.surfels.rotation, &g.surfels.log_scale,
-                                                            &g.surfels.opacity_logit, &g.surfels.log_scale_w, &g.surfels.sh, &g.rays,
-                                                            &g.poses, &g.sensor};
+    const std::initializer_list<const Array<float>*> arrays{&g.records,
+                                                            &g.surfels.mean,
+                                                            &g.surfels.rotation,
+                                                            &g.surfels.log_scale,
+                                                            &g.surfels.opacity_logit,
+                                                            &g.surfels.log_scale_w,
+                                                            &g.surfels.sh,
+                                                            &g.rays,
+                                                            &g.poses,
+                                                            &g.sensor};
     for (const Array<float>* array : arrays)
         for (const float x : array->download()) all.push_back(x);
     return all;
@@ -58,14 +65,16 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
             EXPECT_EQ(all_gradients(passes.gradients()), first);
         }
         options.accel.proxy = Proxy::triangles;
-        Passes triangles(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
+        Passes triangles(device(), settings.image, scene, upstream, options,
+                         {.reduction = Reduction::gather});
         triangles.run();
         EXPECT_EQ(all_gradients(triangles.gradients()), first) << "the same hits found another way";
     }
 }
 
-/// Where zeros of the others are not wanted, a CPU goes over the surfels that a hit has marked alone. Bits are compared, which gathered
-/// sums alone have; atomics mark the same ones.
+/// Where zeros of the others are not wanted, a CPU goes over the surfels that a hit has
+/// marked alone. Bits are compared, which gathered sums alone have; atomics mark the same
+/// ones.
 TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         reference::Settings settings;
@@ -76,7 +85,8 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
         const std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 5);
         std::vector<std::uint32_t> touched;
         for (const Reduction reduction : {Reduction::gather, Reduction::atomics}) {
-            Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = reduction});
+            Passes passes(device(), settings.image, scene, upstream, test::options_of(settings.image),
+                          {.reduction = reduction});
             passes.run();
             Gradients& gradients = passes.gradients();
             const std::vector<float> first = all_gradients(gradients);
@@ -85,7 +95,7 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             EXPECT_GT(std::ranges::count(touched, 0u), 100);
             EXPECT_GT(std::ranges::count(touched, 1u), 20);
             Stream stream(device());
-            gradients.surfels.fill_zero(stream);   // what is not written stays so
+            gradients.surfels.fill_zero(stream);  // what is not written stays so
             stream.finish();
             gradients.zero_untouched = false;
             passes.run();
@@ -95,21 +105,26 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     }
 }
 
-/// Against the sum of the same rays one hundred times: 100 x the gradient of twenty rays, by atomics.
+/// Against the sum of the same rays one hundred times: 100 x the gradient of twenty rays,
+/// by atomics.
 TEST_F(Gather, SumsRowsOverManyBlocks) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         test::RandomScene scene = crowded(settings);
         std::vector<PixelGradient> upstream = test::random_upstream(20, 6);
-        for (int i = 1; i < 100; ++i) upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
-        Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
+        for (int i = 1; i < 100; ++i)
+            upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
+        Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image),
+                    {.reduction = Reduction::gather});
         many.run();
         scene.rays.resize(20);
-        Passes once(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::atomics});
+        Passes once(device(), settings.image, scene, upstream, test::options_of(settings.image),
+                    {.reduction = Reduction::atomics});
         once.run();
         test::GradientTable table;
-        const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual, std::size_t n) {
+        const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual,
+                             std::size_t n) {
             const std::vector<float> e = expected.download(), a = actual.download();
             for (std::size_t i = 0; i < e.size(); i += n) {
                 std::vector<double> row = test::lanes(e.data() + i, int(n));
@@ -118,7 +133,8 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
             }
         };
         add("records", once.gradients().records, many.gradients().records, 16);
-        if (direction == ShDirection::ray) add("sh", once.gradients().surfels.sh, many.gradients().surfels.sh, 16);
+        if (direction == ShDirection::ray)
+            add("sh", once.gradients().surfels.sh, many.gradients().surfels.sh, 16);
         add("poses", once.gradients().poses, many.gradients().poses, 3);
         add("sensor", once.gradients().sensor, many.gradients().sensor, 3);
         for (const auto& [name, group] : table.groups()) {
@@ -128,25 +144,29 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         const test::GatheredHits hits = test::take_gathered_hits(many);
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
-        for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download()).hits) n_hits += n;
+        for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download()).hits)
+            n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);
         EXPECT_EQ(test::take_gathered_hits(many).most, 0u);
     }
 }
 
-/// Slots of rays without a gradient stay empty; a batch after a larger one does not see what that left.
+/// Slots of rays without a gradient stay empty; a batch after a larger one does not see
+/// what that left.
 TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     reference::Settings settings;
     const test::RandomScene scene = crowded(settings);
     std::vector<PixelGradient> upstream = test::random_upstream(scene.rays.size(), 7);
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
-    Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
+    Passes many(device(), settings.image, scene, upstream, test::options_of(settings.image),
+                {.reduction = Reduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
-    Passes once(device(), settings.image, few, upstream, test::options_of(settings.image), {.reduction = Reduction::gather});
+    Passes once(device(), settings.image, few, upstream, test::options_of(settings.image),
+                {.reduction = Reduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
     many.renderer.record_forward({&many.rays, 0, 1, 20});
@@ -155,12 +175,15 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
     many.renderer.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
     many.run();
-    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download()) << "room does not matter";
+    EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download())
+        << "room does not matter";
     EXPECT_EQ(test::take_gathered_hits(many).capacity, 1u << 20);
 }
 
 TEST_F(Gather, RoomForNothingIsRefused) {
-    EXPECT_THROW(BackwardPass(device(), {}, Proxy::boxes, {}, {.reduction = Reduction::gather, .hits_per_ray = 0}), UsageError);
+    EXPECT_THROW(
+        BackwardPass(device(), {}, Proxy::boxes, {}, {.reduction = Reduction::gather, .hits_per_ray = 0}),
+        UsageError);
 }
 
 }  // namespace

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distortion, normal consistency and likelihood (M10-M12) from end to end: the forward pass, the losses and the backward pass on the device
-// against central differences of the double forward pass, for every parameter that they depend on, the rays, the poses of instances and
-// that of the sensor; each term alone and with the image losses. The normals of the range image move with the surfels and with the rays.
+// Distortion, normal consistency and likelihood (M10-M12) from end to end: the forward
+// pass, the losses and the backward pass on the device against central differences of the
+// double forward pass, for every parameter that they depend on, the rays, the poses of
+// instances and that of the sensor; each term alone and with the image losses. The
+// normals of the range image move with the surfels and with the rays.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -28,12 +30,16 @@ constexpr int kRows = 6, kColumns = 7;
 
 glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     std::normal_distribution<double> normal;
-    const glm::dquat to_sensor = glm::angleAxis(-1.5707963267948966, glm::dvec3(0.0, 1.0, 0.0));   // the normal to -x
-    const glm::dquat q = glm::angleAxis(tilt * normal(random), glm::normalize(glm::dvec3(0.0, normal(random), normal(random)))) * to_sensor;
+    // the normal to -x
+    const glm::dquat to_sensor = glm::angleAxis(-1.5707963267948966, glm::dvec3(0.0, 1.0, 0.0));
+    const glm::dquat q = glm::angleAxis(tilt * normal(random),
+                                        glm::normalize(glm::dvec3(0.0, normal(random), normal(random)))) *
+                         to_sensor;
     return {q.w, q.x, q.y, q.z};
 }
 
-/// A wall of tilted surfels, faint ones before it, and a model of four placed before it too, seen as an image.
+/// A wall of tilted surfels, faint ones before it, and a model of four placed before it
+/// too, seen as an image.
 test::RandomScene wall(std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
@@ -42,9 +48,11 @@ test::RandomScene wall(std::uint64_t seed) {
         reference::Surfel s;
         s.mean = mean + 0.08 * glm::dvec3(unit(random), unit(random), unit(random));
         s.rotation = rotation_facing(random, 0.2);
-        s.log_scale = glm::dvec2(std::log(size * (1.0 + 0.2 * unit(random))), std::log(size * (1.0 + 0.2 * unit(random))));
+        s.log_scale = glm::dvec2(std::log(size * (1.0 + 0.2 * unit(random))),
+                                 std::log(size * (1.0 + 0.2 * unit(random))));
         s.opacity_logit = std::log(opacity / (1.0 - opacity));
-        for (int c = 0; c < kShChannels; ++c) s.sh[std::size_t(c * kShCoefficients)] = 0.5 * unit(random) + (c == 0 ? 1.0 : 0.0);
+        for (int c = 0; c < kShChannels; ++c)
+            s.sh[std::size_t(c * kShCoefficients)] = 0.5 * unit(random) + (c == 0 ? 1.0 : 0.0);
         surfels.push_back(s);
     };
     for (int y = -1; y <= 1; ++y)
@@ -53,11 +61,13 @@ test::RandomScene wall(std::uint64_t seed) {
     for (int i = 0; i < 4; ++i) add({0.2 * unit(random), 0.4 * unit(random), 0.4 * unit(random)}, 0.4, 0.5);
     test::RandomScene scene;
     scene.world.surfels = test::to_reference(test::to_surfels(surfels));
-    scene.world.instances = {{0, 12, {}}, {12, 4, {glm::angleAxis(0.3, glm::dvec3(0.0, 0.6, 0.8)), {5.7, 0.2, -0.2}}}};
+    scene.world.instances = {{0, 12, {}},
+                             {12, 4, {glm::angleAxis(0.3, glm::dvec3(0.0, 0.6, 0.8)), {5.7, 0.2, -0.2}}}};
     scene.view_origin = glm::dvec3(glm::vec3(0.1, 0.05, 0.0));
     for (int i = 0; i < kRows * kColumns; ++i) {
         const glm::dvec3 d(1.0, -0.04 * (i % kColumns - 3), -0.04 * (i / kColumns - 2.5));
-        scene.rays.push_back({glm::dvec3(glm::vec3(0.0, 0.002 * (i % kColumns), 0.0)), glm::dvec3(glm::vec3(glm::normalize(d)))});
+        scene.rays.push_back({glm::dvec3(glm::vec3(0.0, 0.002 * (i % kColumns), 0.0)),
+                              glm::dvec3(glm::vec3(glm::normalize(d)))});
     }
     return scene;
 }
@@ -70,8 +80,9 @@ test::RandomScene smooth_wall(const reference::Settings& settings) {
         const test::RandomScene scene = wall(seed);
         reference::Settings s = settings;
         s.view_origin = scene.view_origin;
-        if (std::all_of(scene.rays.begin(), scene.rays.end(),
-                        [&](const reference::Ray& ray) { return test::keeps_margins(scene.world, s, ray, margins); }))
+        if (std::all_of(scene.rays.begin(), scene.rays.end(), [&](const reference::Ray& ray) {
+                return test::keeps_margins(scene.world, s, ray, margins);
+            }))
             return scene;
     }
     throw std::runtime_error("smooth_wall: no seed keeps the margins");
@@ -83,16 +94,18 @@ struct WallProblem {
     test::RandomScene scene = smooth_wall(settings);
     LossWeights weights;
     std::vector<reference::Target> targets;
-    std::optional<std::vector<std::optional<glm::dvec3>>> frozen;   ///< normals held where they are
-    std::vector<double> surfel_lengths, ray_lengths;   ///< by how much normals are not of length 1; empty: not at all
+    std::optional<std::vector<std::optional<glm::dvec3>>> frozen;  ///< normals held where they are
+    /// by how much normals are not of length 1; empty: not at all
+    std::vector<double> surfel_lengths, ray_lengths;
 
     explicit WallProblem(const LossWeights& w) : weights(w) {
         settings.view_origin = scene.view_origin;
         std::mt19937_64 random(7);
         std::uniform_real_distribution<double> unit(0.0, 1.0);
         for (const reference::Pixel& p : pixels())
-            targets.push_back({float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
-        targets[10].range_m = 0.0;   // dropped
+            targets.push_back(
+                {float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
+        targets[10].range_m = 0.0;  // dropped
         settings.likelihood_scale_m = double(weights.likelihood_scale_m);
         for (std::size_t k = 0; k < targets.size(); ++k) scene.rays[k].measured_m = targets[k].range_m;
     }
@@ -103,11 +116,13 @@ struct WallProblem {
         for (const reference::Ray& ray : scene.rays) {
             std::vector<reference::ShadedHit> blended;
             result.push_back(reference::render(scene.world, brute, settings, ray, 16, &blended));
-            if (!surfel_lengths.empty()) result.back().normal += normal_error(blended, ray_lengths[result.size() - 1]);
+            if (!surfel_lengths.empty())
+                result.back().normal += normal_error(blended, ray_lengths[result.size() - 1]);
         }
         return result;
     }
-    /// What the blended normal is off where those of its surfels, and the one it is compared with, have other lengths.
+    /// What the blended normal is off where those of its surfels, and the one it is
+    /// compared with, have other lengths.
     glm::dvec3 normal_error(const std::vector<reference::ShadedHit>& blended, double ray_length) const {
         glm::dvec3 sum(0.0);
         double transmittance = 1.0;
@@ -118,7 +133,8 @@ struct WallProblem {
         return sum;
     }
     reference::RangeImage image() const {
-        reference::RangeImage result{kRows, kColumns, false, weights.normalised_depth, scene.rays, pixels(), {}};
+        reference::RangeImage result{kRows,      kColumns, false, weights.normalised_depth,
+                                     scene.rays, pixels(), {}};
         for (const reference::Target& t : targets) result.returned.push_back(t.range_m > 0.0);
         return result;
     }
@@ -130,9 +146,11 @@ struct WallProblem {
             result[k] *= weights.normal;
             if (i.returned[k]) result[k] += weights.distortion * i.pixels[k].distortion / n_returned;
         }
-        result.push_back(
-            evaluate_loss(i.pixels, targets, {weights.depth, weights.intensity, weights.drop}, reference::DepthKind::normalised).total);
-        result.push_back(double(weights.likelihood) * likelihood_loss(i.pixels, targets, double(weights.likelihood_floor)));
+        result.push_back(evaluate_loss(i.pixels, targets, {weights.depth, weights.intensity, weights.drop},
+                                       reference::DepthKind::normalised)
+                             .total);
+        result.push_back(double(weights.likelihood) *
+                         likelihood_loss(i.pixels, targets, double(weights.likelihood_floor)));
         return result;
     }
 };
@@ -157,14 +175,17 @@ struct DevicePasses : test::Passes {
           losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
           loss_terms(d, std::vector<float>(kLossTerms, 0.0f), "terms") {
         std::vector<DeviceTarget> t;
-        for (const reference::Target& target : p.targets) t.push_back({float(target.range_m), float(target.intensity), 1.0f});
+        for (const reference::Target& target : p.targets)
+            t.push_back({float(target.range_m), float(target.intensity), 1.0f});
         targets.upload(t);
         for (const reference::Target& target : p.targets) n_returned += target.range_m > 0.0;
     }
     void run_all() {
-        const TargetBatch measured{&targets, 0, 1, kRows * kColumns, n_returned, double(kRows * kColumns), {kRows, kColumns, false}};
+        const TargetBatch measured{
+            &targets, 0, 1, kRows * kColumns, n_returned, double(kRows * kColumns), {kRows, kColumns, false}};
         run_forward();
-        for (const std::unique_ptr<Loss>& loss : losses) loss->compare(renderer.stream(), renderer.batch(), measured, loss_terms);
+        for (const std::unique_ptr<Loss>& loss : losses)
+            loss->compare(renderer.stream(), renderer.batch(), measured, loss_terms);
         renderer.record_backward();
         renderer.stream().finish();
     }
@@ -187,11 +208,13 @@ std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProbl
         add("ray origin", &ray.origin.x, 3);
         add("ray direction", &ray.direction.x, 3, test::kAngleStep);
     }
-    const auto add_twist = [&](const char* name, const std::function<void(const glm::dvec3&, const glm::dvec3&)>& move) {
+    const auto add_twist = [&](const char* name,
+                               const std::function<void(const glm::dvec3&, const glm::dvec3&)>& move) {
         glm::dvec3 v(0.0), w(0.0);
         const auto moved = [&] { return move(v, w), p.terms(); };
         rows.emplace_back(std::string(name) + " translation", test::central_differences(&v.x, 3, moved));
-        rows.emplace_back(std::string(name) + " rotation", test::central_differences(&w.x, 3, moved, test::kAngleStep));
+        rows.emplace_back(std::string(name) + " rotation",
+                          test::central_differences(&w.x, 3, moved, test::kAngleStep));
         move(glm::dvec3(0.0), glm::dvec3(0.0));
     };
     for (reference::Placement& placed : p.scene.world.instances) {
@@ -203,8 +226,9 @@ std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProbl
     const std::vector<reference::Ray> rays = p.scene.rays;
     add_twist("sensor", [&](const glm::dvec3& v, const glm::dvec3& w) {
         for (std::size_t i = 0; i < rays.size(); ++i)
-            p.scene.rays[i] = {p.settings.view_origin + test::turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
-                               test::turn_by(w) * rays[i].direction, rays[i].measured_m};
+            p.scene.rays[i] = {
+                p.settings.view_origin + test::turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
+                test::turn_by(w) * rays[i].direction, rays[i].measured_m};
     });
     return rows;
 }
@@ -213,8 +237,8 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
     std::vector<std::vector<double>> rows;
     const Surfels s = g.surfels.download();
     for (std::size_t i = 0; i < s.size(); ++i)
-        for (const std::vector<double>& row :
-             {lanes(s.mean[i], 3), lanes(s.rotation[i], 4), lanes(s.log_scale[i], 2), lanes(&s.opacity_logit[i], 1)})
+        for (const std::vector<double>& row : {lanes(s.mean[i], 3), lanes(s.rotation[i], 4),
+                                               lanes(s.log_scale[i], 2), lanes(&s.opacity_logit[i], 1)})
             rows.push_back(row);
     const auto add = [&](const Array<float>& array) {
         const std::vector<float> values = array.download();
@@ -226,30 +250,37 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
 
 using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 
-/// The same problem with what Vulkan's exp and division may be off, each up or down: scales by the exp of their logarithm, alphas by the
-/// sigmoid of the opacity and by the exp of a hit one standard deviation from the mean, distances along a ray by their division, normals by
-/// their length.
+/// The same problem with what Vulkan's exp and division may be off, each up or down:
+/// scales by the exp of their logarithm, alphas by the sigmoid of the opacity and by the
+/// exp of a hit one standard deviation from the mean, distances along a ray by their
+/// division, normals by their length.
 WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     WallProblem moved = p;
     std::mt19937_64 random(seed);
     const auto sign = [&] { return random() % 2 == 0 ? -1.0 : 1.0; };
     for (reference::Surfel& s : moved.scene.world.surfels) {
         const double opacity = 1.0 / (1.0 + std::exp(-s.opacity_logit));
-        const double alpha = test::sigmoid_error(opacity, s.opacity_logit) / opacity + test::exp_error(0.5);   // relative
+        // relative
+        const double alpha = test::sigmoid_error(opacity, s.opacity_logit) / opacity + test::exp_error(0.5);
         s.opacity_logit += sign() * alpha / (1.0 - opacity);
         for (int k = 0; k < 2; ++k) s.log_scale[k] += sign() * test::exp_error(s.log_scale[k]);
     }
     constexpr double kWall_m = 6.0;
-    for (reference::Ray& ray : moved.scene.rays) ray.origin += sign() * kWall_m * (test::kDivision + test::kRounding) * ray.direction;
-    // a quaternion's inverse square root is 2 units off, its length squared enters a normal; that of the image has one and two divisions
-    for (std::size_t i = 0; i < p.scene.world.surfels.size(); ++i) moved.surfel_lengths.push_back(sign() * 7.0 * test::kUnit);
-    for (std::size_t i = 0; i < p.scene.rays.size(); ++i) moved.ray_lengths.push_back(sign() * (2.5 * test::kUnit + 2.0 * test::kDivision));
+    for (reference::Ray& ray : moved.scene.rays)
+        ray.origin += sign() * kWall_m * (test::kDivision + test::kRounding) * ray.direction;
+    // a quaternion's inverse square root is 2 units off, its length squared enters a
+    // normal; that of the image has one and two divisions
+    for (std::size_t i = 0; i < p.scene.world.surfels.size(); ++i)
+        moved.surfel_lengths.push_back(sign() * 7.0 * test::kUnit);
+    for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
+        moved.ray_lengths.push_back(sign() * (2.5 * test::kUnit + 2.0 * test::kDivision));
     return moved;
 }
 
-/// Rows of the problem, and how far each moves where the device computes other last digits, the most of some draws.
+/// Rows of the problem, and how far each moves where the device computes other last
+/// digits, the most of some draws.
 std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
-    std::vector<Rows> draws(5);   // the first is the problem itself
+    std::vector<Rows> draws(5);  // the first is the problem itself
     run_parallel(int(draws.size()), [&](int i) {
         WallProblem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
         draws[std::size_t(i)] = expected_rows(drawn);
@@ -266,8 +297,9 @@ std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
 
 class GeometryGradient : public test::DeviceTest {
 protected:
-    /// Each row within 3 kKernelGradient, as the normals hold fewer digits (geometry_loss_test.cpp), and twice what it moved in some draws
-    /// of what Vulkan allows: small rows are differences of large shares.
+    /// Each row within 3 kKernelGradient, as the normals hold fewer digits
+    /// (geometry_loss_test.cpp), and twice what it moved in some draws of what Vulkan
+    /// allows: small rows are differences of large shares.
     void expect_rows(const GradientTable& table, const Rows& expected, const std::vector<double>& moved,
                      const std::vector<std::vector<double>>& actual, const std::string& title) {
         for (std::size_t k = 0; k < actual.size(); ++k) {
@@ -275,7 +307,8 @@ protected:
             for (std::size_t j = 0; j < difference.size(); ++j) difference[j] -= actual[k][j];
             const double small = test::kSmallRow * table.groups().at(expected[k].first).largest_row();
             const double scale = std::max(test::GradientGroup::norm(expected[k].second), small);
-            EXPECT_LE(test::GradientGroup::norm(difference), 3.0 * test::kKernelGradient * scale + 2.0 * moved[k])
+            EXPECT_LE(test::GradientGroup::norm(difference),
+                      3.0 * test::kKernelGradient * scale + 2.0 * moved[k])
                 << expected[k].first << ", row " << k << " of size " << scale << ", " << title;
         }
     }
@@ -289,11 +322,13 @@ protected:
                 passes.run_all();
                 const std::vector<double> terms = p.terms();
                 const std::vector<float> found = passes.loss_terms.download();
-                EXPECT_NEAR(std::accumulate(found.begin(), found.end(), 0.0), std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
+                EXPECT_NEAR(std::accumulate(found.begin(), found.end(), 0.0),
+                            std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
                 const std::vector<std::vector<double>> actual = actual_rows(passes.gradients());
                 ASSERT_EQ(actual.size(), expected.size());
                 GradientTable table;
-                for (std::size_t k = 0; k < actual.size(); ++k) table.add_row(expected[k].first, expected[k].second, actual[k]);
+                for (std::size_t k = 0; k < actual.size(); ++k)
+                    table.add_row(expected[k].first, expected[k].second, actual[k]);
                 table.print(title);
                 expect_rows(table, expected, moved, actual, title);
                 for (const auto& [name, group] : table.groups()) {
@@ -313,19 +348,29 @@ LossWeights geometry_weights(float image, float distortion, float normal, float 
     return w;
 }
 
-TEST_F(GeometryGradient, NormalConsistencyAlone) { expect_agreement(geometry_weights(0.0f, 0.0f, 1.0f), "normal consistency"); }
-TEST_F(GeometryGradient, DistortionAlone) { expect_agreement(geometry_weights(0.0f, 1.0f, 0.0f), "distortion"); }
-TEST_F(GeometryGradient, LikelihoodAlone) { expect_agreement(geometry_weights(0.0f, 0.0f, 0.0f, 1.0f), "likelihood"); }
-TEST_F(GeometryGradient, WithTheImageLosses) { expect_agreement(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f), "all terms"); }
+TEST_F(GeometryGradient, NormalConsistencyAlone) {
+    expect_agreement(geometry_weights(0.0f, 0.0f, 1.0f), "normal consistency");
+}
+TEST_F(GeometryGradient, DistortionAlone) {
+    expect_agreement(geometry_weights(0.0f, 1.0f, 0.0f), "distortion");
+}
+TEST_F(GeometryGradient, LikelihoodAlone) {
+    expect_agreement(geometry_weights(0.0f, 0.0f, 0.0f, 1.0f), "likelihood");
+}
+TEST_F(GeometryGradient, WithTheImageLosses) {
+    expect_agreement(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f), "all terms");
+}
 
-/// What the tests above would not notice if the normals of the range image were taken for constants: a third of the gradient of the means.
+/// What the tests above would not notice if the normals of the range image were taken for
+/// constants: a third of the gradient of the means.
 TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
     WallProblem p(geometry_weights(0.0f, 0.0f, 1.0f));
     double all = 0.0, difference = 0.0;
     for (const bool hold : {false, true}) {
         if (hold) p.frozen = image_normals(p.image());
         for (reference::Surfel& s : p.scene.world.surfels) {
-            const std::vector<double> row = test::central_differences(&s.mean.x, 3, [&] { return p.terms(); });
+            const std::vector<double> row =
+                test::central_differences(&s.mean.x, 3, [&] { return p.terms(); });
             for (const double x : row) (hold ? difference : all) += x * x;
         }
     }
@@ -334,9 +379,10 @@ TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-/// Two surfels across a ray: Dist = w_0 w_1 (t_1 - t_0), and moved along the ray a surfel changes its t alone.
+/// Two surfels across a ray: Dist = w_0 w_1 (t_1 - t_0), and moved along the ray a surfel
+/// changes its t alone.
 TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
-    for (const double start : {3.0, 79.0}) {   // at 80 m a float resolves 8e-6 m
+    for (const double start : {3.0, 79.0}) {  // at 80 m a float resolves 8e-6 m
         test::RandomScene scene;
         const double t[] = {start, start + 0.02}, opacity[] = {0.6, 0.5};
         for (int i : {0, 1}) {
@@ -355,11 +401,14 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
         const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
-        // t = n.(mean - o) / n.d: a product and a division; the weights: a sigmoid, and exp(0), of both
+        // t = n.(mean - o) / n.d: a product and a division; the weights: a sigmoid, and
+        // exp(0), of both
         const double apart = 2.0 * t[1] * (test::kRounding + test::kDivision);
-        const double off0 = test::sigmoid_error(0.6, logit(0.6)) / 0.6 + test::exp_error(0.0) + test::kRounding;
+        const double off0 =
+            test::sigmoid_error(0.6, logit(0.6)) / 0.6 + test::exp_error(0.0) + test::kRounding;
         const double off1 = test::sigmoid_error(0.5, 0.0) / 0.5 + test::exp_error(0.0) + test::kRounding;
-        const double weights = off0 * (1.0 + 0.6 / 0.4) + off1 + 4.0 * test::kRounding;   // of w0 w1 = s0 (1 - s0) s1
+        // of w0 w1 = s0 (1 - s0) s1
+        const double weights = off0 * (1.0 + 0.6 / 0.4) + off1 + 4.0 * test::kRounding;
         const shared::RenderedGeometry rendered = passes.renderer.rendered().geometry->rendered.download()[0];
         EXPECT_NEAR(rendered.distortion, w0 * w1 * between, w0 * w1 * (weights * between + apart));
         EXPECT_NEAR(rendered.normal.x, -(w0 + w1), 1e-6) << "towards the sensor";
@@ -367,12 +416,15 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         EXPECT_NEAR(d.mean[0].x, -w0 * w1, 1e-6);
         EXPECT_NEAR(d.mean[1].x, w0 * w1, 1e-6);
         // Dist = s_0 (1 - s_0) s_1 between, by the opacities s
-        EXPECT_NEAR(d.opacity_logit[0], (1.0 - 2.0 * 0.6) * 0.5 * between * 0.6 * 0.4, 1e-5 * between + 0.6 * 0.4 * 0.1 * apart);
-        EXPECT_NEAR(d.opacity_logit[1], 0.6 * 0.4 * between * 0.5 * 0.5, 1e-5 * between + 0.6 * 0.4 * 0.25 * apart);
+        EXPECT_NEAR(d.opacity_logit[0], (1.0 - 2.0 * 0.6) * 0.5 * between * 0.6 * 0.4,
+                    1e-5 * between + 0.6 * 0.4 * 0.1 * apart);
+        EXPECT_NEAR(d.opacity_logit[1], 0.6 * 0.4 * between * 0.5 * 0.5,
+                    1e-5 * between + 0.6 * 0.4 * 0.25 * apart);
     }
 }
 
-/// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 / (1 + (0.3 / s)^2), at 80 m as at 3 m.
+/// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 /
+/// (1 + (0.3 / s)^2), at 80 m as at 3 m.
 TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
@@ -392,12 +444,16 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         options.trace.likelihood = RangeKernel{0.1f};
         test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
-        const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6, w1 = 0.4 * 0.5;
-        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;   // of a range, by a float
-        EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1, 1e-6 + w0 * slope * resolved);
+        const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
+                     w1 = 0.4 * 0.5;
+        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;  // of a range, by a float
+        EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1,
+                    1e-6 + w0 * slope * resolved);
         const Surfels found = passes.gradients().surfels.download();
-        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale)) << "the nearer one is drawn to the range";
-        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale)) << "the other is there";
+        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
+            << "the nearer one is drawn to the range";
+        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
+            << "the other is there";
         // S = s_0 k + (1 - s_0) s_1, by the opacities s
         EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
         EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
@@ -412,7 +468,8 @@ TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
         passes.run_all();
         std::vector<float> all;
         const Gradients& g = passes.gradients();
-        for (const Array<float>* array : std::initializer_list<const Array<float>*>{&g.records, &g.surfels.rotation, &g.rays, &g.poses})
+        for (const Array<float>* array :
+             std::initializer_list<const Array<float>*>{&g.records, &g.surfels.rotation, &g.rays, &g.poses})
             for (const float x : array->download()) all.push_back(x);
         if (i == 0) first = all;
         EXPECT_EQ(all, first);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A thousand copies of an actor in one scene: one model placed a thousand times, and a thousand models. Image and gradients against the
-// double reference, twenty steps of training, and as many launches as for two copies.
+// A thousand copies of an actor in one scene: one model placed a thousand times, and a
+// thousand models. Image and gradients against the double reference, twenty steps of
+// training, and as many launches as for two copies.
 #include <numeric>
 #include <random>
 
@@ -14,25 +15,30 @@ namespace {
 
 using test::Passes;
 
-constexpr int kAcross = 10;        // actors along each axis ...
-constexpr double kApart_m = 1.5;   // ... of a lattice: near, so that their places cost single precision few digits
+constexpr int kAcross = 10;  // actors along each axis ...
+// ... of a lattice: near, so that their places cost single precision few digits
+constexpr double kApart_m = 1.5;
 
-/// Copies of an actor in front of a sensor at the origin, every third one turned around: poses without a rounding error.
+/// Copies of an actor in front of a sensor at the origin, every third one turned around:
+/// poses without a rounding error.
 /// @param own  every copy has surfels of its own, all different
 test::RandomScene many_actors(bool own, int n_actors) {
     constexpr int kSurfels = 12;
     const int n_surfels = own ? kSurfels * n_actors : kSurfels;
-    const test::RandomScene drawn =
-        test::make_random_scene({.seed = 71, .background_surfels = n_surfels, .actor_surfels = 0, .actor_instances = 0, .rays = 0}, {});
+    const test::RandomScene drawn = test::make_random_scene(
+        {.seed = 71, .background_surfels = n_surfels, .actor_surfels = 0, .actor_instances = 0, .rays = 0},
+        {});
     test::RandomScene scene;
     scene.view_origin = glm::dvec3(glm::vec3(0.1f, -0.2f, 0.2f));
     scene.world.surfels = drawn.world.surfels;
-    for (reference::Surfel& s : scene.world.surfels) s.mean.x = double(float(0.25 * (s.mean.x - 6.0)));   // of a corridor of 2 to 10 m
+    // of a corridor of 2 to 10 m
+    for (reference::Surfel& s : scene.world.surfels) s.mean.x = double(float(0.25 * (s.mean.x - 6.0)));
     for (int i = 0; i < n_actors; ++i) {
         const glm::dvec3 cell(i % kAcross, i / kAcross % kAcross - 4.5, i / (kAcross * kAcross) - 4.5);
         const glm::dquat turn = i % 3 == 0 ? glm::dquat(0.0, 0.0, 0.0, 1.0) : glm::dquat(1.0, 0.0, 0.0, 0.0);
         const auto first = static_cast<std::uint32_t>(own ? kSurfels * i : 0);
-        scene.world.instances.push_back({first, kSurfels, {turn, glm::dvec3(4.0, 0.0, 0.0) + kApart_m * cell}});
+        scene.world.instances.push_back(
+            {first, kSurfels, {turn, glm::dvec3(4.0, 0.0, 0.0) + kApart_m * cell}});
     }
     return scene;
 }
@@ -42,7 +48,8 @@ void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings
     std::mt19937_64 random(73);
     std::uniform_real_distribution<double> aside(-0.4, 0.4);
     for (int attempt = 0; attempt < 2000 && scene.rays.size() < n; ++attempt) {
-        const glm::dvec3 actor = scene.world.instances[random() % scene.world.instances.size()].world_from_model.translation;
+        const glm::dvec3 actor =
+            scene.world.instances[random() % scene.world.instances.size()].world_from_model.translation;
         const glm::dvec3 towards = actor + glm::dvec3(aside(random), aside(random), aside(random));
         const reference::Ray ray{glm::dvec3(0.0), glm::dvec3(glm::vec3(glm::normalize(towards)))};
         if (!margins || test::keeps_margins(scene.world, *margins, ray, {})) scene.rays.push_back(ray);
@@ -62,8 +69,11 @@ double nmse(const test::GradientGroup& group) {
 
 class ManyActors : public test::DeviceTest {
 protected:
-    /// One model a thousand times with SH along the ray, or a thousand models with SH a surfel.
-    static ImageModel image_of(bool own) { return {.sh_direction = own ? ShDirection::surfel : ShDirection::ray}; }
+    /// One model a thousand times with SH along the ray, or a thousand models with SH a
+    /// surfel.
+    static ImageModel image_of(bool own) {
+        return {.sh_direction = own ? ShDirection::surfel : ShDirection::ray};
+    }
 };
 
 TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
@@ -85,14 +95,16 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
             const reference::Pixel pixel = reference::render(scene.world, brute, settings, scene.rays[i], 16);
             reference::backward(scene.world, brute, settings, scene.rays[i], 16, upstream[i], expected);
             const shared::RenderedRay& r = rendered[i];
-            table.add_row("pixel", {pixel.depth, pixel.weight, pixel.intensity, pixel.hit_logit, pixel.drop_logit},
+            table.add_row("pixel",
+                          {pixel.depth, pixel.weight, pixel.intensity, pixel.hit_logit, pixel.drop_logit},
                           {r.depth, r.weight, r.intensity, r.hit_logit, r.drop_logit});
             EXPECT_GT(pixel.hits, 0u);
         }
         test::add_surfel_rows(table, expected.surfels, passes.gradients().surfels.download());
         table.print(own ? "1000 models" : "1000 instances of a model");
         for (const auto& [name, group] : table.groups()) {
-            EXPECT_LE(nmse(group), test::kKernelNmse) << name;   // over rows: one alone has a hit or two, whose terms may cancel
+            // over rows: one alone has a hit or two, whose terms may cancel
+            EXPECT_LE(nmse(group), test::kKernelNmse) << name;
             EXPECT_EQ(group.missing_rows(), 0u) << name;
             EXPECT_GT(group.nonzero_rows(), 0u) << name;
         }
@@ -129,8 +141,8 @@ std::vector<float> train(Passes& passes) {
         renderer.record_forward(passes.batch());
         loss.compare(renderer.stream(), renderer.batch(), {&targets, 0, 1, n, double(n), double(n)}, terms);
         renderer.record_backward();
-        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels, &renderer.gradients().touched, kRates,
-                  step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), renderer.gradients().surfels,
+                  &renderer.gradients().touched, kRates, step, 3);
         renderer.stream().finish();
         const std::vector<float> all = terms.download();
         losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));
@@ -142,11 +154,13 @@ TEST_F(ManyActors, Train) {
     for (const bool own : {false, true}) {
         test::RandomScene scene = many_actors(own, kAcross * kAcross * kAcross);
         add_rays(scene, 300, nullptr);
-        Passes passes(device(), image_of(own), scene, std::vector<reference::PixelGradient>(scene.rays.size()),
+        Passes passes(device(), image_of(own), scene,
+                      std::vector<reference::PixelGradient>(scene.rays.size()),
                       test::options_of(image_of(own)));
         const std::vector<float> losses = train(passes);
         const char* what = own ? "1000 models" : "1000 instances of a model";
-        std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()), double(losses.back()));
+        std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()),
+                    double(losses.back()));
         EXPECT_LT(losses.back(), 0.8f * losses.front());
         for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
         const Surfels end = passes.renderer.scene().parameters().download();
@@ -163,13 +177,15 @@ TEST_F(ManyActors, AreLaunchedTogether) {
     const auto launches = [&](int n_actors) {
         test::RandomScene scene = many_actors(true, n_actors);
         add_rays(scene, 10, nullptr);
-        Passes passes(device(), image_of(true), scene, std::vector<reference::PixelGradient>(scene.rays.size()),
+        Passes passes(device(), image_of(true), scene,
+                      std::vector<reference::PixelGradient>(scene.rays.size()),
                       test::options_of(image_of(true)));
-        passes.run();   // builds the tree, whose number of launches is the logarithm of its size
+        passes.run();  // builds the tree, whose number of launches is the logarithm of its size
         Stream& stream = passes.renderer.stream();
         stream.reset_times();
         passes.run();
-        surfel_loss.regularise(stream, passes.renderer.scene(), {&passes.gradients().surfels, nullptr}, terms);
+        surfel_loss.regularise(stream, passes.renderer.scene(), {&passes.gradients().surfels, nullptr},
+                               terms);
         stream.finish();
         std::map<std::string, std::size_t> counts;
         for (const auto& [kernel, times] : stream.times().milliseconds) counts[kernel] = times.size();

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A random scene with a forward and a backward pass on the device, and random gradients of what its rays render.
+// A random scene with a forward and a backward pass on the device, and random gradients
+// of what its rays render.
 #pragma once
 
 #include <vector>
@@ -18,13 +19,16 @@ namespace relidar::test {
 
 /// The rotation by |w| radians about w.
 inline glm::dquat turn_by(const glm::dvec3& w) {
-    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w)) : glm::dquat(1.0, 0.0, 0.0, 0.0);
+    return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w))
+                                : glm::dquat(1.0, 0.0, 0.0, 0.0);
 }
 
-/// Boxes, and chunks of 4 hits where harmonics are along the ray, of 16 where they are along the surfel. Making kernels takes most of these
-/// tests' time, so the tests share one size for each.
+/// Boxes, and chunks of 4 hits where harmonics are along the ray, of 16 where they are
+/// along the surfel. Making kernels takes most of these tests' time, so the tests share
+/// one size for each.
 inline RendererOptions options_of(const ImageModel& model) {
-    return {.accel = {.proxy = Proxy::boxes}, .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
+    return {.accel = {.proxy = Proxy::boxes},
+            .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
 }
 
 inline RendererOptions with_room(RendererOptions options, std::size_t n_rays) {
@@ -41,10 +45,12 @@ struct Passes {
     glm::vec3 view_origin;
 
     /// @param g  [>= rays] of every ray, until a loss writes others
-    Passes(Device& device, const ImageModel& model, const RandomScene& s, const std::vector<reference::PixelGradient>& g,
-           const RendererOptions& options, const BackwardOptions& sums = {})
+    Passes(Device& device, const ImageModel& model, const RandomScene& s,
+           const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
+           const BackwardOptions& sums = {})
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
-          renderer(device, placed.scene, model, with_room(options, s.rays.size()), {.sums = sums, .wanted = {.rays = true, .poses = true}}),
+          renderer(device, placed.scene, model, with_room(options, s.rays.size()),
+                   {.sums = sums, .wanted = {.rays = true, .poses = true}}),
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
           targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
           view_origin(s.view_origin) {
@@ -87,7 +93,8 @@ struct Passes {
         const std::vector<shared::RayGradient> u = renderer.batch().upstream->download();
         double sum = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            sum += double(r[i].depth) * u[i].depth + double(r[i].weight) * u[i].weight + double(r[i].intensity) * u[i].intensity;
+            sum += double(r[i].depth) * u[i].depth + double(r[i].weight) * u[i].weight +
+                   double(r[i].intensity) * u[i].intensity;
             sum += double(r[i].hit_logit) * u[i].hit_logit + double(r[i].drop_logit) * u[i].drop_logit;
         }
         return sum;
@@ -96,7 +103,7 @@ struct Passes {
 
 /// Hit records of the gather; zeros with atomics.
 struct GatheredHits {
-    std::uint64_t most = 0;       ///< hits of the largest batch since they were taken last
+    std::uint64_t most = 0;  ///< hits of the largest batch since they were taken last
     std::uint64_t capacity = 0;
 };
 inline GatheredHits take_gathered_hits(Passes& passes) {
@@ -116,17 +123,20 @@ std::vector<double> lanes(const Vector& v, int n) {
 }
 
 /// A row for each parameter group of each surfel, harmonics by channel.
-inline void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected, const Surfels& actual) {
+inline void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected,
+                            const Surfels& actual) {
     for (std::size_t i = 0; i < expected.size(); ++i) {
         table.add_row("mean", lanes(expected[i].mean, 3), lanes(actual.mean[i], 3));
         table.add_row("rotation", lanes(expected[i].rotation, 4), lanes(actual.rotation[i], 4));
         table.add_row("log_scale", lanes(expected[i].log_scale, 2), lanes(actual.log_scale[i], 2));
-        if (expected[i].log_scale_w) table.add_row("log_scale_w", {*expected[i].log_scale_w}, {actual.log_scale_w[i]});
+        if (expected[i].log_scale_w)
+            table.add_row("log_scale_w", {*expected[i].log_scale_w}, {actual.log_scale_w[i]});
         table.add_row("opacity_logit", {expected[i].opacity_logit}, {actual.opacity_logit[i]});
         const char* names[] = {"sh intensity", "sh hit", "sh drop"};
         for (int c = 0; c < kShChannels; ++c)
-            table.add_row(names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients),
-                          lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
+            table.add_row(
+                names[c], lanes(expected[i].sh.data() + c * kShCoefficients, kShCoefficients),
+                lanes(actual.sh.data() + i * kShFloats + std::size_t(c * kShCoefficients), kShCoefficients));
     }
 }
 

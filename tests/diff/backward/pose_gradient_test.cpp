@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses and of the sensor's pose: diff/backward/pose_blocks, poses and sensor_pose
-// against the double reference, where
-// they are summed hit by hit instead of surfel by surfel, and against central differences of the double forward pass. Overlapping
-// instances, one model placed twice, instances that are absent or that no ray meets.
+// Gradients of instance poses and of the sensor's pose: diff/backward/pose_blocks, poses
+// and sensor_pose against the double reference, where they are summed hit by hit instead
+// of surfel by surfel, and against central differences of the double forward pass.
+// Overlapping instances, one model placed twice, instances that are absent or that no ray
+// meets.
 #include <glm/gtc/quaternion.hpp>
 
 #include <random>
 
-#include "scene/benchmark_street.hpp"
-#include "diff/backward/pose_gradients.hpp"
 #include "../../support/floats.hpp"
+#include "diff/backward/pose_gradients.hpp"
 #include "passes.hpp"
+#include "scene/benchmark_street.hpp"
 
 namespace relidar {
 namespace {
@@ -51,13 +52,15 @@ struct PoseProblem {
         s.view_origin += v;
         std::vector<reference::Ray> rays = scene.rays;
         for (reference::Ray& ray : rays)
-            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v, turn * ray.direction, 0.0, ray.time_s};
+            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + v,
+                   turn * ray.direction, 0.0, ray.time_s};
         return terms(rays, s);
     }
 };
 
 /// Central differences of a twist (v, w) that `terms` takes.
-std::vector<double> twist_differences(const std::function<std::vector<double>(const glm::dvec3&, const glm::dvec3&)>& terms) {
+std::vector<double> twist_differences(
+    const std::function<std::vector<double>(const glm::dvec3&, const glm::dvec3&)>& terms) {
     glm::dvec3 v(0.0), w(0.0);
     const auto now = [&] { return terms(v, w); };
     std::vector<double> result = test::central_differences(&v.x, 3, now);
@@ -65,7 +68,8 @@ std::vector<double> twist_differences(const std::function<std::vector<double>(co
     return result;
 }
 
-void add_twist(GradientTable& table, const std::string& name, const std::vector<double>& expected, const std::vector<double>& actual) {
+void add_twist(GradientTable& table, const std::string& name, const std::vector<double>& expected,
+               const std::vector<double>& actual) {
     const auto half = [](const std::vector<double>& row, int i) {
         return std::vector<double>(row.begin() + 3 * i, row.begin() + 3 * i + 3);
     };
@@ -75,12 +79,15 @@ void add_twist(GradientTable& table, const std::string& name, const std::vector<
 
 class PoseGradient : public test::DeviceTest {
 protected:
-    void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options, const std::string& title) {
+    void expect_agreement(ShDirection direction, const test::RandomSceneOptions& options,
+                          const std::string& title) {
         PoseProblem p(direction, options);
-        const reference::BruteForce brute(p.scene.world, p.settings.image, reference::Precision::double_record);
+        const reference::BruteForce brute(p.scene.world, p.settings.image,
+                                          reference::Precision::double_record);
         reference::Gradients expected(p.scene.world);
         for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
-            reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i], expected);
+            reference::backward(p.scene.world, brute, p.settings, p.scene.rays[i], 16, p.upstream[i],
+                                expected);
         Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
         passes.run();
         const std::vector<float> poses = passes.gradients().poses.download();
@@ -91,19 +98,22 @@ protected:
             add_twist(table, "reference pose", row, lanes(poses.data() + 6 * k, 6));
             reference::Placement& placed = p.scene.world.instances[k];
             const Pose start = placed.world_from_model;
-            const std::vector<double> differences = twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
-                const Pose changed{test::turn_by(w) * start.rotation, start.translation + v};
-                if (options.moving) placed.change = inverse(start) * changed;
-                else placed.world_from_model = changed;
-                return p.terms(p.scene.rays, p.settings);
-            });
+            const std::vector<double> differences =
+                twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
+                    const Pose changed{test::turn_by(w) * start.rotation, start.translation + v};
+                    if (options.moving) placed.change = inverse(start) * changed;
+                    else placed.world_from_model = changed;
+                    return p.terms(p.scene.rays, p.settings);
+                });
             placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        if (!options.moving)   // for moving instances the sensor's gradient is not exact: Gradients::sensor
+        if (!options.moving)  // for moving instances the sensor's gradient is not exact: Gradients::sensor
             add_twist(table, "differences, sensor",
-                  twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) { return p.terms_of_moved_sensor(v, w); }),
-                  lanes(passes.gradients().sensor.download().data(), 6));
+                      twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
+                          return p.terms_of_moved_sensor(v, w);
+                      }),
+                      lanes(passes.gradients().sensor.download().data(), 6));
         table.print(title);
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), test::kKernelGradient) << name << ", " << title;
@@ -126,7 +136,8 @@ TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
 
 TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
     test::RandomSceneOptions options;
-    options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true, options.turn_rate = 0.0;
+    options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true,
+    options.turn_rate = 0.0;
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::options_of(p.settings.image));
     passes.run();
@@ -148,17 +159,20 @@ TEST_F(PoseGradient, GaussiansPlacedTwice) {
 TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
     test::RandomSceneOptions options;
     options.seed = 42, options.rays = 60, options.actor_instances = 1, options.actor_surfels = 30;
-    expect_agreement(ShDirection::surfel, options, "poses, SH along sensor -> mean, an actor in the background");
+    expect_agreement(ShDirection::surfel, options,
+                     "poses, SH along sensor -> mean, an actor in the background");
 }
 
 TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
     test::RandomSceneOptions options;
-    options.seed = 43, options.rays = 40, options.actor_instances = 1, options.actor_surfels = 90, options.background_surfels = 60;
+    options.seed = 43, options.rays = 40, options.actor_instances = 1, options.actor_surfels = 90,
+    options.background_surfels = 60;
     options.opacity_low = 0.02, options.opacity_high = 0.2;
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
 }
 
-/// Of a street and an actor in several blocks each, from record gradients at random: sums in double, and the same bits in every run.
+/// Of a street and an actor in several blocks each, from record gradients at random: sums
+/// in double, and the same bits in every run.
 TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     const std::uint32_t n_background = 2500, n_actor = 1100, n = n_background + n_actor;
     Scene layout = make_background_scene(make_benchmark_street(n));
@@ -169,7 +183,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     std::mt19937_64 random(45);
     std::normal_distribution<float> normal;
     std::vector<float> d_records(16 * std::size_t(n)), d_view(3 * std::size_t(n));
-    for (std::size_t i = 0; i < n; i += 2) {   // the others have no gradient
+    for (std::size_t i = 0; i < n; i += 2) {  // the others have no gradient
         for (std::size_t k = 0; k < 16; ++k) d_records[16 * i + k] = normal(random);
         for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);
     }
@@ -187,17 +201,23 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         PoseGradients kernels(device());
         kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
         stream.finish();
-        const std::vector<float> poses = gradients.poses.download(), records = test::floats_of(scene.records().download());
-        const auto three = [](const std::vector<float>& v, std::size_t i) { return glm::dvec3(v[i], v[i + 1], v[i + 2]); };
+        const std::vector<float> poses = gradients.poses.download(),
+                                 records = test::floats_of(scene.records().download());
+        const auto three = [](const std::vector<float>& v, std::size_t i) {
+            return glm::dvec3(v[i], v[i + 1], v[i + 2]);
+        };
         GradientTable table;
         for (std::size_t k = 0; k < 2; ++k) {
             glm::dvec3 force(0.0), torque(0.0), view(0.0);
-            for (std::size_t i = layout.models[k].first; i < layout.models[k].first + layout.models[k].count; ++i) {
+            for (std::size_t i = layout.models[k].first; i < layout.models[k].first + layout.models[k].count;
+                 ++i) {
                 force += three(d_records, 16 * i);
                 for (const std::size_t lane : {0, 4, 8, 12})
                     torque += glm::cross(three(records, 16 * i + lane), three(d_records, 16 * i + lane));
                 if (direction == ShDirection::surfel) view += three(d_view, 3 * i);
-                else torque -= glm::dvec3(d_records[16 * i + 7], d_records[16 * i + 11], d_records[16 * i + 15]);
+                else
+                    torque -=
+                        glm::dvec3(d_records[16 * i + 7], d_records[16 * i + 11], d_records[16 * i + 15]);
             }
             const Pose placed = k == 1 ? pose : Pose{};
             torque -= glm::cross(inverse(placed) * view_origin, view);
@@ -206,7 +226,8 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
             add_twist(table, "sums in double", expected, lanes(poses.data() + 6 * k, 6));
         }
         table.print("poses, blocks of surfels");
-        for (const auto& [name, group] : table.groups()) EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
+        for (const auto& [name, group] : table.groups())
+            EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
         for (int again = 0; again < 5; ++again) {
             kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
             stream.finish();

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (i) of the gradient chain: the oracle's backward pass (M7, M8) against central differences of its forward pass (M1-M5), for
-// every parameter group, the ray, the view origin and instance poses, in both SH direction modes, with more hits than a chunk.
+// Link (i) of the gradient chain: the oracle's backward pass (M7, M8) against central
+// differences of its forward pass (M1-M5), for every parameter group, the ray, the view
+// origin and instance poses, in both SH direction modes, with more hits than a chunk.
 // Also its own consistency: radial part of the rotation, chunking, clamps.
 #include <gtest/gtest.h>
 
@@ -22,8 +23,8 @@ struct Problem {
     std::vector<PixelGradient> upstream;
     int chunk = 16;
 
-    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size, bool single_drop_logit = false,
-            test::Outputs outputs = test::Outputs::all)
+    Problem(ShDirection direction, const test::RandomSceneOptions& options, int chunk_size,
+            bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all)
         : chunk(chunk_size) {
         settings.image.sh_direction = direction;
         settings.image.single_drop_logit = single_drop_logit;
@@ -32,10 +33,11 @@ struct Problem {
         settings.view_origin = scene.view_origin;
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
         if (options.primitive == Primitive::gaussian)
-            for (PixelGradient& g : upstream) g.normal = glm::dvec3(0.0);   // it has none
+            for (PixelGradient& g : upstream) g.normal = glm::dvec3(0.0);  // it has none
     }
 
-    /// All hits in one chunk, which is quicker: the derivatives take short ones, and that the size does not matter is tested below.
+    /// All hits in one chunk, which is quicker: the derivatives take short ones, and that
+    /// the size does not matter is tested below.
     double term(const BruteForce& brute, std::size_t i) const {
         const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
         return inner_product(upstream[i], p);
@@ -51,7 +53,8 @@ struct Problem {
         const BruteForce provider = brute();
         Gradients sum(scene.world);
         for (std::size_t i = 0; i < scene.rays.size(); ++i)
-            d_rays.push_back(backward(scene.world, provider, settings, scene.rays[i], chunk, upstream[i], sum));
+            d_rays.push_back(
+                backward(scene.world, provider, settings, scene.rays[i], chunk, upstream[i], sum));
         return sum;
     }
 };
@@ -64,13 +67,15 @@ struct Row {
     std::vector<double> expected, actual;
 };
 
-/// A problem of the rays that meet a surfel. The others keep their margins to it (random_scene.hpp): no difference reaches them.
+/// A problem of the rays that meet a surfel. The others keep their margins to it
+/// (random_scene.hpp): no difference reaches them.
 Problem seen_by(Problem p, std::size_t surfel) {
     const BruteForce provider = p.brute();
     std::size_t kept = 0;
     for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
         const std::vector<Hit> hits = all_hits(provider, p.scene.rays[i], p.chunk);
-        if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; })) continue;
+        if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; }))
+            continue;
         p.scene.rays[kept] = p.scene.rays[i];
         p.upstream[kept++] = p.upstream[i];
     }
@@ -84,7 +89,8 @@ std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std
     Problem p = seen_by(all, i);
     std::vector<Row> rows;
     const auto terms = [&] { return p.terms(); };
-    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n, double step = test::kDifferenceStep) {
+    const auto add = [&](const char* group, double* parameter, const double* d_parameter, int n,
+                         double step = test::kDifferenceStep) {
         rows.push_back({group, test::central_differences(parameter, n, terms, step), row(d_parameter, n)});
     };
     Surfel& s = p.scene.world.surfels[i];
@@ -96,27 +102,33 @@ std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std
     add("opacity_logit", &s.opacity_logit, &d.opacity_logit, 1, test::kLogitStep);
     const char* channels[] = {"sh intensity", "sh hit", "sh drop"};
     for (int c = 0; c < kShChannels; ++c)
-        add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients, kShCoefficients, test::kLogitStep);
+        add(channels[c], s.sh.data() + c * kShCoefficients, d.sh.data() + c * kShCoefficients,
+            kShCoefficients, test::kLogitStep);
     return rows;
 }
 
 void check_surfels(const Problem& p, const Gradients& gradients, GradientTable& table) {
     std::vector<std::vector<Row>> surfels(p.scene.world.surfels.size());
-    run_parallel(int(surfels.size()), [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
+    run_parallel(int(surfels.size()),
+                 [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
     for (const std::vector<Row>& rows : surfels)
         for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);
 }
 
-void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vector<RayGradient>& d_rays, GradientTable& table) {
+void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vector<RayGradient>& d_rays,
+                          GradientTable& table) {
     const BruteForce provider = p.brute();
     for (std::size_t i = 0; i < p.scene.rays.size(); ++i) {
         const auto term = [&] { return std::vector<double>{p.term(provider, i)}; };
-        table.add_row("ray origin", test::central_differences(&p.scene.rays[i].origin.x, 3, term), row(d_rays[i].origin));
-        table.add_row("ray direction", test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep),
+        table.add_row("ray origin", test::central_differences(&p.scene.rays[i].origin.x, 3, term),
+                      row(d_rays[i].origin));
+        table.add_row("ray direction",
+                      test::central_differences(&p.scene.rays[i].direction.x, 3, term, test::kAngleStep),
                       row(d_rays[i].direction));
     }
     const auto terms = [&] { return p.terms(); };
-    table.add_row("view origin", test::central_differences(&p.settings.view_origin.x, 3, terms), row(gradients.view_origin));
+    table.add_row("view origin", test::central_differences(&p.settings.view_origin.x, 3, terms),
+                  row(gradients.view_origin));
     for (std::size_t i = 0; i < p.scene.world.instances.size(); ++i) {
         Pose& pose = p.scene.world.instances[i].world_from_model;
         table.add_row("pose translation", test::central_differences(&pose.translation.x, 3, terms),
@@ -127,18 +139,21 @@ void check_rays_and_poses(Problem& p, const Gradients& gradients, const std::vec
             axis[k] = 1.0;
             pose.rotation = glm::angleAxis(angle, axis) * start;
         };
-        table.add_row("pose rotation", test::central_differences(3, turn, terms, test::kAngleStep), row(gradients.instances[i].rotation));
+        table.add_row("pose rotation", test::central_differences(3, turn, terms, test::kAngleStep),
+                      row(gradients.instances[i].rotation));
     }
 }
 
 std::size_t most_hits(const Problem& p) {
     std::size_t most = 0;
-    for (const Ray& ray : p.scene.rays) most = std::max<std::size_t>(most, render(p.scene.world, p.brute(), p.settings, ray, p.chunk).hits);
+    for (const Ray& ray : p.scene.rays)
+        most = std::max<std::size_t>(most, render(p.scene.world, p.brute(), p.settings, ray, p.chunk).hits);
     return most;
 }
 
-void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk, const char* title,
-                              bool single_drop_logit = false, test::Outputs outputs = test::Outputs::all) {
+void expect_differences_agree(ShDirection direction, const test::RandomSceneOptions& options, int chunk,
+                              const char* title, bool single_drop_logit = false,
+                              test::Outputs outputs = test::Outputs::all) {
     Problem problem(direction, options, chunk, single_drop_logit, outputs);
     EXPECT_GT(most_hits(problem), std::size_t(chunk)) << "the scene should need more than one chunk";
     std::vector<RayGradient> d_rays;
@@ -150,7 +165,8 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
-        const bool values = outputs == test::Outputs::all;   // geometry alone does not depend on the channels
+        // geometry alone does not depend on the channels
+        const bool values = outputs == test::Outputs::all;
         const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
                               (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
         EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name;
@@ -165,33 +181,41 @@ TEST(ReferenceGradient, EveryParameterShAlongRay) {
 TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
     test::RandomSceneOptions options;
     options.seed = 2;
-    expect_differences_agree(ShDirection::surfel, options, 4, "SH along sensor -> mean, 3 instances, chunk 4");
+    expect_differences_agree(ShDirection::surfel, options, 4,
+                             "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Each output of the geometric losses alone (M10-M12); all other tests have them beside the image.
+/// Each output of the geometric losses alone (M10-M12); all other tests have them beside
+/// the image.
 TEST(ReferenceGradient, GeometryAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;
     options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
-    expect_differences_agree(ShDirection::ray, options, 4, "blended normal alone", false, test::Outputs::normal);
-    expect_differences_agree(ShDirection::surfel, options, 4, "distortion alone", false, test::Outputs::distortion);
-    expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false, test::Outputs::likelihood);
+    expect_differences_agree(ShDirection::ray, options, 4, "blended normal alone", false,
+                             test::Outputs::normal);
+    expect_differences_agree(ShDirection::surfel, options, 4, "distortion alone", false,
+                             test::Outputs::distortion);
+    expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false,
+                             test::Outputs::likelihood);
     options.primitive = Primitive::gaussian;
-    expect_differences_agree(ShDirection::ray, options, 4, "likelihood alone, 3D Gaussians", false, test::Outputs::likelihood);
+    expect_differences_agree(ShDirection::ray, options, 4, "likelihood alone, 3D Gaussians", false,
+                             test::Outputs::likelihood);
 }
 
 TEST(ReferenceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 5;
     expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
-    expect_differences_agree(ShDirection::surfel, options, 4, "one drop logit, SH along sensor -> mean, chunk 4", true);
+    expect_differences_agree(ShDirection::surfel, options, 4,
+                             "one drop logit, SH along sensor -> mean, chunk 4", true);
 }
 
 TEST(ReferenceGradient, GaussiansShAlongRay) {
     test::RandomSceneOptions options;
     options.seed = 6;
     options.primitive = Primitive::gaussian;
-    expect_differences_agree(ShDirection::ray, options, 4, "3D Gaussians, SH along the ray, 3 instances, chunk 4");
+    expect_differences_agree(ShDirection::ray, options, 4,
+                             "3D Gaussians, SH along the ray, 3 instances, chunk 4");
 }
 
 TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
@@ -199,10 +223,12 @@ TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
     options.seed = 7;
     options.primitive = Primitive::gaussian;
     options.opacity_low = 0.5, options.opacity_high = 0.98;
-    expect_differences_agree(ShDirection::surfel, options, 2, "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
+    expect_differences_agree(ShDirection::surfel, options, 2,
+                             "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
 }
 
-/// How many blended hits are clamped at alpha_max, and how many rays end by the T_min rule.
+/// How many blended hits are clamped at alpha_max, and how many rays end by the T_min
+/// rule.
 std::pair<int, int> count_clamps_and_stops(const Problem& p) {
     int clamps = 0, stops = 0;
     const BruteForce provider = p.brute();
@@ -239,7 +265,8 @@ TEST(ReferenceGradient, RotationGradientIsTangential) {
     const Gradients gradients = problem.gradients(d_rays);
     for (std::size_t i = 0; i < gradients.surfels.size(); ++i) {
         const glm::dvec4 q = problem.scene.world.surfels[i].rotation, d = gradients.surfels[i].rotation;
-        EXPECT_LE(std::abs(glm::dot(q, d)), 1e-12 * (1.0 + glm::length(q) * glm::length(d))) << "surfel " << i;
+        EXPECT_LE(std::abs(glm::dot(q, d)), 1e-12 * (1.0 + glm::length(q) * glm::length(d)))
+            << "surfel " << i;
     }
 }
 
@@ -254,7 +281,8 @@ TEST(ReferenceGradient, ChunkSizeDoesNotMatter) {
             EXPECT_EQ(one.surfels[i].mean, other.surfels[i].mean) << "chunk " << chunk;
             EXPECT_EQ(one.surfels[i].sh, other.surfels[i].sh) << "chunk " << chunk;
         }
-        for (std::size_t i = 0; i < one.instances.size(); ++i) EXPECT_EQ(one.instances[i].rotation, other.instances[i].rotation);
+        for (std::size_t i = 0; i < one.instances.size(); ++i)
+            EXPECT_EQ(one.instances[i].rotation, other.instances[i].rotation);
     }
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A densification as a whole (diff/densify/classify, allot, move, spawn) against the reference in double: who survives, is cloned, split or
-// shared, in which order; what becomes of values, moments and statistics; models; and the ends of the range.
+// A densification as a whole (diff/densify/classify, allot, move, spawn) against the
+// reference in double: who survives, is cloned, split or shared, in which order; what
+// becomes of values, moments and statistics; models; and the ends of the range.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -48,7 +49,8 @@ struct Case {
         const std::size_t n = scene.surfels.size();
         for (std::size_t i = 0; i < n; ++i) {
             n_seen.push_back(random() % 4);
-            gradient_sum.push_back(float(n_seen[i]) * 1e-4f * float(random() % 1000) / 250.0f);   // half of the means above 2e-4
+            // half of the means above 2e-4
+            gradient_sum.push_back(float(n_seen[i]) * 1e-4f * float(random() % 1000) / 250.0f);
             for (int k = 0; k < 2; ++k) frames.push_back(random() % 3 ? std::uint32_t(random()) : 0u);
         }
         moment1 = moment2 = scene.surfels;
@@ -83,16 +85,19 @@ std::vector<Fate> expected_fates(const Case& c, int step) {
         const double extent = c.densifier.extents_m()[m];
         reference::DensifyRules rules;
         rules.min_opacity = std::max(c.options.min_opacity, double(kAlphaMin));
-        rules.max_scale =
-            step > c.options.large_from && c.options.strategy != DensifyStrategy::mcmc ? c.options.max_extent_share * extent : 1e30;
+        rules.max_scale = step > c.options.large_from && c.options.strategy != DensifyStrategy::mcmc
+                              ? c.options.max_extent_share * extent
+                              : 1e30;
         rules.clone_scale = c.options.clone_extent_share * extent;
-        if (c.options.strategy == DensifyStrategy::adaptive) rules.gradient_threshold = c.options.gradient_threshold;
+        if (c.options.strategy == DensifyStrategy::adaptive)
+            rules.gradient_threshold = c.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
         rules.share = c.options.strategy == DensifyStrategy::mcmc;
         rules.key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             fates.push_back(reference::fate_of(test::densified(c.scene.surfels, i),
-                                               c.n_seen[i] ? double(c.gradient_sum[i]) / c.n_seen[i] : 0.0, rules, i));
+                                               c.n_seen[i] ? double(c.gradient_sum[i]) / c.n_seen[i] : 0.0,
+                                               rules, i));
     }
     return fates;
 }
@@ -112,13 +117,16 @@ std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, st
     std::uint32_t total = 0;
     for (std::size_t i = 0; i < fates.size(); ++i) {
         const bool grows = fates[i] == Fate::clone || fates[i] == Fate::split;
-        weight.push_back(fates[i] == Fate::share
-                             ? std::max(1u, std::uint32_t(float(test::densified(c.scene.surfels, i).opacity) * 255.0f + 0.5f))
-                         : grows ? 1u
-                                 : 0u);
+        weight.push_back(
+            fates[i] == Fate::share
+                ? std::max(1u,
+                           std::uint32_t(float(test::densified(c.scene.surfels, i).opacity) * 255.0f + 0.5f))
+            : grows ? 1u
+                    : 0u);
         total += weight.back();
     }
-    const std::uint32_t phase = total ? static_cast<std::uint32_t>(hash64(hash64(kSeed, 2), std::uint64_t(step)) % total) : 0u;
+    const std::uint32_t phase =
+        total ? static_cast<std::uint32_t>(hash64(hash64(kSeed, 2), std::uint64_t(step)) % total) : 0u;
     const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, phase);
     std::vector<Row> rows;
     for (std::uint32_t i = 0; i < fates.size(); ++i)
@@ -127,7 +135,9 @@ std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, st
     return rows;
 }
 
-bool same_bits(const float* a, const float* b, std::size_t n) { return std::memcmp(a, b, n * sizeof(float)) == 0; }
+bool same_bits(const float* a, const float* b, std::size_t n) {
+    return std::memcmp(a, b, n * sizeof(float)) == 0;
+}
 
 void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_t i, std::uint32_t key) {
     const Surfels& was = c.scene.surfels;
@@ -150,7 +160,8 @@ void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_
         EXPECT_EQ(now.opacity_logit[i], was.opacity_logit[row.source]);
     }
     const reference::DensifiedSurfel actual = test::densified(now, i);
-    EXPECT_LT(glm::length(actual.mean - s.mean), 2e-5 * (glm::length(s.mean) + s.scale.x + s.scale.y + s.scale_w.value_or(0.0)));
+    EXPECT_LT(glm::length(actual.mean - s.mean),
+              2e-5 * (glm::length(s.mean) + s.scale.x + s.scale.y + s.scale_w.value_or(0.0)));
     EXPECT_NEAR(actual.scale_w.value_or(1.0) / s.scale_w.value_or(1.0), 1.0, 2e-4);
     EXPECT_LT(glm::length(actual.scale / s.scale - 1.0), 2e-4);
     EXPECT_NEAR(actual.opacity / s.opacity, 1.0, 1e-4);
@@ -160,7 +171,8 @@ void expect_state(Case& c, const std::vector<Row>& rows) {
     const Surfels m1 = c.adam.moment1().download(), m2 = c.adam.moment2().download();
     const SurfelStatistics& s = c.densifier.statistics();
     const std::vector<float> sums = s.gradient_sum.download(rows.size());
-    const std::vector<std::uint32_t> seen = s.n_seen.download(rows.size()), frames = s.frames.download(2 * rows.size());
+    const std::vector<std::uint32_t> seen = s.n_seen.download(rows.size()),
+                                     frames = s.frames.download(2 * rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
         const std::uint32_t from = rows[i].source;
         const bool fresh = rows[i].is_copy || rows[i].fate == Fate::split || rows[i].fate == Fate::share;
@@ -187,8 +199,9 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
     for (std::size_t m = 0; m < now.size(); ++m) {
         const Model& was = c.scene.models[m];
         EXPECT_EQ(now[m].first, next);
-        EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(),
-                                              [&](const Row& r) { return r.source >= was.first && r.source < was.first + was.count; }));
+        EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(), [&](const Row& r) {
+                      return r.source >= was.first && r.source < was.first + was.count;
+                  }));
         EXPECT_EQ(now[m].half_size_m, was.half_size_m);
         next += now[m].count;
     }
@@ -228,12 +241,13 @@ class Densify : public test::DeviceTest {};
 TEST_F(Densify, AdaptiveAgreesWithTheReference) {
     for (const int step : {600, 3100}) {
         DensifyOptions options = adaptive();
-        options.clone_extent_share = 3e-3;   // between the scales of the test
+        options.clone_extent_share = 3e-3;  // between the scales of the test
         options.max_extent_share = 0.004;
         Case c(device(), test::random_model_scene({700, 1, 300, 257}, 11), options, true);
         const DensifyReport r = expect_reference(c, step);
         EXPECT_EQ(r.added, r.clones + r.splits);
-        for (const std::uint32_t n : {r.invalid, r.faint, r.outside, r.clones, r.splits}) EXPECT_GT(n, 10u) << "a case that is not tested";
+        for (const std::uint32_t n : {r.invalid, r.faint, r.outside, r.clones, r.splits})
+            EXPECT_GT(n, 10u) << "a case that is not tested";
         if (step > 3000) EXPECT_GT(r.large, 10u);
         else EXPECT_EQ(r.large, 0u);
     }
@@ -263,7 +277,13 @@ TEST_F(Densify, MonteCarloMovesTheDeadToTheLiving) {
     DensifyReport r = expect_reference(c, 600);
     EXPECT_EQ(r.after, 1050u) << "as many as before and 5 %";
     EXPECT_GT(r.added, 100u);
-    Case capped(device(), test::random_model_scene({600, 0, 400}, 13), [&] { options.max_surfels = 990; return options; }(), true);
+    Case capped(
+        device(), test::random_model_scene({600, 0, 400}, 13),
+        [&] {
+            options.max_surfels = 990;
+            return options;
+        }(),
+        true);
     r = expect_reference(capped, 600);
     EXPECT_EQ(r.after, 990u);
 }
@@ -277,7 +297,8 @@ TEST_F(Densify, CapIsExactAndSpreadOverTheScene) {
     EXPECT_LT(r.added, r.clones + r.splits);
     const Surfels now = c.device_scene.parameters().download();
     std::size_t copies[2]{};
-    for (std::size_t i = 1; i < now.size(); ++i) copies[test::tag_of(now, i) >= 450] += test::tag_of(now, i) == test::tag_of(now, i - 1);
+    for (std::size_t i = 1; i < now.size(); ++i)
+        copies[test::tag_of(now, i) >= 450] += test::tag_of(now, i) == test::tag_of(now, i - 1);
     EXPECT_GT(copies[0], 0.3 * r.added);
     EXPECT_GT(copies[1], 0.3 * r.added);
     EXPECT_EQ(c.run(700).added, 0u) << "full";
@@ -317,9 +338,11 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     }
 }
 
-/// What the training loop makes for the scene afterwards takes empty models and empty scenes.
+/// What the training loop makes for the scene afterwards takes empty models and empty
+/// scenes.
 TEST_F(Densify, EmptyModelsCanBeTraced) {
-    for (const std::vector<std::uint32_t>& counts : {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
+    for (const std::vector<std::uint32_t>& counts :
+         {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
         Renderer renderer(device(), test::random_model_scene(counts, 20), {});
         renderer.place(glm::vec3(0.0f));
         WorldRays rays;

@@ -13,8 +13,8 @@
 #include "../../support/device.hpp"
 #include "base/random.hpp"
 #include "diff/densify/growth_plan.hpp"
-#include "gpu/stream.hpp"
 #include "diff/shared/densify.h"
+#include "gpu/stream.hpp"
 #include "random_model.hpp"
 
 namespace relidar {
@@ -36,21 +36,32 @@ void expect_allotted(Device& device, std::uint32_t largest) {
     const Kernel<shared::AllotParams> allot(device, "diff/densify/allot");
     for (const std::uint32_t n_new : {0u, 1u, 300u, 5000u}) {
         GrowthPlan plan{0, total, n_new, static_cast<std::uint32_t>(random() % total)};
-        const Array<std::uint32_t, shared::GrowthWeights> w(device, std::span<const std::uint32_t>(weight), "weight");
-        const Array<std::uint32_t, shared::WeightsBefore> c(device, std::span<const std::uint32_t>(cumulative), "cumulative");
-        const Array<std::uint32_t, shared::DensifyActions> a(device, std::span<const std::uint32_t>(action), "action");
+        const Array<std::uint32_t, shared::GrowthWeights> w(device, std::span<const std::uint32_t>(weight),
+                                                            "weight");
+        const Array<std::uint32_t, shared::WeightsBefore> c(
+            device, std::span<const std::uint32_t>(cumulative), "cumulative");
+        const Array<std::uint32_t, shared::DensifyActions> a(device, std::span<const std::uint32_t>(action),
+                                                             "action");
         const Array<std::uint32_t, shared::RowCounts> rows(device, n, "rows");
         Stream stream(device);
         run(stream, allot, n,
-            {.weight = w.address(), .cumulative = c.address(), .action = a.address(), .n_rows = rows.address(),
-             .n_surfels = n, .n_new = n_new, .total_weight = total, .phase = plan.phase});
+            {.weight = w.address(),
+             .cumulative = c.address(),
+             .action = a.address(),
+             .n_rows = rows.address(),
+             .n_surfels = n,
+             .n_new = n_new,
+             .total_weight = total,
+             .phase = plan.phase});
         stream.finish();
-        const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase), actual = rows.download(),
-                                         fate = a.download();
+        const std::vector<std::uint32_t> copies = reference::copies_of(weight, n_new, plan.phase),
+                                         actual = rows.download(), fate = a.download();
         for (std::uint32_t i = 0; i < n; ++i) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
-            EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_SHARE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP : action[i]);
-            EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]), copies[i])
+            EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_SHARE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP
+                                                                                    : action[i]);
+            EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]),
+                      copies[i])
                 << "what the host expects";
         }
     }
@@ -58,7 +69,7 @@ void expect_allotted(Device& device, std::uint32_t largest) {
 
 TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
     expect_allotted(device(), 255);
-    expect_allotted(device(), 10'000'000);   // their sum is close to 2^32, and times n_new has 64 bits
+    expect_allotted(device(), 10'000'000);  // their sum is close to 2^32, and times n_new has 64 bits
 }
 
 /// A densifier and what it works on, at its own times.
@@ -80,14 +91,17 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     Trained t(device(), test::random_model_scene({200}, 3), options);
     const Surfels tags = t.scene.surfels;
     Stream stream(device());
-    for (const int step : {2999, 3001, 15000}) t.densifier.after_step(stream, t.device_scene, t.adam, step, 1.0);
+    for (const int step : {2999, 3001, 15000})
+        t.densifier.after_step(stream, t.device_scene, t.adam, step, 1.0);
     stream.finish();
-    EXPECT_EQ(t.device_scene.parameters().download().opacity_logit, tags.opacity_logit) << "nothing is due at these steps";
+    EXPECT_EQ(t.device_scene.parameters().download().opacity_logit, tags.opacity_logit)
+        << "nothing is due at these steps";
     t.adam.moment1().upload(tags);
     t.adam.moment2().upload(tags);
     t.densifier.after_step(stream, t.device_scene, t.adam, 3000, 1.0);
     stream.finish();
-    const Surfels after = t.device_scene.parameters().download(), m = t.adam.moment1().download(), v = t.adam.moment2().download();
+    const Surfels after = t.device_scene.parameters().download(), m = t.adam.moment1().download(),
+                  v = t.adam.moment2().download();
     const float limit = std::log(0.01f / 0.99f);
     std::size_t lowered = 0;
     for (std::size_t i = 0; i < after.size(); ++i) {
@@ -112,13 +126,14 @@ TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     t.densifier.after_step(stream, t.device_scene, t.adam, 3000, 1.0);
     stream.finish();
     const std::vector<float> after = t.device_scene.parameters().download().opacity_logit;
-    const float limit = std::log(0.1f / 0.9f);   // opacity 2.5 * 0.04
+    const float limit = std::log(0.1f / 0.9f);  // opacity 2.5 * 0.04
     for (std::size_t i = 0; i < after.size(); ++i) EXPECT_NEAR(after[i], std::min(before[i], limit), 1e-6);
 }
 
 class Jitter : public DensifyKernels, public testing::WithParamInterface<std::pair<Primitive, float>> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, Jitter,
-                         testing::Values(std::pair{Primitive::surfel, 1.0f / 255.0f}, std::pair{Primitive::gaussian, 1.0f / 255.0f},
+                         testing::Values(std::pair{Primitive::surfel, 1.0f / 255.0f},
+                                         std::pair{Primitive::gaussian, 1.0f / 255.0f},
                                          std::pair{Primitive::surfel, 0.04f}));
 
 TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
@@ -139,8 +154,8 @@ TEST_P(Jitter, MovesFaintSurfelsInTheirPlaneAndGaussiansAlongAllAxes) {
     for (std::uint32_t i = 0; i < before.size(); ++i) {
         const reference::DensifiedSurfel s = test::densified(before, i);
         const double gate = 1.0 / (1.0 + std::exp(100.0 * (s.opacity - std::max(0.005, double(alpha_min)))));
-        const glm::dvec3 expected =
-            reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0), 0.2 * gate * reference::random_normal2(key, i, 1).x);
+        const glm::dvec3 expected = reference::point_of(s, 0.2 * gate * reference::random_normal2(key, i, 0),
+                                                        0.2 * gate * reference::random_normal2(key, i, 1).x);
         EXPECT_LT(glm::length(glm::dvec3(after.mean[i]) - expected), 1e-5 * (1.0 + glm::length(expected)));
         moved += glm::length(expected - s.mean) > 0.02 * std::min(s.scale.x, s.scale.y);
     }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Growth and its ends: capacity is taken in steps, device memory that runs out caps the scene and harms nothing.
+// Growth and its ends: capacity is taken in steps, device memory that runs out caps the
+// scene and harms nothing.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/densify.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -33,7 +34,12 @@ struct Growing {
         return o;
     }
     Growing(Device& d, std::uint32_t n)
-        : device(d), scene(opaque(n)), device_scene(d, scene), adam(d, n, {}), densifier(d, scene, options(), 0.0f, 1, 1), stream(d) {
+        : device(d),
+          scene(opaque(n)),
+          device_scene(d, scene),
+          adam(d, n, {}),
+          densifier(d, scene, options(), 0.0f, 1, 1),
+          stream(d) {
         adam.moment1().upload(scene.surfels);
         adam.moment2().upload(scene.surfels);
     }
@@ -54,7 +60,8 @@ struct Growing {
             ASSERT_LT(tag, scene.surfels.size());
             ASSERT_GE(tag, test::tag_of(now, i > 0 ? i - 1 : 0));
             ASSERT_EQ(now.rotation[i], scene.surfels.rotation[tag]);
-            ASSERT_EQ(m.rotation[i], m.opacity_logit[i] != 0.0f ? scene.surfels.rotation[tag] : glm::vec4(0.0f));
+            ASSERT_EQ(m.rotation[i],
+                      m.opacity_logit[i] != 0.0f ? scene.surfels.rotation[tag] : glm::vec4(0.0f));
         }
     }
 };

@@ -13,7 +13,8 @@ Scene random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t
     Scene scene;
     for (std::size_t m = 0; m < counts.size(); ++m) {
         const auto first = static_cast<std::uint32_t>(scene.surfels.size());
-        scene.models.push_back({m == 0 ? "background" : "car", first, counts[m], m == 0 ? glm::vec3(0.0f) : glm::vec3(2.0f, 1.0f, 0.8f)});
+        scene.models.push_back({m == 0 ? "background" : "car", first, counts[m],
+                                m == 0 ? glm::vec3(0.0f) : glm::vec3(2.0f, 1.0f, 0.8f)});
         scene.instances.push_back({static_cast<std::uint32_t>(m), m == 0 ? "" : "car"});
         scene.surfels.resize(first + counts[m]);
         for (std::uint32_t i = first; i < first + counts[m]; ++i) {
@@ -22,14 +23,16 @@ Scene random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t
             scene.surfels.rotation[i] = {normal(random), normal(random), normal(random), normal(random)};
             scene.surfels.log_scale[i] = {-3.0f + normal(random), -3.0f + normal(random)};
             scene.surfels.opacity_logit[i] = -2.0f + 3.0f * normal(random);
-            for (std::size_t k = 0; k < kShFloats; ++k) scene.surfels.sh[i * kShFloats + k] = k == 0 ? float(i) : normal(random);
+            for (std::size_t k = 0; k < kShFloats; ++k)
+                scene.surfels.sh[i * kShFloats + k] = k == 0 ? float(i) : normal(random);
         }
     }
     return scene;
 }
 
 void poison(Surfels& surfels) {
-    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
+    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
+                    kInfinity = std::numeric_limits<float>::infinity();
     for (std::size_t i = 0; i < surfels.size(); i += 20) {
         if (i % 3 == 0) surfels.mean[i].y = i % 2 ? kNan : kInfinity;
         else if (i % 3 == 1) surfels.sh[i * kShFloats + 47] = kNan;
@@ -40,14 +43,17 @@ void poison(Surfels& surfels) {
 reference::DensifiedSurfel densified(const Surfels& s, std::size_t i) {
     bool finite = std::isfinite(s.mean[i].x + s.mean[i].y + s.mean[i].z + s.opacity_logit[i]);
     for (std::size_t k = 0; k < kShFloats; ++k) finite = finite && std::isfinite(s.sh[i * kShFloats + k]);
-    return {glm::dvec3(s.mean[i]),
-            glm::dvec4(s.rotation[i]),
-            glm::exp(glm::dvec2(s.log_scale[i])),
-            1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
-            finite,
-            kind_of(s.primitive).third_scale ? std::optional(std::exp(double(s.log_scale_w[i]))) : std::nullopt};
+    return {
+        glm::dvec3(s.mean[i]),
+        glm::dvec4(s.rotation[i]),
+        glm::exp(glm::dvec2(s.log_scale[i])),
+        1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
+        finite,
+        kind_of(s.primitive).third_scale ? std::optional(std::exp(double(s.log_scale_w[i]))) : std::nullopt};
 }
 
-std::uint32_t tag_of(const Surfels& surfels, std::size_t i) { return static_cast<std::uint32_t>(surfels.sh[i * kShFloats]); }
+std::uint32_t tag_of(const Surfels& surfels, std::size_t i) {
+    return static_cast<std::uint32_t>(surfels.sh[i * kShFloats]);
+}
 
 }  // namespace relidar::test

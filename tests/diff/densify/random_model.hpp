@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scenes for tests of densification: random surfels in models of given sizes, the first unbounded, the others in a box that some of
-// them leave; each surfel carries its index in its SH coefficients.
+// Scenes for tests of densification: random surfels in models of given sizes, the first
+// unbounded, the others in a box that some of them leave; each surfel carries its index
+// in its SH coefficients.
 #pragma once
 
 #include <vector>

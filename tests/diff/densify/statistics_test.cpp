@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/densify/observe: sums and counts against the same in double, and the normalisation of batches that are a part of their frame's rays.
+// diff/densify/observe: sums and counts against the same in double, and the normalisation
+// of batches that are a part of their frame's rays.
 #include <cmath>
 #include <random>
 
@@ -35,7 +36,8 @@ struct Observed {
           stream(d),
           n(scene.size()) {}
 
-    void show(const std::vector<float>& d_mean, const std::vector<std::uint32_t>& is_touched, std::uint32_t frame, bool whole_frame) {
+    void show(const std::vector<float>& d_mean, const std::vector<std::uint32_t>& is_touched,
+              std::uint32_t frame, bool whole_frame) {
         gradients.mean.upload(d_mean);
         touched.upload(is_touched);
         densifier.observe(stream, scene, {&gradients, &touched, frame, whole_frame});
@@ -44,7 +46,7 @@ struct Observed {
 };
 
 TEST_F(Statistics, SumsAndCountsOverBatches) {
-    constexpr std::uint32_t kN = 333, kFrames = 70;   // three words of frames
+    constexpr std::uint32_t kN = 333, kFrames = 70;  // three words of frames
     Observed o(device(), kN, kFrames);
     std::mt19937 random(5);
     std::normal_distribution<float> normal;
@@ -58,10 +60,12 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
         std::vector<std::uint32_t> touched(kN);
         for (std::uint32_t i = 0; i < kN; ++i) {
             touched[i] = random() % 3 == 0;
-            for (std::uint32_t k = 0; k < 3; ++k) d_mean[3 * i + k] = touched[i] ? normal(random) : NAN;   // undefined where not touched
+            // undefined where not touched
+            for (std::uint32_t k = 0; k < 3; ++k) d_mean[3 * i + k] = touched[i] ? normal(random) : NAN;
             if (touched[i] || (!whole && frames[i][frame])) ++seen[i];
             if (!touched[i]) continue;
-            sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] + double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] +
+            sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] +
+                                double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] +
                                 double(d_mean[3 * i + 2]) * d_mean[3 * i + 2]);
             frames[i][frame] = true;
         }
@@ -74,12 +78,14 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     for (std::uint32_t i = 0; i < kN; ++i) {
         EXPECT_NEAR(sums[i], sum[i], 1e-5 * (1.0 + sum[i]));
         EXPECT_EQ(counts[i], seen[i]);
-        for (std::uint32_t f = 0; f < kFrames; ++f) EXPECT_EQ((bits[3 * i + f / 32] >> (f % 32)) & 1u, frames[i][f] ? 1u : 0u);
+        for (std::uint32_t f = 0; f < kFrames; ++f)
+            EXPECT_EQ((bits[3 * i + f / 32] >> (f % 32)) & 1u, frames[i][f] ? 1u : 0u);
     }
 }
 
-/// Surfel i covers i + 1 rays of each of three frames, all with the same gradient; the loss is a mean over the batch. Every s-th ray is
-/// as good as all of them, for surfels that most batches miss too.
+/// Surfel i covers i + 1 rays of each of three frames, all with the same gradient; the
+/// loss is a mean over the batch. Every s-th ray is as good as all of them, for surfels
+/// that most batches miss too.
 TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     constexpr std::uint32_t kN = 40, kRays = 1000, kStride = 16;
     const auto mean_of = [&](std::uint32_t stride, int n_batches) {
@@ -106,7 +112,8 @@ TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     const std::vector<double> whole = mean_of(1, 3), part = mean_of(kStride, 600);
     for (std::uint32_t i = 0; i < kN; ++i) {
         EXPECT_NEAR(whole[i], double(i + 1) / kRays, 1e-6);
-        // a mean over the batches it is touched in alone is 16 times too large for one ray
+        // a mean over the batches it is touched in alone is 16 times too large for one
+        // ray
         EXPECT_NEAR(part[i] / whole[i], 1.0, 0.35) << i + 1 << " rays";
     }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A frozen scene renders what the scene renders with its actors placed: turned, walking, or absent.
+// A frozen scene renders what the scene renders with its actors placed: turned, walking,
+// or absent.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -25,7 +26,8 @@ protected:
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (float& v : scene.surfels.sh) v = 0.2f * u(random);
         scene.surfels.add_gait();
-        for (Gait& gait : scene.surfels.gait) gait = {u(random), u(random), 0.3f * glm::vec3(u(random), u(random), u(random))};
+        for (Gait& gait : scene.surfels.gait)
+            gait = {u(random), u(random), 0.3f * glm::vec3(u(random), u(random), u(random))};
         scene.models = {{"background", 0, 900}};
         for (std::uint32_t k = 0; k < 3; ++k) {
             scene.models.push_back({std::to_string(k), 900 + 200 * k, 200});
@@ -36,20 +38,24 @@ protected:
     }
     static std::vector<InstancePose> some_poses() {
         std::vector<InstancePose> placed(4);
-        const glm::dquat turns[] = {rotation_of(0.7, 0.2, -0.4), rotation_of(-2.1, 0.0, 0.0), rotation_of(1.4, -0.8, 2.0)};
-        for (std::size_t k = 1; k < 4; ++k) placed[k] = {{turns[k - 1], {0.5 * double(k), -0.3, 0.2}}, true, 0.0, 0.37 * double(k)};
+        const glm::dquat turns[] = {rotation_of(0.7, 0.2, -0.4), rotation_of(-2.1, 0.0, 0.0),
+                                    rotation_of(1.4, -0.8, 2.0)};
+        for (std::size_t k = 1; k < 4; ++k)
+            placed[k] = {{turns[k - 1], {0.5 * double(k), -0.3, 0.2}}, true, 0.0, 0.37 * double(k)};
         return placed;
     }
     void expect_equal(const Rendering& a, const Rendering& b, const std::string& what) {
         ASSERT_EQ(a.size(), b.size());
-        std::size_t n_hit = 0, n_off = 0;   // where rounding takes a surfel over the rim of what is seen, a ray differs
+        // where rounding takes a surfel over the rim of what is seen, a ray differs
+        std::size_t n_hit = 0, n_off = 0;
         for (std::size_t i = 0; i < a.size(); ++i) {
             n_hit += a.hits[i] > 0;
             const auto off = [&](const std::vector<float>& x, const std::vector<float>& y) {
                 return !(std::abs(x[i] - y[i]) <= 2e-4f * (1.0f + std::abs(x[i])));
             };
-            n_off += off(a.depth, b.depth) || off(a.intensity, b.intensity) || off(a.hit_logit, b.hit_logit) ||
-                     off(a.drop_logit, b.drop_logit) || off(a.transmittance, b.transmittance);
+            n_off += off(a.depth, b.depth) || off(a.intensity, b.intensity) ||
+                     off(a.hit_logit, b.hit_logit) || off(a.drop_logit, b.drop_logit) ||
+                     off(a.transmittance, b.transmittance);
         }
         EXPECT_GT(n_hit, a.size() / 3) << what;
         EXPECT_LE(n_off, a.size() / 100) << what;
@@ -71,11 +77,13 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
                 EXPECT_EQ(frozen.size(), one_is_absent ? 1300u : 1500u);
                 EXPECT_FALSE(frozen.bends);
                 const glm::vec3 view(0.2f, -0.1f, 0.3f);
-                Renderer moving(device(), scene, model), still(device(), make_background_scene(frozen), model);
+                Renderer moving(device(), scene, model),
+                    still(device(), make_background_scene(frozen), model);
                 moving.place(placed, view);
                 still.place(view);
                 expect_equal(moving.forward(rays), still.forward(rays),
-                             std::string(kind_of(primitive).name) + (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
+                             std::string(kind_of(primitive).name) +
+                                 (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
             }
         }
 }

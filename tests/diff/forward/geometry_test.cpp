@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blended normals, distortion and likelihood of the forward pass (M10-M12) against the double reference, which sums distortion pair by
-// pair: random scenes with instances, chunk sizes, lists, rays of many hits. The image is the same, bit for bit, whether they are wanted or
-// not.
+// Blended normals, distortion and likelihood of the forward pass (M10-M12) against the
+// double reference, which sums distortion pair by pair: random scenes with instances,
+// chunk sizes, lists, rays of many hits. The image is the same, bit for bit, whether they
+// are wanted or not.
 #include <algorithm>
 
 #include <relidar/diff/forward.hpp>
@@ -20,30 +21,42 @@ constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 class Geometry : public test::DeviceTest {
 protected:
     /// Renders a scene's rays. @param geometry  if given, receives [n,7]
-    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk, std::vector<float>* geometry) {
-        return trace(random, model, {.chunk = chunk, .geometry = geometry != nullptr, .likelihood = geometry ? kKernel : std::nullopt},
+    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk,
+                             std::vector<float>* geometry) {
+        return trace(random, model,
+                     {.chunk = chunk,
+                      .geometry = geometry != nullptr,
+                      .likelihood = geometry ? kKernel : std::nullopt},
                      geometry);
     }
-    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options,
-                             std::vector<float>* geometry) {
-        const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model,
+                             const TraceOptions& options, std::vector<float>* geometry) {
+        const test::SceneAndPoses placed =
+            test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
         // a guard behind
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
         renderer.scene().set_poses(placed.world_from_instance);
-        const Array<DeviceRay> rays(device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
+        const Array<DeviceRay> rays(
+            device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
         const std::vector<shared::DeviceTarget> measured = test::to_targets(random.rays);
-        const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured), "targets");
+        const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
+                                                  "targets");
         RayGeometry* wanted = renderer.rendered().geometry;
         if (wanted)
-            wanted->rendered.upload(std::vector<shared::RenderedGeometry>(
-                n_rays + 1, {.normal = glm::vec3(-7.0f), .distortion = -7.0f, .moment = -7.0f, .likelihood = -7.0f, .mode = -7.0f}));
+            wanted->rendered.upload(
+                std::vector<shared::RenderedGeometry>(n_rays + 1, {.normal = glm::vec3(-7.0f),
+                                                                   .distortion = -7.0f,
+                                                                   .moment = -7.0f,
+                                                                   .likelihood = -7.0f,
+                                                                   .mode = -7.0f}));
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().finish();
         if (geometry) {
             *geometry = test::floats_of(wanted->rendered.download());
-            for (int k = 0; k < 7; ++k, geometry->pop_back()) EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
+            for (int k = 0; k < 7; ++k, geometry->pop_back())
+                EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
         }
         return test::floats_of(renderer.rendered().rendered->download(n_rays));
     }
@@ -52,8 +65,8 @@ protected:
 TEST_F(Geometry, AgreesWithDoubleReference) {
     test::RandomSceneOptions few, many;
     few.seed = 24, few.rays = 200;
-    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0, many.actor_instances = 0,
-    many.opacity_low = 0.02, many.opacity_high = 0.2;
+    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0,
+    many.actor_instances = 0, many.opacity_low = 0.02, many.opacity_high = 0.2;
     for (const test::RandomSceneOptions& options : {few, many}) {
         reference::Settings settings;
         settings.likelihood_scale_m = 0.3;
@@ -79,16 +92,24 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         trace(scene, settings.image, 64, &again);
         EXPECT_EQ(again, found) << "nor on the chunk";
         for (const int room : {4, 64}) {
-            trace(scene, settings.image, {.chunk = 5, .order = HitOrder::lists, .list_room = room, .geometry = true, .likelihood = kKernel},
+            trace(scene, settings.image,
+                  {.chunk = 5,
+                   .order = HitOrder::lists,
+                   .list_room = room,
+                   .geometry = true,
+                   .likelihood = kKernel},
                   &again);
-            for (std::size_t k = 0; k < again.size(); ++k) EXPECT_NEAR(again[k], found[k], 1e-6f * std::max(1.0f, std::abs(found[k])));
+            for (std::size_t k = 0; k < again.size(); ++k)
+                EXPECT_NEAR(again[k], found[k], 1e-6f * std::max(1.0f, std::abs(found[k])));
         }
         EXPECT_EQ(trace(scene, settings.image, {.likelihood = kKernel}, &again), image);
-        for (std::size_t k = 0; k < again.size(); ++k) EXPECT_EQ(again[k], k % 7 == 5 ? found[k] : 0.0f) << "the likelihood alone";
+        for (std::size_t k = 0; k < again.size(); ++k)
+            EXPECT_EQ(again[k], k % 7 == 5 ? found[k] : 0.0f) << "the likelihood alone";
     }
 }
 
-/// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it is.
+/// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it
+/// is.
 TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;
@@ -97,7 +118,8 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     std::vector<float> found, image = trace(scene, settings.image, 5, nullptr);
-    EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &found), image) << "the image does not depend on it";
+    EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &found), image)
+        << "the image does not depend on it";
     std::vector<float> by_lists;
     trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}, &by_lists);
     for (std::size_t k = 6; k < found.size(); k += 7) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
@@ -106,10 +128,12 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
         std::vector<reference::ShadedHit> hits;
         reference::render(scene.world, brute, settings, scene.rays[i], 16, &hits);
         bool is_clear = !hits.empty();
-        for (std::size_t k = 1; k < hits.size(); ++k) is_clear = is_clear && std::abs(hits[k].t - hits[k - 1].t - double(kGap)) > 1e-4;
+        for (std::size_t k = 1; k < hits.size(); ++k)
+            is_clear = is_clear && std::abs(hits[k].t - hits[k - 1].t - double(kGap)) > 1e-4;
         const std::vector<reference::Surface> all = reference::surfaces(hits, double(kGap));
         const auto heaviest = std::ranges::max_element(all, {}, &reference::Surface::weight);
-        for (auto s = all.begin(); s != all.end(); ++s) is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
+        for (auto s = all.begin(); s != all.end(); ++s)
+            is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
         if (!is_clear) continue;
         EXPECT_NEAR(found[7 * i + 6], heaviest->mean, 1e-5) << "ray " << i;
         ++clear;
@@ -119,26 +143,32 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     EXPECT_GT(other_than_first, 10);
 }
 
-/// A batch finds what its rays measured by their places, and renders no likelihood where it brings no targets.
+/// A batch finds what its rays measured by their places, and renders no likelihood where
+/// it brings no targets.
 TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
     test::RandomSceneOptions options;
     options.seed = 27, options.rays = 60;
     const test::RandomScene scene = test::make_random_scene(options, {});
-    const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    const test::SceneAndPoses placed =
+        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     Renderer renderer(device(), placed.scene, {}, {.trace = {.likelihood = kKernel}, .n_rays = 60});
     renderer.scene().set_poses(placed.world_from_instance);
     renderer.place(glm::vec3(scene.view_origin));
-    const Array<DeviceRay> rays(device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(scene.rays))), "rays");
-    const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(test::to_targets(scene.rays)), "targets");
+    const Array<DeviceRay> rays(
+        device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(scene.rays))), "rays");
+    const Array<shared::DeviceTarget> targets(
+        device(), std::span<const shared::DeviceTarget>(test::to_targets(scene.rays)), "targets");
     const auto likelihoods = [&](const RayBatch& batch) {
         renderer.record_forward(batch);
         renderer.stream().finish();
         std::vector<float> found;
-        for (const shared::RenderedGeometry& q : renderer.rendered().geometry->rendered.download(batch.n_rays))
+        for (const shared::RenderedGeometry& q :
+             renderer.rendered().geometry->rendered.download(batch.n_rays))
             found.push_back(q.likelihood);
         return found;
     };
-    const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}), some = likelihoods({&rays, 1, 3, 20, 0, &targets});
+    const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}),
+                             some = likelihoods({&rays, 1, 3, 20, 0, &targets});
     for (std::size_t k = 0; k < 20; ++k) EXPECT_EQ(some[k], all[1 + 3 * k]) << "ray " << k;
     EXPECT_GT(*std::max_element(some.begin(), some.end()), 0.1f);
     EXPECT_EQ(likelihoods({&rays, 0, 1, 60}), std::vector<float>(60, 0.0f));
@@ -150,7 +180,8 @@ TEST_F(Geometry, OfARenderer) {
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-    const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    const test::SceneAndPoses placed =
+        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     for (const bool wanted : {true, false}) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.geometry = wanted}});
         renderer.scene().set_poses(placed.world_from_instance);

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass by lists (diff/forward/append, diff/forward/sort_hits, diff/forward/blend) against that by
-// chunks (diff/forward/trace), for every hit
-// provider, on the conformance cases of traversal: lists that are empty, long, full, of equal depths, of hits reported twice. Against the
-// double reference both stand in render_test.cpp, geometry_test.cpp and tests/diff/backward.
+// The forward pass by lists (diff/forward/append, diff/forward/sort_hits,
+// diff/forward/blend) against that by chunks (diff/forward/trace), for every hit
+// provider, on the conformance cases of traversal: lists that are empty, long, full, of
+// equal depths, of hits reported twice. Against the double reference both stand in
+// render_test.cpp, geometry_test.cpp and tests/diff/backward.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
 
 #include <relidar/base/error.hpp>
-#include "gpu/forced.hpp"
 #include <relidar/diff/forward.hpp>
+#include "gpu/forced.hpp"
 
 #include "../../support/device.hpp"
 #include "../../support/placed.hpp"
@@ -35,7 +36,8 @@ std::vector<Provider> providers(const Device& device) {
     const Provider brute{.name = "brute force", .brute_force = true};
     if (device.traversal() == Traversal::software)
         return {{.name = "lane", .walk = Walk::lane}, {.name = "subgroup", .walk = Walk::subgroup}, brute};
-    return {{.name = "triangles", .proxy = Proxy::triangles}, {.name = "boxes", .proxy = Proxy::boxes}, brute};
+    return {
+        {.name = "triangles", .proxy = Proxy::triangles}, {.name = "boxes", .proxy = Proxy::boxes}, brute};
 }
 
 /// A case on the device, ready to be traced.
@@ -48,8 +50,11 @@ struct Placed {
     Array<DeviceRay> rays;
 
     Placed(Device& device, const TraversalCase& c, const Provider& provider)
-        : placed(test::to_scene(c.surfels, c.instances)), stream(device), scene(device, placed.scene),
-          accel(device, scene, {.proxy = provider.proxy}), rays(device, std::span<const DeviceRay>(to_device_rays(c.rays)), "rays") {
+        : placed(test::to_scene(c.surfels, c.instances)),
+          stream(device),
+          scene(device, placed.scene),
+          accel(device, scene, {.proxy = provider.proxy}),
+          rays(device, std::span<const DeviceRay>(to_device_rays(c.rays)), "rays") {
         model.primitive = c.surfels.primitive;
         scene.set_poses(placed.world_from_instance);
         scene.activate(stream, model, glm::vec3(0.0f));
@@ -72,11 +77,20 @@ struct Placed {
     std::vector<shared::RenderedRay> render_lists(int room) {
         Device& device = stream.device();
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
-        const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
-        HitLists lists(device, traversal_variant(device), trace_constants(device, accel.proxy(), {}, model), room);
-        shared::ForwardParams params = {.scene = trace_scene(scene, accel, batch(), model, {}, pass_cap.address()), .lists = {},
-                                        .rendered = rendered.address(), .kept = {}, .n_overfull = {}, .geometry = {}, .n_kept = 0,
-                                        .kept_in_lists = 0, .surface_gap_m = 0.0f};
+        const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
+                                                                  "pass cap count");
+        HitLists lists(device, traversal_variant(device), trace_constants(device, accel.proxy(), {}, model),
+                       room);
+        shared::ForwardParams params = {
+            .scene = trace_scene(scene, accel, batch(), model, {}, pass_cap.address()),
+            .lists = {},
+            .rendered = rendered.address(),
+            .kept = {},
+            .n_overfull = {},
+            .geometry = {},
+            .n_kept = 0,
+            .kept_in_lists = 0,
+            .surface_gap_m = 0.0f};
         stream.fill(rendered, kUntouched);
         lists.run(stream, batch(), params);
         stream.finish();
@@ -88,19 +102,22 @@ bool is_near(float a, float b) { return std::abs(a - b) <= 1e-5f * std::max(1.0f
 
 /// Whether rays render the same but for the rounding of another kernel.
 bool is_same(const shared::RenderedRay& a, const shared::RenderedRay& b) {
-    return a.n_hits == b.n_hits && a.instance == b.instance && is_near(a.depth, b.depth) && is_near(a.weight, b.weight) &&
-           is_near(a.intensity, b.intensity) && is_near(a.hit_logit, b.hit_logit) && is_near(a.drop_logit, b.drop_logit) &&
+    return a.n_hits == b.n_hits && a.instance == b.instance && is_near(a.depth, b.depth) &&
+           is_near(a.weight, b.weight) && is_near(a.intensity, b.intensity) &&
+           is_near(a.hit_logit, b.hit_logit) && is_near(a.drop_logit, b.drop_logit) &&
            is_near(a.transmittance, b.transmittance) && is_near(a.median_depth, b.median_depth);
 }
 
-std::size_t differences(const std::vector<shared::RenderedRay>& a, const std::vector<shared::RenderedRay>& b) {
+std::size_t differences(const std::vector<shared::RenderedRay>& a,
+                        const std::vector<shared::RenderedRay>& b) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < a.size(); ++i) n += !is_same(a[i], b[i]);
     return n;
 }
 
 /// Hits of rays that are not the same, bit for bit, in two memories of as many a ray.
-std::size_t different_hits(const KeptHits& a, const KeptHits& b, const std::vector<shared::RenderedRay>& rays) {
+std::size_t different_hits(const KeptHits& a, const KeptHits& b,
+                           const std::vector<shared::RenderedRay>& rays) {
     const std::vector<shared::Hit> hits_a = a.hits.download(), hits_b = b.hits.download();
     std::size_t n = 0;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
@@ -118,14 +135,15 @@ protected:
         for (const Provider& provider : providers(device())) {
             const Forced forced(device(), {.brute_force = provider.brute_force});
             Placed placed(device(), c, provider);
-            for (const float least : {1e-4f, 1e-30f}) {   // the second: nearly everything is blended
+            for (const float least : {1e-4f, 1e-30f}) {  // the second: nearly everything is blended
                 placed.model.transmittance_min = least;
                 const std::vector<shared::RenderedRay> expected =
                     placed.render({.chunk = 5, .walk = provider.walk, .order = HitOrder::chunks});
                 for (const int room : {1, 7, 64, 512}) {
-                    const std::vector<shared::RenderedRay> actual =
-                        placed.render({.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
-                    // what rounding of another kernel may decide otherwise: whether a product is under T_min
+                    const std::vector<shared::RenderedRay> actual = placed.render(
+                        {.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
+                    // what rounding of another kernel may decide otherwise: whether a
+                    // product is under T_min
                     EXPECT_LE(differences(actual, expected), c.rays.size() / 5000)
                         << c.name << ", " << provider.name << ", room " << room << ", T_min " << least;
                 }
@@ -142,15 +160,17 @@ TEST_F(Lists, ConformanceCasesOfGaussians) {
     for (const TraversalCase& c : test::gaussian_cases(43, 500)) expect_what_chunks_render(c);
 }
 
-/// Without diff/forward/trace: lists alone render every ray that finds no more hits than they have room for, and touch no other.
+/// Without diff/forward/trace: lists alone render every ray that finds no more hits than
+/// they have room for, and touch no other.
 TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     TraversalCase c = test::long_list_case();
-    for (const TraversalCase& other : {test::single_case(), test::equal_depth_case(), test::random_case(44, 300, 500)}) {
+    for (const TraversalCase& other :
+         {test::single_case(), test::equal_depth_case(), test::random_case(44, 300, 500)}) {
         Placed placed(device(), other, {.name = "any"});
         const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
         EXPECT_EQ(differences(placed.render_lists(512), expected), 0u) << other.name;
     }
-    for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;   // nothing ends a ray
+    for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;  // nothing ends a ray
     Placed placed(device(), c, {.name = "any"});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
@@ -158,9 +178,11 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
         const int room = std::min(asked, static_cast<int>(most_list_room(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(asked);
         for (std::size_t i = 0; i < actual.size(); ++i) {
-            if (expected[i].n_hits > static_cast<std::uint32_t>(room)) EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
+            if (expected[i].n_hits > static_cast<std::uint32_t>(room))
+                EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
             // an edge between two triangles may be reported twice, which takes room
-            else if (actual[i].n_hits == kUntouched) EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(room)) << "ray " << i;
+            else if (actual[i].n_hits == kUntouched)
+                EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(room)) << "ray " << i;
             else EXPECT_TRUE(is_same(actual[i], expected[i])) << "ray " << i << ", room " << room;
         }
     }
@@ -169,18 +191,21 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
 /// Of every length that a sort may have, with hits at the same distance.
 TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     constexpr std::uint32_t kMost = 512;
-    for (const int n : {1, 2, 3, 7, 8, 9, 16, 17, 31, 32, 33, 63, 64, 65, 100, 128, 129, 200, 256, 257, 400, 512}) {
+    for (const int n :
+         {1, 2, 3, 7, 8, 9, 16, 17, 31, 32, 33, 63, 64, 65, 100, 128, 129, 200, 256, 257, 400, 512}) {
         Placed placed(device(), test::tied_list_case(n), {.name = "any", .proxy = Proxy::boxes});
         KeptHits expected(device(), placed.rays.size(), kMost), actual(device(), placed.rays.size(), kMost);
         const std::vector<shared::RenderedRay> rays = placed.render({.order = HitOrder::chunks}, &expected);
         placed.render({.order = HitOrder::lists, .list_room = kMost}, &actual);
-        EXPECT_TRUE(std::ranges::all_of(rays, [&](const auto& ray) { return ray.n_hits == std::uint32_t(n); })) << n << " hits";
+        EXPECT_TRUE(
+            std::ranges::all_of(rays, [&](const auto& ray) { return ray.n_hits == std::uint32_t(n); }))
+            << n << " hits";
         EXPECT_EQ(different_hits(actual, expected, rays), 0u) << n << " hits";
     }
 }
 
-/// Hits are kept for the backward pass as they are blended, whether lists lie in their memory, are longer than what is kept, or are left to
-/// diff/forward/trace.
+/// Hits are kept for the backward pass as they are blended, whether lists lie in their
+/// memory, are longer than what is kept, or are left to diff/forward/trace.
 TEST_F(Lists, KeepTheHitsThatTheyBlend) {
     TraversalCase long_lists = test::long_list_case();
     for (float& opacity : long_lists.surfels.opacity_logit) opacity = -4.5f;
@@ -188,17 +213,20 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
         Placed placed(device(), c, {.name = "any"});
         for (const std::uint32_t per_ray : {3u, 64u, 128u}) {
             KeptHits expected(device(), c.rays.size(), per_ray);
-            const std::vector<shared::RenderedRay> rays = placed.render({.order = HitOrder::chunks}, &expected);
+            const std::vector<shared::RenderedRay> rays =
+                placed.render({.order = HitOrder::chunks}, &expected);
             for (const int room : {2, 64, 512}) {
                 KeptHits kept(device(), c.rays.size(), per_ray);
                 placed.render({.order = HitOrder::lists, .list_room = room}, &kept);
-                EXPECT_EQ(different_hits(kept, expected, rays), 0u) << c.name << ", " << per_ray << " kept, room " << room;
+                EXPECT_EQ(different_hits(kept, expected, rays), 0u)
+                    << c.name << ", " << per_ray << " kept, room " << room;
             }
         }
     }
 }
 
-/// A wall that lets nothing through ends the walk: what lies behind it is not in the list.
+/// A wall that lets nothing through ends the walk: what lies behind it is not in the
+/// list.
 TEST_F(Lists, EndBehindAWall) {
     TraversalCase c = test::long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = 8.0f;
@@ -206,7 +234,7 @@ TEST_F(Lists, EndBehindAWall) {
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_EQ(differences(placed.render({.order = HitOrder::lists}), expected), 0u);
     EXPECT_TRUE(std::ranges::all_of(expected, [](const auto& ray) { return ray.n_hits < 10; }));
-    if (device().traversal() != Traversal::software) return;   // a driver's order is its own
+    if (device().traversal() != Traversal::software) return;  // a driver's order is its own
     EXPECT_EQ(differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
@@ -217,15 +245,25 @@ TEST_F(Lists, Grow) {
     Placed placed(device(), c, {.name = "any", .proxy = Proxy::boxes});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     const std::uint32_t most = std::ranges::max(expected, {}, &shared::RenderedRay::n_hits).n_hits;
-    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u},
+                                                              "pass cap count");
     const std::vector<Constant> constants = trace_constants(device(), placed.accel.proxy(), {}, placed.model);
-    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", traversal_variant(device()), constants);
+    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", traversal_variant(device()),
+                                              constants);
     HitLists lists(device(), traversal_variant(device()), constants, 3);
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
-        const shared::TraceScene traced = trace_scene(placed.scene, placed.accel, placed.batch(), placed.model, {}, pass_cap.address());
-        shared::ForwardParams params = {.scene = traced, .lists = {}, .rendered = rendered.address(), .kept = {}, .n_overfull = {},
-                                        .geometry = {}, .n_kept = 0, .kept_in_lists = 0, .surface_gap_m = 0.0f};
+        const shared::TraceScene traced =
+            trace_scene(placed.scene, placed.accel, placed.batch(), placed.model, {}, pass_cap.address());
+        shared::ForwardParams params = {.scene = traced,
+                                        .lists = {},
+                                        .rendered = rendered.address(),
+                                        .kept = {},
+                                        .n_overfull = {},
+                                        .geometry = {},
+                                        .n_kept = 0,
+                                        .kept_in_lists = 0,
+                                        .surface_gap_m = 0.0f};
         lists.run(placed.stream, placed.batch(), params);
         run(placed.stream, trace, trace_threads(placed.batch()), params);
         placed.stream.finish();
@@ -236,7 +274,8 @@ TEST_F(Lists, Grow) {
 }
 
 TEST_F(Lists, RoomThatCannotBeIsRefused) {
-    for (const int room : {0, 513}) EXPECT_THROW(ForwardPass(device(), {}, Proxy::boxes, {.list_room = room}), UsageError);
+    for (const int room : {0, 513})
+        EXPECT_THROW(ForwardPass(device(), {}, Proxy::boxes, {.list_room = room}), UsageError);
 }
 
 }  // namespace

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass (Eq. 2-4; M4, M5) by chunks and by lists against the double reference on random scenes, and the benchmark street
-// against the image another implementation rendered of it.
+// The forward pass (Eq. 2-4; M4, M5) by chunks and by lists against the double reference
+// on random scenes, and the benchmark street against the image another implementation
+// rendered of it.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
 
-#include "scene/benchmark_street.hpp"
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
+#include "scene/benchmark_street.hpp"
 
 #include "../../support/device.hpp"
 #include "../../support/placed.hpp"
@@ -50,9 +51,11 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     Expected e;
     for (const reference::Ray& ray : scene.rays) {
         const reference::Pixel p = reference::render(scene.world, brute, settings, ray, 16);
-        e.depth.push_back(p.depth), e.weight.push_back(p.weight), e.intensity.push_back(p.intensity), e.hit_logit.push_back(p.hit_logit);
-        e.drop_logit.push_back(p.drop_logit), e.transmittance.push_back(p.transmittance), e.median_depth.push_back(p.median_depth),
-            e.hits.push_back(p.hits), e.instance.push_back(std::int32_t(p.instance));
+        e.depth.push_back(p.depth), e.weight.push_back(p.weight), e.intensity.push_back(p.intensity),
+            e.hit_logit.push_back(p.hit_logit);
+        e.drop_logit.push_back(p.drop_logit), e.transmittance.push_back(p.transmittance),
+            e.median_depth.push_back(p.median_depth), e.hits.push_back(p.hits),
+            e.instance.push_back(std::int32_t(p.instance));
     }
     return e;
 }
@@ -63,8 +66,11 @@ struct Way {
     HitOrder order;
     int room = 64;
 };
-constexpr Way kWays[] = {{Proxy::triangles, HitOrder::chunks}, {Proxy::boxes, HitOrder::chunks},   {Proxy::triangles, HitOrder::lists},
-                         {Proxy::boxes, HitOrder::lists},      {Proxy::boxes, HitOrder::lists, 4}};
+constexpr Way kWays[] = {{Proxy::triangles, HitOrder::chunks},
+                         {Proxy::boxes, HitOrder::chunks},
+                         {Proxy::triangles, HitOrder::lists},
+                         {Proxy::boxes, HitOrder::lists},
+                         {Proxy::boxes, HitOrder::lists, 4}};
 
 TEST_F(Forward, AgreesWithDoubleReference) {
     using enum ShDirection;
@@ -76,18 +82,23 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         test::RandomSceneOptions options;
         options.seed = 21;
         options.primitive = primitive;
-        options.actor_instances = direction == ShDirection::ray ? 2 : 1;   // SH a surfel are those its first instance sees
+        // SH a surfel are those its first instance sees
+        options.actor_instances = direction == ShDirection::ray ? 2 : 1;
         options.background_surfels = 24, options.actor_surfels = 20;
         options.rays = 300;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
-        const auto on_actors = std::ranges::count_if(e.instance, [](std::int32_t label) { return label > 0; });
-        EXPECT_TRUE(on_actors >= 10 && on_actors <= 290) << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
-        test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+        const auto on_actors =
+            std::ranges::count_if(e.instance, [](std::int32_t label) { return label > 0; });
+        EXPECT_TRUE(on_actors >= 10 && on_actors <= 290)
+            << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
+        test::SceneAndPoses placed =
+            test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         for (const auto& [proxy, order, room] : kWays) {
-            Renderer renderer(device(), placed.scene, settings.image,
-                              {.accel = {.proxy = proxy}, .trace = {.chunk = 5, .order = order, .list_room = room}});
+            Renderer renderer(
+                device(), placed.scene, settings.image,
+                {.accel = {.proxy = proxy}, .trace = {.chunk = 5, .order = order, .list_room = room}});
             renderer.scene().set_poses(placed.world_from_instance);
             renderer.place(glm::vec3(scene.view_origin));
             const Rendering r = renderer.forward(test::to_world_rays(scene.rays));
@@ -107,7 +118,7 @@ TEST_F(Forward, AgreesWithDoubleReference) {
 TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     Surfels surfels;
     surfels.resize(1);
-    surfels.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};   // normal along x
+    surfels.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};  // normal along x
     surfels.opacity_logit[0] = 3.0f;
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
     const Scene scene = make_background_scene(surfels);
@@ -123,7 +134,8 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     }
 }
 
-/// One logit: what a scene holds as hit logits plays no part, and M6 is a sigmoid that calls an empty ray dropped.
+/// One logit: what a scene holds as hit logits plays no part, and M6 is a sigmoid that
+/// calls an empty ray dropped.
 TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
@@ -136,7 +148,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         const Expected e = render_reference(scene, settings);
-        const test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+        const test::SceneAndPoses placed =
+            test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
         renderer.scene().set_poses(placed.world_from_instance);
         renderer.place(glm::vec3(scene.view_origin));
@@ -144,17 +157,20 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(nmse(r.drop_logit, e.drop_logit), test::kKernelNmse);
         EXPECT_LE(nmse(r.depth, e.depth), test::kKernelNmse);
-        const Rendering empty = render_once(device(), make_background_scene({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
+        const Rendering empty =
+            render_once(device(), make_background_scene({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
         EXPECT_GT(empty.drop_logit[0], empty.hit_logit[0]);
     }
 }
 
-/// 3D Gaussians that get thinner render what surfels do; thick ones do not. Normals face the rays within 50 degrees.
+/// 3D Gaussians that get thinner render what surfels do; thick ones do not. Normals face
+/// the rays within 50 degrees.
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
     test::RandomSceneOptions options;
     options.seed = 23, options.rays = 200;
     const test::RandomScene random = test::make_random_scene(options, {});
-    const test::SceneAndPoses placed = test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+    const test::SceneAndPoses placed =
+        test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
     const WorldRays rays = test::to_world_rays(random.rays);
     const auto rendered = [&](const Scene& scene) {
         ImageModel model;
@@ -165,9 +181,10 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
         return renderer.forward(rays);
     };
     const Rendering flat = rendered(placed.scene);
-    const std::vector<double> depth(flat.depth.begin(), flat.depth.end()), weight(flat.weight.begin(), flat.weight.end());
+    const std::vector<double> depth(flat.depth.begin(), flat.depth.end()),
+        weight(flat.weight.begin(), flat.weight.end());
     std::vector<double> error;
-    for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {   // the last: 1.5e-6 m and more
+    for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {  // the last: 1.5e-6 m and more
         Scene thin = placed.scene;
         make_primitive(thin.surfels, Primitive::gaussian, thickness);
         const Rendering r = rendered(thin);
@@ -191,11 +208,12 @@ TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
     EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
 
-/// A faint floater before a wall does not give its name to the wall; alone, it is what the ray meets.
+/// A faint floater before a wall does not give its name to the wall; alone, it is what
+/// the ray meets.
 TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     Surfels surfels;
     surfels.resize(2);
-    for (auto& q : surfels.rotation) q = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};   // normal along x
+    for (auto& q : surfels.rotation) q = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};  // normal along x
     surfels.opacity_logit = {4.0f, -1.5f};
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
     Scene scene;
@@ -204,7 +222,9 @@ TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     scene.instances = {{0, ""}, {1, "floater"}};
     Renderer renderer(device(), scene, {});
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-    const auto at = [](double x, bool present) { return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present}; };
+    const auto at = [](double x, bool present) {
+        return InstancePose{Pose{{1, 0, 0, 0}, {x, 0, 0}}, present};
+    };
     renderer.move({at(9, true), at(3, true)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.forward(ray).instance[0], 0);
     renderer.move({at(9, false), at(3, true)}, glm::vec3(0.0f));
@@ -224,9 +244,10 @@ TEST_F(Forward, EmptySceneIsBackground) {
 /// Copies of some surfels of a set, each made unusable in its own way.
 Surfels poisoned_copies(const Surfels& good, float bad) {
     const bool is_gaussian = good.primitive == Primitive::gaussian;
-    Surfels extra =
-        test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5} : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
-    extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad, extra.opacity_logit[3] = -std::abs(bad);
+    Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5}
+                                                 : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
+    extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad,
+    extra.opacity_logit[3] = -std::abs(bad);
     extra.sh[4 * kShFloats] = std::isfinite(bad) ? std::nanf("") : bad;
     if (is_gaussian) extra.log_scale_w[5] = bad;
     if (std::isnan(bad)) extra.rotation[1] = glm::vec4(0.0f);
@@ -235,7 +256,8 @@ Surfels poisoned_copies(const Surfels& good, float bad) {
 
 void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays) {
     Surfels poisoned = good;
-    for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f}) poisoned.append(poisoned_copies(good, bad));
+    for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f})
+        poisoned.append(poisoned_copies(good, bad));
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         ImageModel model;
         model.sh_direction = direction;
@@ -255,12 +277,14 @@ TEST_F(Forward, PoisonedSurfelsNeverReachTheImage) {
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Surfels good = test::to_surfels(scene.world.surfels), thick = good;
     make_primitive(thick, Primitive::gaussian, 0.5);
-    for (const Surfels& sound : {good, thick}) expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
+    for (const Surfels& sound : {good, thick})
+        expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
 }
 
 std::filesystem::path shared_folder() {
     const char* text = std::getenv("RELIDAR_SHARED");
-    return text ? std::filesystem::path(text) : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
+    return text ? std::filesystem::path(text)
+                : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
 }
 
 const NamedArray& find(const std::vector<NamedArray>& arrays, const std::string& name) {
@@ -269,12 +293,14 @@ const NamedArray& find(const std::vector<NamedArray>& arrays, const std::string&
     throw std::runtime_error("no array " + name);
 }
 
-/// Issue 1, item 3: the 100k street equals another implementation's image on at least 99.9 % of the rays.
+/// Issue 1, item 3: the 100k street equals another implementation's image on at least
+/// 99.9 % of the rays.
 TEST_F(Forward, StreetEqualsImageByOthers) {
     const std::filesystem::path file = shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there";
     const std::vector<NamedArray> arrays = read_npz(file);
-    const std::vector<float> dirs = find(arrays, "dirs").as_float(), origin = find(arrays, "origin").as_float();
+    const std::vector<float> dirs = find(arrays, "dirs").as_float(),
+                             origin = find(arrays, "origin").as_float();
     WorldRays rays;
     for (std::size_t i = 0; i < dirs.size() / 3; ++i) {
         rays.origin.push_back({origin[0], origin[1], origin[2]});
@@ -282,12 +308,15 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
     }
     Surfels street = make_benchmark_street(100000);
     street = street.permuted(kd_order(street.mean));
-    const Rendering r = render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
-    const std::vector<float> depth = find(arrays, "depth").as_float(), intensity = find(arrays, "intensity").as_float(),
+    const Rendering r =
+        render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
+    const std::vector<float> depth = find(arrays, "depth").as_float(),
+                             intensity = find(arrays, "intensity").as_float(),
                              t = find(arrays, "T").as_float();
     std::size_t equal = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f && std::abs(r.intensity[i] - intensity[i]) <= 1e-4f &&
+        equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f &&
+                 std::abs(r.intensity[i] - intensity[i]) <= 1e-4f &&
                  std::abs(r.transmittance[i] - t[i]) <= 1e-4f;
     std::printf("%zu of %zu rays differ from the image by others\n", rays.size() - equal, rays.size());
     EXPECT_GE(double(equal), 0.999 * double(rays.size()));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer's gradient is used: a wall of surfels that stands beside where it was measured is moved back by that term alone, through
-// the backward pass and Adam. It stays where it is when the gradient is cut off.
+// Chamfer's gradient is used: a wall of surfels that stands beside where it was measured
+// is moved back by that term alone, through the backward pass and Adam. It stays where it
+// is when the gradient is cut off.
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -14,13 +15,14 @@ class ChamferMoves : public test::DeviceTest {};
 
 constexpr float kWall_m = 6.0f, kShift_m = 0.4f;
 
-/// A wall at x = kWall_m + shift that faces the sensor, as surfels 0.25 m apart that hardly drop.
+/// A wall at x = kWall_m + shift that faces the sensor, as surfels 0.25 m apart that
+/// hardly drop.
 Scene wall(float shift) {
     Surfels s;
     s.resize(20 * 20);
     for (std::size_t i = 0; i < s.size(); ++i) {
         s.mean[i] = {kWall_m + shift, 0.25f * (float(i % 20) - 9.5f), 0.25f * (float(i / 20) - 9.5f)};
-        s.rotation[i] = {0.70710678f, 0.0f, 0.70710678f, 0.0f};   // the normal along x
+        s.rotation[i] = {0.70710678f, 0.0f, 0.70710678f, 0.0f};  // the normal along x
         s.log_scale[i] = glm::vec2(std::log(0.15f));
         s.opacity_logit[i] = 3.0f;
         s.sh[i * kShFloats + kShCoefficients] = 5.0f;
@@ -31,14 +33,15 @@ Scene wall(float shift) {
 /// Every ray measured the wall at kWall_m.
 void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     for (std::uint32_t i = 0; i < side * side; ++i) {
-        const glm::vec3 d = glm::normalize(
-            glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f), 0.6f * (float(i / side) / float(side - 1) - 0.5f)));
+        const glm::vec3 d = glm::normalize(glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f),
+                                                     0.6f * (float(i / side) / float(side - 1) - 0.5f)));
         rays.push_back({glm::vec3(0.0f), d});
         targets.push_back({kWall_m / d.x, 0.5f, 1.0f});
     }
 }
 
-/// Mean distance of the means that rays can see from the measured wall, after some steps of Chamfer alone.
+/// Mean distance of the means that rays can see from the measured wall, after some steps
+/// of Chamfer alone.
 double distance_after(Device& device, float shift, bool cut_gradient, bool image) {
     constexpr std::uint32_t kSide = 24, kRays = kSide * kSide;
     std::vector<DeviceRay> rays;
@@ -55,21 +58,23 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
     Adam adam(device, renderer.scene().size(), {});
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const RayBatch batch{&device_rays, 0, 1, kRays};
-    const TargetBatch measured{&device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};
+    const TargetBatch measured{
+        &device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};
     for (int step = 1; step <= 60; ++step) {
         renderer.place(glm::vec3(0.0f));
         renderer.record_forward(batch);
-        for (const std::unique_ptr<Loss>& loss : losses) loss->compare(renderer.stream(), renderer.batch(), measured, terms);
+        for (const std::unique_ptr<Loss>& loss : losses)
+            loss->compare(renderer.stream(), renderer.batch(), measured, terms);
         if (cut_gradient) renderer.stream().fill(*renderer.batch().upstream);
         renderer.record_backward();
         const Gradients& gradients = renderer.gradients();
-        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0},
-                  step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched,
+                  {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
         renderer.stream().finish();
     }
     double sum = 0.0, n = 0.0;
     for (const glm::vec3& m : renderer.download().surfels.mean) {
-        if (std::abs(m.y) > 1.5f || std::abs(m.z) > 1.5f) continue;   // beyond the rays
+        if (std::abs(m.y) > 1.5f || std::abs(m.z) > 1.5f) continue;  // beyond the rays
         sum += std::abs(m.x - kWall_m);
         n += 1.0;
     }
@@ -78,8 +83,10 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
 
 TEST_F(ChamferMoves, AWallComesBackToWhereItWasMeasured) {
     EXPECT_LT(distance_after(device(), kShift_m, false, true), 0.2 * kShift_m) << "from behind, an image";
-    EXPECT_LT(distance_after(device(), -kShift_m, false, false), 0.2 * kShift_m) << "from the front, no image";
-    EXPECT_NEAR(distance_after(device(), kShift_m, true, true), kShift_m, 1e-4) << "without the gradient nothing moves";
+    EXPECT_LT(distance_after(device(), -kShift_m, false, false), 0.2 * kShift_m)
+        << "from the front, no image";
+    EXPECT_NEAR(distance_after(device(), kShift_m, true, true), kShift_m, 1e-4)
+        << "without the gradient nothing moves";
 }
 
 }  // namespace

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp: nearest neighbours
-// against brute force on clouds of every
-// shape, value and derivative against the double reference.
+// diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp:
+// nearest neighbours against brute force on clouds of every shape, value and derivative
+// against the double reference.
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -30,8 +30,9 @@ struct Clouds {
     std::vector<float> simulated, measured;
 };
 
-/// A sweep of a spinning sensor that drives meanwhile, before a rough wall; all coordinates are multiples of 1/1024, so that points
-/// are the same numbers on the host whatever a device contracts.
+/// A sweep of a spinning sensor that drives meanwhile, before a rough wall; all
+/// coordinates are multiples of 1/1024, so that points are the same numbers on the host
+/// whatever a device contracts.
 Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     std::mt19937_64 random(rows * 977 + columns);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
@@ -53,14 +54,14 @@ Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
 struct FoundChamfer {
     std::array<std::vector<std::uint32_t>, 2> nearest;
     double loss = 0.0;
-    std::vector<float> upstream;   ///< [n,5]
+    std::vector<float> upstream;  ///< [n,5]
 };
 
 struct Setting {
     bool normalised = false;
     bool image = true;
     std::uint32_t stride = 1;
-    float weight = 1.0f;   ///< W of every rendered ray
+    float weight = 1.0f;  ///< W of every rendered ray
 };
 
 FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = {}) {
@@ -71,7 +72,8 @@ FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = 
     for (std::size_t i = 0; i < n; ++i) {
         const bool dropped = c.simulated[i] == 0.0f;
         shared::RenderedRay& ray = rendered.emplace_back();
-        ray.depth = c.simulated[i] * (s.normalised ? s.weight : 1.0f), ray.weight = s.weight, ray.intensity = 0.5f;
+        ray.depth = c.simulated[i] * (s.normalised ? s.weight : 1.0f), ray.weight = s.weight,
+        ray.intensity = 0.5f;
         ray.hit_logit = dropped ? 0.0f : 1.0f, ray.drop_logit = dropped ? 1.0f : 0.0f;
         rays[i * s.stride] = c.rays[i];
         targets[i * s.stride] = {c.measured[i], 0.5f, 1.0f};
@@ -88,16 +90,20 @@ FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = 
     Array<shared::RayGradient> upstream(device, n, "upstream");
     stream.fill(upstream);
     loss.compare(stream, {{&device_rays, 0, s.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
-                 {&t, 0, s.stride, static_cast<std::uint32_t>(n), 0, 0, s.image ? c.image : ImageShape{}}, terms);
+                 {&t, 0, s.stride, static_cast<std::uint32_t>(n), 0, 0, s.image ? c.image : ImageShape{}},
+                 terms);
     stream.finish();
     return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
 }
 
-/// Points as the device sees them, relative to the first ray's origin; infinite where there is none.
+/// Points as the device sees them, relative to the first ray's origin; infinite where
+/// there is none.
 std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
     std::vector<glm::vec3> result;
     for (std::size_t i = 0; i < range.size(); ++i)
-        result.push_back(range[i] > 0.0f ? c.rays[i].origin - c.rays[0].origin + range[i] * c.rays[i].direction : glm::vec3(kInfinity));
+        result.push_back(range[i] > 0.0f
+                             ? c.rays[i].origin - c.rays[0].origin + range[i] * c.rays[i].direction
+                             : glm::vec3(kInfinity));
     return result;
 }
 
@@ -107,8 +113,8 @@ float squared(const glm::vec3& a, const glm::vec3& b) {
     return (d.x * d.x + d.y * d.y) + d.z * d.z;
 }
 
-void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud, const std::vector<std::uint32_t>& found,
-                    const char* what) {
+void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud,
+                    const std::vector<std::uint32_t>& found, const char* what) {
     ASSERT_EQ(found.size(), queries.size());
     for (std::size_t i = 0; i < queries.size(); ++i) {
         float best = kInfinity;
@@ -130,7 +136,8 @@ TEST_F(Chamfer, NearestNeighboursAreExact) {
     for (const auto& [rows, columns] : {std::pair{16u, 200u}, {33u, 61u}, {1u, 300u}, {64u, 3u}, {5u, 1u}})
         for (const float missing : {0.0f, 0.3f, 0.97f}) {
             const Clouds c = lattice_scan(rows, columns, missing);
-            expect_exact(c, device_chamfer(device(), c), std::to_string(rows) + " x " + std::to_string(columns));
+            expect_exact(c, device_chamfer(device(), c),
+                         std::to_string(rows) + " x " + std::to_string(columns));
         }
 }
 
@@ -139,12 +146,15 @@ TEST_F(Chamfer, CloudsWithoutImageOrderAreExactToo) {
     std::mt19937_64 random(6);
     for (std::size_t i = c.rays.size() - 1; i > 0; --i) {
         const std::size_t k = random() % (i + 1);
-        std::swap(c.rays[i], c.rays[k]), std::swap(c.simulated[i], c.simulated[k]), std::swap(c.measured[i], c.measured[k]);
+        std::swap(c.rays[i], c.rays[k]), std::swap(c.simulated[i], c.simulated[k]),
+            std::swap(c.measured[i], c.measured[k]);
     }
     for (const bool image : {false, true})
-        expect_exact(c, device_chamfer(device(), c, {.image = image}), image ? "shuffled image" : "shuffled list");
+        expect_exact(c, device_chamfer(device(), c, {.image = image}),
+                     image ? "shuffled image" : "shuffled list");
     const Clouds ordered = lattice_scan(16, 100, 0.2f);
-    expect_exact(ordered, device_chamfer(device(), ordered, {.image = false, .stride = 3}), "every third ray");
+    expect_exact(ordered, device_chamfer(device(), ordered, {.image = false, .stride = 3}),
+                 "every third ray");
 }
 
 TEST_F(Chamfer, DegenerateClouds) {
@@ -154,7 +164,8 @@ TEST_F(Chamfer, DegenerateClouds) {
         change(c);
         const FoundChamfer found = device_chamfer(device(), c);
         expect_exact(c, found, what);
-        const bool empty = c.simulated == std::vector<float>(320, 0.0f) || c.measured == std::vector<float>(320, 0.0f);
+        const bool empty =
+            c.simulated == std::vector<float>(320, 0.0f) || c.measured == std::vector<float>(320, 0.0f);
         EXPECT_EQ(found.loss == 0.0, empty || c.simulated == c.measured) << what;
         for (const float x : found.upstream) EXPECT_TRUE(std::isfinite(x) && (!empty || x == 0.0f)) << what;
     };
@@ -176,7 +187,8 @@ TEST_F(Chamfer, DegenerateClouds) {
 
 TEST_F(Chamfer, UnknownDroppedAndThinRaysAreNoPoints) {
     const Clouds c = lattice_scan(4, 20, 0.0f);
-    const FoundChamfer thin = device_chamfer(device(), c, {.weight = 0.05f}), solid = device_chamfer(device(), c, {.weight = 0.2f});
+    const FoundChamfer thin = device_chamfer(device(), c, {.weight = 0.05f}),
+                       solid = device_chamfer(device(), c, {.weight = 0.2f});
     EXPECT_EQ(thin.nearest[0], std::vector<std::uint32_t>(80, ~0u)) << "hardly any weight";
     EXPECT_EQ(thin.loss, 0.0);
     EXPECT_NE(solid.nearest[0][0], ~0u);
@@ -196,7 +208,8 @@ TEST_F(Chamfer, AgreesWithReference) {
         std::vector<reference::ChamferRay> rays;
         for (std::size_t i = 0; i < c.rays.size(); ++i) {
             c.rays[i].direction = glm::normalize(c.rays[i].direction);
-            if (c.simulated[i] > 0.0f) c.simulated[i] += 0.3f * unit(random);   // pairs beyond doubt: no ties
+            // pairs beyond doubt: no ties
+            if (c.simulated[i] > 0.0f) c.simulated[i] += 0.3f * unit(random);
             rays.push_back({c.rays[i].origin, c.rays[i].direction, c.simulated[i], c.measured[i]});
         }
         const float weight = 0.6f;
@@ -204,16 +217,18 @@ TEST_F(Chamfer, AgreesWithReference) {
         const double loss = reference::chamfer_loss(rays, &d_range);
         const FoundChamfer found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
         EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
-        std::vector<double> expected, actual;   // of the norm of all: differences of points 10 m away hold 1e-6 m
+        // of the norm of all: differences of points 10 m away hold 1e-6 m
+        std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const float* row = &found.upstream[5 * i];
-            expected.insert(expected.end(),
-                            {normalised ? d_range[i] / weight : d_range[i], normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
+            expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i],
+                                             normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});
             EXPECT_EQ(d_range[i] != 0.0, row[0] != 0.0f) << "ray " << i;
             for (std::size_t k = 2; k < 5; ++k) EXPECT_EQ(row[k], 0.0f);
         }
-        EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream, found.upstream)
+        EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream,
+                  found.upstream)
             << "the same bits every time";
         test::GradientTable table;
         table.add_row("depth and weight", expected, actual);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/geometry_loss and diff/loss/normal_vjp against the double reference: values, and derivatives
-// against its central differences, on
-// images with edges, dropped and unknown pixels and faint ones, whole sweeps and windows, strided targets, ranges D and D / W.
+// diff/loss/geometry_loss and diff/loss/normal_vjp against the double reference: values,
+// and derivatives against its central differences, on images with edges, dropped and
+// unknown pixels and faint ones, whole sweeps and windows, strided targets, ranges D and
+// D / W.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -23,7 +24,8 @@ using reference::RangeImage;
 
 class GeometryTerms : public test::DeviceTest {};
 
-/// Rays of a turning sensor that sees a wavy surface with an edge; a tenth dropped, unknown or faint. All rounded to float.
+/// Rays of a turning sensor that sees a wavy surface with an edge; a tenth dropped,
+/// unknown or faint. All rounded to float.
 RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
     std::mt19937_64 random(std::uint64_t(rows * 1000 + columns));
     std::uniform_real_distribution<double> unit(0.0, 1.0);
@@ -32,13 +34,17 @@ RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
     const double turn = circular ? 6.283185307179586 / columns : 0.01;
     for (int i = 0; i < rows * columns; ++i) {
         const double azimuth = turn * (i % columns), elevation = 0.02 * (i / columns);
-        const glm::dvec3 d(std::cos(azimuth) * std::cos(elevation), -std::sin(azimuth) * std::cos(elevation), -std::sin(elevation));
-        image.rays.push_back({glm::dvec3(glm::vec3(0.01 * (i % columns), 2.0, 1.0)), glm::dvec3(glm::vec3(d))});
-        const double range = (i % columns < columns / 2 ? 8.0 : 14.0) + std::sin(3.0 * azimuth) + 0.01 * unit(random);
+        const glm::dvec3 d(std::cos(azimuth) * std::cos(elevation), -std::sin(azimuth) * std::cos(elevation),
+                           -std::sin(elevation));
+        image.rays.push_back(
+            {glm::dvec3(glm::vec3(0.01 * (i % columns), 2.0, 1.0)), glm::dvec3(glm::vec3(d))});
+        const double range =
+            (i % columns < columns / 2 ? 8.0 : 14.0) + std::sin(3.0 * azimuth) + 0.01 * unit(random);
         reference::Pixel p;
         p.weight = float(unit(random) < 0.05 ? 0.3 : 0.6 + 0.4 * unit(random));
         p.depth = float(normalised ? range * p.weight : range);
-        p.normal = p.weight * glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)) - 2.0 * d);
+        p.normal =
+            p.weight * glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)) - 2.0 * d);
         p.normal = glm::dvec3(glm::vec3(p.normal));
         p.distortion = float(0.2 * unit(random));
         p.likelihood = float(unit(random) < 0.1 ? 0.0 : unit(random));
@@ -50,11 +56,12 @@ RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
 
 struct FoundLoss {
     double distortion = 0.0, normal = 0.0, likelihood = 0.0;
-    std::vector<shared::RayGradient> upstream;        ///< [n]
-    std::vector<shared::GeometryGradient> gradient;   ///< [n]
+    std::vector<shared::RayGradient> upstream;       ///< [n]
+    std::vector<shared::GeometryGradient> gradient;  ///< [n]
 };
 
-FoundLoss device_terms(Device& device, const RangeImage& image, const LossWeights& weights, std::uint32_t stride) {
+FoundLoss device_terms(Device& device, const RangeImage& image, const LossWeights& weights,
+                       std::uint32_t stride) {
     const std::size_t n = image.pixels.size();
     std::vector<shared::RenderedRay> rendered;
     std::vector<shared::RenderedGeometry> geometry;
@@ -86,15 +93,18 @@ FoundLoss device_terms(Device& device, const RangeImage& image, const LossWeight
     GeometryLoss loss(device, weights, std::uint32_t(n));
     Stream stream(device);
     const bool is_image = weights.normal > 0.0f;
-    const ImageShape shape{is_image ? std::uint32_t(image.rows) : 0, is_image ? std::uint32_t(image.columns) : 0, image.circular};
+    const ImageShape shape{is_image ? std::uint32_t(image.rows) : 0,
+                           is_image ? std::uint32_t(image.columns) : 0, image.circular};
     loss.compare(stream, {{&device_rays, 0, stride, std::uint32_t(n)}, &r, &upstream, nullptr, &q},
                  {&device_targets, 0, stride, std::uint32_t(n), n_returned, double(n), shape}, terms);
     stream.finish();
     const std::vector<float> t = terms.download();
-    return {t[loss_term::distortion], t[loss_term::normal], t[loss_term::likelihood], upstream.download(), q.gradient.download()};
+    return {t[loss_term::distortion], t[loss_term::normal], t[loss_term::likelihood], upstream.download(),
+            q.gradient.download()};
 }
 
-/// Points 10 m away, 0.2 m from each other, give normals that are good to 1e-5; rows are sums over four neighbours, which may cancel.
+/// Points 10 m away, 0.2 m from each other, give normals that are good to 1e-5; rows are
+/// sums over four neighbours, which may cancel.
 constexpr double kTolerance = 10.0 * test::kKernelGradient;
 
 /// Rows of every pixel against central differences of the reference.
@@ -110,7 +120,8 @@ void add_differences(RangeImage image, const FoundLoss& found, test::GradientTab
         add("weight", &image.pixels[i].weight, 1, {u.weight});
         add("normal", &image.pixels[i].normal.x, 3, {g.normal.x, g.normal.y, g.normal.z});
         add("origin", &image.rays[i].origin.x, 3, {g.point.x, g.point.y, g.point.z});
-        add("direction", &image.rays[i].direction.x, 3, {g.range * g.point.x, g.range * g.point.y, g.range * g.point.z});
+        add("direction", &image.rays[i].direction.x, 3,
+            {g.range * g.point.x, g.range * g.point.y, g.range * g.point.z});
     }
 }
 
@@ -120,11 +131,12 @@ TEST_F(GeometryTerms, AgreeWithReference) {
         bool circular, normalised;
         std::uint32_t stride;
     };
-    for (const Case& c :
-         {Case{8, 60, true, true, 1}, Case{7, 25, false, true, 3}, Case{6, 40, true, false, 2}, Case{12, 9, false, false, 1}}) {
+    for (const Case& c : {Case{8, 60, true, true, 1}, Case{7, 25, false, true, 3},
+                          Case{6, 40, true, false, 2}, Case{12, 9, false, false, 1}}) {
         const RangeImage image = random_image(c.rows, c.columns, c.circular, c.normalised);
         const auto normals = image_normals(image);
-        const auto n_normals = std::count_if(normals.begin(), normals.end(), [](const auto& n) { return n.has_value(); });
+        const auto n_normals =
+            std::count_if(normals.begin(), normals.end(), [](const auto& n) { return n.has_value(); });
         EXPECT_GT(n_normals, 20) << "the image tests little";
         EXPECT_LT(n_normals, 0.9 * (c.rows - 2) * c.columns) << "the rules for edges are not tested";
         const std::vector<double> expected = normal_terms(image, normals);
@@ -168,7 +180,8 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     }
 }
 
-/// Likelihood alone, and as one of three: value and derivative against the double reference, at dropped and unknown rays 0.
+/// Likelihood alone, and as one of three: value and derivative against the double
+/// reference, at dropped and unknown rays 0.
 TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
     for (const bool alone : {true, false}) {
         const RangeImage image = random_image(9, 31, false, true);
@@ -189,16 +202,18 @@ TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
     }
 }
 
-/// A plane has its own normal however it is inclined: the rule for edges does not cut what a grazing ray sees of the ground.
+/// A plane has its own normal however it is inclined: the rule for edges does not cut
+/// what a grazing ray sees of the ground.
 TEST_F(GeometryTerms, APlaneHasItsOwnNormalFarAway) {
     const glm::dvec3 up(0.0, 0.0, 1.0);
     RangeImage image{20, 10, false, true, {}, {}, {}};
     for (int i = 0; i < 200; ++i) {
         const double azimuth = -0.004 * (i % 10), elevation = -0.02 - 0.006 * (19 - i / 10);
-        const glm::dvec3 d(std::cos(azimuth) * std::cos(elevation), std::sin(azimuth) * std::cos(elevation), std::sin(elevation));
+        const glm::dvec3 d(std::cos(azimuth) * std::cos(elevation), std::sin(azimuth) * std::cos(elevation),
+                           std::sin(elevation));
         image.rays.push_back({{0.0, 0.0, 1.7}, d});
         reference::Pixel p;
-        p.weight = 1.0, p.depth = 1.7 / -d.z, p.normal = up;   // up to 85 m, up to 26 m from row to row
+        p.weight = 1.0, p.depth = 1.7 / -d.z, p.normal = up;  // up to 85 m, up to 26 m from row to row
         image.pixels.push_back(p);
         image.returned.push_back(true);
     }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/image_loss (Eq. 10, M6) against the double reference, values and derivatives, on both depth and
-// both intensity terms; masked rays,
-// extreme logits, strided batches.
+// diff/loss/image_loss (Eq. 10, M6) against the double reference, values and derivatives,
+// on both depth and both intensity terms; masked rays, extreme logits, strided batches.
 #include <cmath>
 #include <random>
 
@@ -32,11 +31,13 @@ Data random_data(std::size_t n, std::uint64_t seed) {
     for (std::size_t i = 0; i < n; ++i) {
         const float weight = 0.2f + 0.8f * unit(random), range = 2.0f + 50.0f * unit(random),
                     depth = weight * (range + unit(random) - 0.5f);
-        const float spread = i % 7 == 0 ? 80.0f : 3.0f;   // extreme logits, too
-        const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f), intensity = unit(random);
+        const float spread = i % 7 == 0 ? 80.0f : 3.0f;  // extreme logits, too
+        const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f),
+                    intensity = unit(random);
         const bool dropped = unit(random) < 0.3f;
         shared::RenderedRay& ray = d.rendered.emplace_back();
-        ray.depth = depth, ray.weight = weight, ray.intensity = intensity, ray.hit_logit = hit, ray.drop_logit = drop;
+        ray.depth = depth, ray.weight = weight, ray.intensity = intensity, ray.hit_logit = hit,
+        ray.drop_logit = drop;
         d.targets.push_back({dropped ? 0.0f : range, dropped ? 0.0f : unit(random), 1.0f});
         reference::Pixel p;
         p.depth = depth, p.weight = weight, p.intensity = intensity, p.hit_logit = hit, p.drop_logit = drop;
@@ -54,30 +55,33 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             weights.normalised_depth = normalised;
             weights.intensity_delta = normalised ? 0.2f : 0.0f;
             std::vector<reference::PixelGradient> expected;
-            const reference::LossTerms terms =
-                reference::evaluate_loss(d.pixels, d.expected_targets,
-                                         {weights.depth, weights.intensity, weights.drop, weights.intensity_delta},
-                                         normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
+            const reference::LossTerms terms = reference::evaluate_loss(
+                d.pixels, d.expected_targets,
+                {weights.depth, weights.intensity, weights.drop, weights.intensity_delta},
+                normalised ? reference::DepthKind::normalised : reference::DepthKind::blended, &expected);
             ImageLoss loss(device(), weights);
             Stream stream(device());
             const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
             const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
-            Array<shared::RayGradient> upstream(device(), n + 1, "upstream");   // a guard behind
+            Array<shared::RayGradient> upstream(device(), n + 1, "upstream");  // a guard behind
             const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
             stream.fill(upstream, 0x7fc00000u);
             double returned = 0.0;
             for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
-            loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
+            loss.compare(stream, {{}, &rendered, &upstream},
+                         {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
             stream.finish();
             const std::vector<float> g = test::floats_of(upstream.download()), s = sums.download();
             EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
-            EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity, 1e-4 * weights.intensity * terms.intensity);
+            EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity,
+                        1e-4 * weights.intensity * terms.intensity);
             EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
-                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity, expected[i].hit_logit,
-                                      expected[i].drop_logit};
+                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity,
+                                      expected[i].hit_logit, expected[i].drop_logit};
                 for (std::size_t k = 0; k < 5; ++k)
-                    EXPECT_NEAR(g[5 * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n))) << "ray " << i << " lane " << k;
+                    EXPECT_NEAR(g[5 * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n)))
+                        << "ray " << i << " lane " << k;
             }
             for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isnan(g[5 * n + k])) << "wrote past the end";
         }
@@ -92,11 +96,13 @@ TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
     const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     Array<shared::RayGradient> upstream(device(), 16, "upstream");
-    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);   // targets 0, 4, 8, ...: all masked
+    // targets 0, 4, 8, ...: all masked
+    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
     stream.finish();
     for (const float x : test::floats_of(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
-    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);   // targets 1, 5, 9, ...: all known
+    // targets 1, 5, 9, ...: all known
+    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
     stream.finish();
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
@@ -115,11 +121,15 @@ std::vector<std::string> made(Device& device, const LossWeights& weights) {
 
 TEST_F(ImageLossTest, ComesFirstAndEachOtherLossOnceWhereATermAsksForIt) {
     using Names = std::vector<std::string>;
-    const auto of = [&](LossWeights weights, float chamfer) { return weights.chamfer = chamfer, made(device(), weights); };
-    EXPECT_EQ(of({.depth = 0.0f, .intensity = 0.0f, .drop = 0.0f}, 0.0f), Names{"image"}) << "it outputs what others add to";
+    const auto of = [&](LossWeights weights, float chamfer) {
+        return weights.chamfer = chamfer, made(device(), weights);
+    };
+    EXPECT_EQ(of({.depth = 0.0f, .intensity = 0.0f, .drop = 0.0f}, 0.0f), Names{"image"})
+        << "it outputs what others add to";
     EXPECT_EQ(of({}, 0.1f), (Names{"image", "chamfer"}));
     EXPECT_EQ(of({.likelihood = 0.1f}, 0.0f), (Names{"image", "geometry"}));
-    EXPECT_EQ(of({.box = 0.1f, .distortion = 0.1f, .normal = 0.1f}, 0.1f), (Names{"image", "surfel", "chamfer", "geometry"}));
+    EXPECT_EQ(of({.box = 0.1f, .distortion = 0.1f, .normal = 0.1f}, 0.1f),
+              (Names{"image", "surfel", "chamfer", "geometry"}));
 }
 
 }  // namespace

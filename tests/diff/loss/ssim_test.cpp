@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/ssim and diff/loss/ssim_vjp against the double reference: values and derivatives on images with
-// unknown and dropped pixels, whole
-// sweeps and windows, fewer rows and columns than the window, strided targets; what lies at a dropped pixel plays no part.
+// diff/loss/ssim and diff/loss/ssim_vjp against the double reference: values and
+// derivatives on images with unknown and dropped pixels, whole sweeps and windows, fewer
+// rows and columns than the window, strided targets; what lies at a dropped pixel plays
+// no part.
 #include <random>
 
 #include <relidar/diff/forward.hpp>
@@ -23,7 +24,8 @@ Image random_image(int rows, int columns, bool circular, double known_share) {
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Image image{rows, columns, circular, {}, {}, {}};
     for (int i = 0; i < rows * columns; ++i) {
-        const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);   // half the image nearly flat: small variances
+        // half the image nearly flat: small variances
+        const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);
         image.y.push_back(float(flat));
         image.x.push_back(float(flat + 0.05 * unit(random)));
         image.known.push_back(unit(random) < known_share);
@@ -36,7 +38,8 @@ struct Result {
     std::vector<double> d_x;
 };
 
-/// The device's loss; every pixel that is not known is dropped or unknown by turns, and holds nonsense.
+/// The device's loss; every pixel that is not known is dropped or unknown by turns, and
+/// holds nonsense.
 Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
     const std::size_t n = image.x.size();
     std::vector<shared::RenderedRay> rendered;
@@ -59,8 +62,10 @@ Result device_ssim(Device& device, const Image& image, float share, std::uint32_
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
-    const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns), image.circular};
-    loss.compare(stream, {{}, &r, &upstream}, {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, terms);
+    const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns),
+                           image.circular};
+    loss.compare(stream, {{}, &r, &upstream},
+                 {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, terms);
     stream.finish();
     Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
     for (const shared::RayGradient& g : upstream.download()) result.d_x.push_back(g.intensity);
@@ -74,8 +79,8 @@ TEST_F(Ssim, AgreesWithReference) {
         double known;
         std::uint32_t stride;
     };
-    for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1}, Case{3, 7, true, 1.0, 1},
-                          Case{33, 37, true, 0.15, 2}}) {
+    for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1},
+                          Case{3, 7, true, 1.0, 1}, Case{33, 37, true, 0.15, 2}}) {
         const Image image = random_image(c.rows, c.columns, c.circular, c.known);
         std::vector<double> expected;
         const double loss = reference::ssim_loss(image, &expected);
@@ -98,7 +103,8 @@ TEST_F(Ssim, SharesTheIntensityTermWithL1) {
     EXPECT_EQ(none.ssim, 0.0);
     EXPECT_NEAR(some.ssim, 0.15 * all.ssim, 1e-6);
     EXPECT_NEAR(some.l1, 0.85 * none.l1, 1e-6);
-    for (std::size_t i = 0; i < image.x.size(); ++i) EXPECT_NEAR(some.d_x[i], 0.15 * all.d_x[i] + 0.85 * none.d_x[i], 1e-7);
+    for (std::size_t i = 0; i < image.x.size(); ++i)
+        EXPECT_NEAR(some.d_x[i], 0.15 * all.d_x[i] + 0.85 * none.d_x[i], 1e-7);
 }
 
 }  // namespace

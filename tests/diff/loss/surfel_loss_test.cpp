@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/surfel_loss against the double reference: a background without a box and two actors; gradients are added to what is there, in
-// touched rows only; surfels outside their box come back.
+// diff/loss/surfel_loss against the double reference: a background without a box and two
+// actors; gradients are added to what is there, in touched rows only; surfels outside
+// their box come back.
 #include <cmath>
 #include <random>
 
@@ -26,7 +27,8 @@ Scene random_scene() {
     scene.surfels.resize(kBackground + 2 * kActor);
     for (glm::vec3& m : scene.surfels.mean) m = {uniform(random), uniform(random), uniform(random)};
     for (glm::vec4& q : scene.surfels.rotation) q = {1, 0, 0, 0};
-    for (glm::vec2& s : scene.surfels.log_scale) s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
+    for (glm::vec2& s : scene.surfels.log_scale)
+        s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
     for (float& o : scene.surfels.opacity_logit) o = 4.0f * uniform(random);
     scene.surfels.opacity_logit[3] = 500.0f, scene.surfels.opacity_logit[4] = -500.0f;
     scene.models = {{"background", 0, kBackground},
@@ -51,8 +53,9 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         DeviceScene on_device(device(), scene);
         SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
         d.fill_zero(stream);
-        stream.fill(d.mean, 0x3e800000u);   // 0.25
-        const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), std::span<const std::uint32_t>(touched), "touched");
+        stream.fill(d.mean, 0x3e800000u);  // 0.25
+        const Array<std::uint32_t, shared::TouchedSurfels> rows(
+            device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         SurfelLoss loss(device(), weights);
         loss.regularise(stream, on_device, {&d, all ? nullptr : &rows}, terms);
@@ -68,14 +71,18 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
             if (i >= kBackground) {
                 const glm::dvec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
                 const Surfels& s = scene.surfels;
-                reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z}, {s.log_scale[i].x, s.log_scale[i].y}};
+                reference::BoxedSurfel surfel{{s.mean[i].x, s.mean[i].y, s.mean[i].z},
+                                              {s.log_scale[i].x, s.log_scale[i].y}};
                 if (is_gaussian) surfel.log_scale_w = s.log_scale_w[i];
-                box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)}, 0.3 / (2 * kActor), write ? expected : ignored);
+                box += reference::box_loss(surfel, {{h.x, h.y, h.z}, 0.2 * glm::length(h)},
+                                           0.3 / (2 * kActor), write ? expected : ignored);
             }
             table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]},
                           {found.mean[i].x, found.mean[i].y, found.mean[i].z});
-            table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]}, {found.log_scale[i].x, found.log_scale[i].y});
-            if (is_gaussian) table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
+            table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]},
+                          {found.log_scale[i].x, found.log_scale[i].y});
+            if (is_gaussian)
+                table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
         }
         EXPECT_NEAR(terms.download()[loss_term::box], 0.3 * box / (2 * kActor), 1e-5 * box);
         EXPECT_LE(table.worst_error(), test::kKernelGradient);
@@ -106,8 +113,10 @@ TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
             continue;
         }
         const glm::vec3 h = scene.models[i < kBackground + kActor ? 1 : 2].half_size_m;
-        for (int axis = 0; axis < 3; ++axis) EXPECT_LE(std::abs(end.mean[i][axis]), h[axis] + 0.05f) << "surfel " << i;
-        for (int axis = 0; axis < 2; ++axis) EXPECT_LE(std::exp(end.log_scale[i][axis]), 0.2f * glm::length(h) * 1.1f) << "surfel " << i;
+        for (int axis = 0; axis < 3; ++axis)
+            EXPECT_LE(std::abs(end.mean[i][axis]), h[axis] + 0.05f) << "surfel " << i;
+        for (int axis = 0; axis < 2; ++axis)
+            EXPECT_LE(std::exp(end.log_scale[i][axis]), 0.2f * glm::length(h) * 1.1f) << "surfel " << i;
     }
 }
 

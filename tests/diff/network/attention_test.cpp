@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/matmul and diff/network/softmax, by way of attention, against the double reference: values,
-// shares and derivatives; several heads,
-// batches, slices, fewer pixels than a subgroup has lanes; large scores.
+// diff/network/matmul and diff/network/softmax, by way of attention, against the double
+// reference: values, shares and derivatives; several heads, batches, slices, fewer pixels
+// than a subgroup has lanes; large scores.
 #include "diff/network/attention.hpp"
 
 #include "../../support/device.hpp"
@@ -19,24 +19,28 @@ struct AttentionCase {
     int channels, heads;
 };
 void PrintTo(const AttentionCase& c, std::ostream* out) {
-    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels << " in " << c.heads;
+    *out << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.channels << " in "
+         << c.heads;
 }
 
 class AttentionTest : public test::DeviceTest {};
 class AttentionSizes : public test::DeviceTest, public testing::WithParamInterface<AttentionCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
-                         testing::Values(AttentionCase{{1, 5, 13}, 8, 2}, AttentionCase{{4, 7, 9}, 18, 2}, AttentionCase{{1, 1, 3}, 3, 3},
-                                         AttentionCase{{4, 1, 1}, 4, 1}, AttentionCase{{2, 4, 32}, 64, 4}, AttentionCase{{4, 2, 5}, 17, 1},
+                         testing::Values(AttentionCase{{1, 5, 13}, 8, 2}, AttentionCase{{4, 7, 9}, 18, 2},
+                                         AttentionCase{{1, 1, 3}, 3, 3}, AttentionCase{{4, 1, 1}, 4, 1},
+                                         AttentionCase{{2, 4, 32}, 64, 4}, AttentionCase{{4, 2, 5}, 17, 1},
                                          AttentionCase{{1, 9, 17}, 1, 1}));
 
 TEST_P(AttentionSizes, ForwardAndBackward) {
     const AttentionCase& c = GetParam();
-    const test::ImageBatch values = test::random_images(c.grid, 3 * c.channels, 1), asked = test::random_images(c.grid, c.channels, 2);
+    const test::ImageBatch values = test::random_images(c.grid, 3 * c.channels, 1),
+                           asked = test::random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
     AttentionState state = attention.make_state(device(), c.grid, true);
     Stream stream(device());
-    const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels), d_to(device(), asked),
-                   d_qkv = OnDevice::unwritten(device(), c.grid, 3 * c.channels);
+    const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels),
+                                          d_to(device(), asked),
+                                          d_qkv = OnDevice::unwritten(device(), c.grid, 3 * c.channels);
     attention.forward(stream, qkv.slice(), state, to.slice());
     attention.vjp(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
     stream.finish();
@@ -62,16 +66,18 @@ TEST_F(AttentionTest, LargeScores) {
     const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), grid, 4);
     attention.forward(stream, qkv.slice(), state, to.slice());
     stream.finish();
-    EXPECT_LT(worst_error(to.read(), reference::attend(values, 1)), 1e-3);   // scores of 1e3 have an error of 1e-4
+    // scores of 1e3 have an error of 1e-4
+    EXPECT_LT(worst_error(to.read(), reference::attend(values, 1)), 1e-3);
 }
 
-/// Every pixel takes the value of the one whose key answers its query: a turn of the ring.
+/// Every pixel takes the value of the one whose key answers its query: a turn of the
+/// ring.
 TEST_F(AttentionTest, TakesWhatItAsksFor) {
     const int n = 5;
     test::ImageBatch values(1, 3 * n, 1, n), expected(1, n, 1, n);
     for (int x = 0; x < n; ++x) {
-        values.at(0, x, 0, x) = 100.0;                 // pixel x asks for x,
-        values.at(0, n + (x + 1) % n, 0, x) = 10.0;    // and is answered by the pixel before it
+        values.at(0, x, 0, x) = 100.0;               // pixel x asks for x,
+        values.at(0, n + (x + 1) % n, 0, x) = 10.0;  // and is answered by the pixel before it
         values.at(0, 2 * n + x, 0, x) = 1.0;
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/conv, diff/network/conv_weights and diff/network/sum_parts against the double reference:
-// values and both derivatives, slices, batches, images
-// smaller than a subgroup; the ring; weights in shared memory (as on a GPU) and in lanes (as on a CPU).
+// diff/network/conv, diff/network/conv_weights and diff/network/sum_parts against the
+// double reference: values and both derivatives, slices, batches, images smaller than a
+// subgroup; the ring; weights in shared memory (as on a GPU) and in lanes (as on a CPU).
 #include "diff/network/conv.hpp"
 
 #include "../../support/device.hpp"
@@ -21,16 +21,18 @@ struct Case {
 };
 
 void PrintTo(const Case& c, std::ostream* out) {
-    *out << c.taps << " taps, " << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.n_in << " -> " << c.n_out;
+    *out << c.taps << " taps, " << c.grid.n << "x" << c.grid.rows << "x" << c.grid.columns << ", " << c.n_in
+         << " -> " << c.n_out;
 }
 
 class ConvTest : public test::DeviceTest {};
 class ConvSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
 INSTANTIATE_TEST_SUITE_P(
     Refine, ConvSizes,
-    testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 9, 3}, Case{9, {1, 5, 13}, 1, 1}, Case{9, {4, 7, 9}, 3, 17},
-                    Case{9, {4, 1, 3}, 17, 9}, Case{9, {1, 2, 1}, 3, 8}, Case{9, {1, 3, 2}, 8, 16}, Case{9, {1, 2, 65}, 9, 9},
-                    Case{9, {4, 9, 31}, 16, 17}, Case{1, {4, 5, 13}, 17, 9}, Case{1, {1, 1, 3}, 1, 17}, Case{1, {4, 7, 9}, 3, 1},
+    testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 9, 3}, Case{9, {1, 5, 13}, 1, 1},
+                    Case{9, {4, 7, 9}, 3, 17}, Case{9, {4, 1, 3}, 17, 9}, Case{9, {1, 2, 1}, 3, 8},
+                    Case{9, {1, 3, 2}, 8, 16}, Case{9, {1, 2, 65}, 9, 9}, Case{9, {4, 9, 31}, 16, 17},
+                    Case{1, {4, 5, 13}, 17, 9}, Case{1, {1, 1, 3}, 1, 17}, Case{1, {4, 7, 9}, 3, 1},
                     Case{1, {1, 2, 70}, 9, 8}, Case{9, {1, 1, 1}, 1, 3}, Case{9, {4, 33, 32}, 3, 3}));
 
 struct Layer {
@@ -40,7 +42,8 @@ struct Layer {
 
 Layer random_layer(const Case& c) {
     return {test::random_images(c.grid, c.n_in, 1), test::random_images(c.grid, c.n_out, 2),
-            test::random_floats(std::size_t(c.n_in) * c.n_out * c.taps, 3), test::random_floats(std::size_t(c.n_out), 4)};
+            test::random_floats(std::size_t(c.n_in) * c.n_out * c.taps, 3),
+            test::random_floats(std::size_t(c.n_out), 4)};
 }
 
 TEST_P(ConvSizes, Forward) {
@@ -55,8 +58,12 @@ TEST_P(ConvSizes, Forward) {
     conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
     conv.forward(stream, from.slice(), weights.address(), {}, plain.slice());
     stream.finish();
-    EXPECT_LT(worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias, c.n_out, int(c.taps))), test::kLayer);
-    EXPECT_LT(worst_error(plain.read(), reference::convolve(layer.from, layer.weights, {}, c.n_out, int(c.taps))), test::kLayer);
+    EXPECT_LT(worst_error(to.read(),
+                          reference::convolve(layer.from, layer.weights, layer.bias, c.n_out, int(c.taps))),
+              test::kLayer);
+    EXPECT_LT(
+        worst_error(plain.read(), reference::convolve(layer.from, layer.weights, {}, c.n_out, int(c.taps))),
+        test::kLayer);
 }
 
 TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
@@ -64,7 +71,8 @@ TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
     const Layer layer = random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
-    const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::unwritten(device(), c.grid, c.n_in), sum(device(), layer.from);
+    const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::unwritten(device(), c.grid, c.n_in),
+                                               sum(device(), layer.from);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
     conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
     conv.input_vjp(stream, d_to.slice(), weights.address(), sum.slice(), true);
@@ -92,8 +100,9 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     std::vector<double> actual = test::doubles(d_weights), repeated = test::doubles(again);
     EXPECT_TRUE(std::isnan(actual.back())) << "wrote past the end";
     actual.pop_back(), repeated.pop_back();
-    EXPECT_LT(worst_error(actual, reference::convolve_weights_vjp(layer.from, layer.d_to, int(c.taps))), test::kLayer);
-    EXPECT_EQ(actual, repeated);   // a fixed order
+    EXPECT_LT(worst_error(actual, reference::convolve_weights_vjp(layer.from, layer.d_to, int(c.taps))),
+              test::kLayer);
+    EXPECT_EQ(actual, repeated);  // a fixed order
 }
 
 /// <d_to, W v> = <W^T d_to, v>, all of it on the device.
@@ -102,21 +111,25 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const Layer layer = random_layer(c);
     Conv conv(device(), c.taps);
     Stream stream(device());
-    const OnDevice from(device(), layer.from), d_to(device(), layer.d_to), to = OnDevice::unwritten(device(), c.grid, c.n_out),
-                   d_from = OnDevice::unwritten(device(), c.grid, c.n_in);
+    const OnDevice from(device(), layer.from), d_to(device(), layer.d_to),
+        to = OnDevice::unwritten(device(), c.grid, c.n_out),
+        d_from = OnDevice::unwritten(device(), c.grid, c.n_in);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights),
-               d_weights = test::to_device<shared::ConvWeights>(device(), std::vector<double>(layer.weights.size(), 0.0));
+               d_weights = test::to_device<shared::ConvWeights>(
+                   device(), std::vector<double>(layer.weights.size(), 0.0));
     conv.reserve(device(), conv.partial_floats(c.grid, 9, 17));
     conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
     conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
     conv.weights_vjp(stream, from.slice(), d_to.slice(), d_weights.address());
     stream.finish();
-    const double asked = test::dot(layer.d_to.values, to.read().values), scale = 1e-5 * std::sqrt(double(layer.d_to.values.size()) * 81.0);
+    const double asked = test::dot(layer.d_to.values, to.read().values),
+                 scale = 1e-5 * std::sqrt(double(layer.d_to.values.size()) * 81.0);
     EXPECT_NEAR(test::dot(d_from.read().values, layer.from.values), asked, scale);
     EXPECT_NEAR(test::dot(test::doubles(d_weights), layer.weights), asked, scale);
 }
 
-/// A single one in the first column reaches the last one, and nothing beyond the first and last row.
+/// A single one in the first column reaches the last one, and nothing beyond the first
+/// and last row.
 TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
     for (const std::uint32_t columns : {2u, 3u, 8u, 13u, 64u, 70u}) {
         test::ImageBatch one(1, 1, 3, int(columns));
@@ -125,16 +138,16 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         Conv conv(device(), 9);
         Stream stream(device());
         const OnDevice from(device(), one), to = OnDevice::unwritten(device(), test::grid_of(one), 1),
-                       back = OnDevice::unwritten(device(), test::grid_of(one), 1);
+                                            back = OnDevice::unwritten(device(), test::grid_of(one), 1);
         const auto weights = test::to_device<shared::ConvWeights>(device(), taps);
         conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
         conv.input_vjp(stream, from.slice(), weights.address(), back.slice());
         stream.finish();
         const test::ImageBatch seen = to.read(), asked = back.read();
         const int last = int(columns) - 1;
-        const double both = columns == 2 ? 1.0 : 0.0;   // the neighbours on both sides are one
+        const double both = columns == 2 ? 1.0 : 0.0;  // the neighbours on both sides are one
         EXPECT_EQ(seen.at(0, 0, 0, 0), 5.0);
-        EXPECT_EQ(seen.at(0, 0, 0, last), 6.0 + both * 4.0);   // sees it by its right tap
+        EXPECT_EQ(seen.at(0, 0, 0, last), 6.0 + both * 4.0);  // sees it by its right tap
         EXPECT_EQ(seen.at(0, 0, 1, last), 3.0 + both * 1.0);
         EXPECT_EQ(asked.at(0, 0, 0, last), 4.0 + both * 6.0);
         EXPECT_EQ(asked.at(0, 0, 1, last), 7.0 + both * 9.0);
@@ -142,7 +155,8 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
     }
 }
 
-/// How diff/network/conv is built: pixels that a thread makes, and whether the weights lie in shared memory.
+/// How diff/network/conv is built: pixels that a thread makes, and whether the weights
+/// lie in shared memory.
 struct Variant {
     std::uint32_t pixels, staged;
 };
@@ -166,13 +180,25 @@ TEST_P(ConvVariants, Agree) {
         const OnDevice from(device(), layer.from), to = OnDevice::unwritten(device(), c.grid, c.n_out);
         const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
         const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
-        const std::uint32_t segments = c.grid.n * c.grid.rows * tiles(c.grid.columns, lanes * GetParam().pixels);
-        run(stream, kernel, std::size_t(tiles(segments, 64 / lanes)) * tiles(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
-            {.from = from.slice().view, .to = to.slice().view, .weights = weights.address(), .bias = bias.address(), .n_images = c.grid.n,
-             .rows = c.grid.rows, .columns = c.grid.columns, .n_in = std::uint32_t(c.n_in), .n_out = std::uint32_t(c.n_out),
-             .transposed = 0, .accumulate = 0});
+        const std::uint32_t segments =
+            c.grid.n * c.grid.rows * tiles(c.grid.columns, lanes * GetParam().pixels);
+        run(stream, kernel,
+            std::size_t(tiles(segments, 64 / lanes)) * tiles(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
+            {.from = from.slice().view,
+             .to = to.slice().view,
+             .weights = weights.address(),
+             .bias = bias.address(),
+             .n_images = c.grid.n,
+             .rows = c.grid.rows,
+             .columns = c.grid.columns,
+             .n_in = std::uint32_t(c.n_in),
+             .n_out = std::uint32_t(c.n_out),
+             .transposed = 0,
+             .accumulate = 0});
         stream.finish();
-        EXPECT_LT(worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias, c.n_out, int(c.taps))), test::kLayer);
+        EXPECT_LT(worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias, c.n_out,
+                                                             int(c.taps))),
+                  test::kLayer);
     }
 }
 

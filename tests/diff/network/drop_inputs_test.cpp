@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/drop_inputs against loops: what the sensor sees turns about it, its own channels stay, start is the rendered logit as it is.
+// diff/network/drop_inputs against loops: what the sensor sees turns about it, its own
+// channels stay, start is the rendered logit as it is.
 #include "../../support/device.hpp"
+#include "diff/shared/refine.h"
 #include "gpu/stream.hpp"
 #include "images.hpp"
-#include "diff/shared/refine.h"
 
 namespace relidar {
 namespace {
@@ -21,9 +22,11 @@ std::vector<double> scale() { return {1.0, 2.0, 0.5, -1.0, 4.0}; }
 std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 
 /// A column of a sample comes to lie `turn` columns on.
-Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets, const std::vector<std::uint32_t>& turn, int n_fixed) {
+Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets,
+             const std::vector<std::uint32_t>& turn, int n_fixed) {
     const refine::Grid grid = test::grid_of(samples);
-    test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns), start(kImages, 1, samples.rows, samples.columns);
+    test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns),
+        start(kImages, 1, samples.rows, samples.columns);
     test::ImageBatch target = start;
     for (int image = 0; image < kImages; ++image)
         for (int y = 0; y < samples.rows; ++y)
@@ -31,17 +34,21 @@ Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets
                 const auto sample = int(kChosen[std::size_t(image)]);
                 const int to = int((std::uint64_t(x) + turn[std::size_t(image)]) % grid.columns);
                 for (int c = 0; c < kChannels; ++c) {
-                    const double affine = scale()[std::size_t(c)] * samples.at(sample, c, y, x) + shift()[std::size_t(c)];
+                    const double affine =
+                        scale()[std::size_t(c)] * samples.at(sample, c, y, x) + shift()[std::size_t(c)];
                     images.at(image, c, y, c < kChannels - n_fixed ? to : x) = affine;
                 }
                 start.at(image, 0, y, to) = samples.at(sample, kLogit, y, x);
-                target.at(image, 0, y, to) = targets[(std::size_t(sample) * grid.rows + std::size_t(y)) * grid.columns + std::size_t(x)];
+                target.at(image, 0, y, to) =
+                    targets[(std::size_t(sample) * grid.rows + std::size_t(y)) * grid.columns +
+                            std::size_t(x)];
             }
     return {images.values, start.values, target.values};
 }
 
 TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
-    for (const refine::Grid& grid : {refine::Grid{kSamples, 5, 13}, refine::Grid{kSamples, 1, 3}, refine::Grid{kSamples, 7, 70}})
+    for (const refine::Grid& grid :
+         {refine::Grid{kSamples, 5, 13}, refine::Grid{kSamples, 1, 3}, refine::Grid{kSamples, 7, 70}})
         for (const int n_fixed : {0, 2}) {
             const std::vector<std::uint32_t> turn{0, 1, grid.columns - 1, 2 * grid.columns + 2};
             const test::ImageBatch values = test::random_images(grid, kChannels, 1);
@@ -51,8 +58,10 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             Stream stream(device());
             const auto samples = test::to_device<shared::DropSamples>(device(), values.values);
             const auto targets = test::to_device<shared::SampleTargets>(device(), known);
-            const Array<std::uint32_t, shared::ChosenSamples> chosen(device(), std::span<const std::uint32_t>(kChosen), "chosen");
-            const Array<std::uint32_t, shared::SampleTurns> turns(device(), std::span<const std::uint32_t>(turn), "turn");
+            const Array<std::uint32_t, shared::ChosenSamples> chosen(
+                device(), std::span<const std::uint32_t>(kChosen), "chosen");
+            const Array<std::uint32_t, shared::SampleTurns> turns(
+                device(), std::span<const std::uint32_t>(turn), "turn");
             const Array<glm::vec2> affine = test::pairs_to_device(device(), scale(), shift());
             const std::size_t n = kImages * grid.pixels();
             const Array<float> images(device(), n * kChannels + 1, "images");
@@ -60,10 +69,20 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             const Array<float, shared::DropTargets> target(device(), n + 1, "target");
             const auto launch = [&](Address<float, shared::DropTargets> to_target) {
                 run(stream, kernel, n,
-                    {.samples = samples.address(), .targets = targets.address(), .chosen = chosen.address(), .turn = turns.address(),
-                     .scale_shift = affine.address(), .images = images.address(), .start = start.address(), .target = to_target,
-                     .n_images = kImages, .n_channels = kChannels, .n_fixed = std::uint32_t(n_fixed), .logit_channel = kLogit,
-                     .rows = grid.rows, .columns = grid.columns});
+                    {.samples = samples.address(),
+                     .targets = targets.address(),
+                     .chosen = chosen.address(),
+                     .turn = turns.address(),
+                     .scale_shift = affine.address(),
+                     .images = images.address(),
+                     .start = start.address(),
+                     .target = to_target,
+                     .n_images = kImages,
+                     .n_channels = kChannels,
+                     .n_fixed = std::uint32_t(n_fixed),
+                     .logit_channel = kLogit,
+                     .rows = grid.rows,
+                     .columns = grid.columns});
                 stream.finish();
             };
             const auto written = [&](const Array<float>& array) {
@@ -72,8 +91,9 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
                 result.pop_back();
                 return result;
             };
-            for (const Buffer* array : {&images.buffer(), &start.buffer(), &target.buffer()}) stream.fill(*array, 0x7fc00000u);
-            launch({});   // no target: none is written
+            for (const Buffer* array : {&images.buffer(), &start.buffer(), &target.buffer()})
+                stream.fill(*array, 0x7fc00000u);
+            launch({});  // no target: none is written
             for (const double x : test::doubles(target)) EXPECT_TRUE(std::isnan(x));
             EXPECT_LT(test::worst_error(written(images), expected.images), 1e-6);
             launch(target.address());

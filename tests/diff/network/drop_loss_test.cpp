@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/drop_loss against the double reference: mean, accuracy, probabilities and derivatives; extreme
-// logits, pixels that are not known,
-// a start to which the logits are added, what may be left out.
+// diff/network/drop_loss against the double reference: mean, accuracy, probabilities and
+// derivatives; extreme logits, pixels that are not known, a start to which the logits are
+// added, what may be left out.
 #include "diff/network/drop_loss.hpp"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ Data random_data(std::size_t n) {
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Data d{test::random_floats(n, 1, 2.0), test::random_floats(n, 2, 2.0), {}, {}};
     for (std::size_t i = 0; i < n; ++i) {
-        if (i % 17 == 3) d.logit[i] = i % 2 ? 120.0 : -120.0;   // exp() of which no float holds
+        if (i % 17 == 3) d.logit[i] = i % 2 ? 120.0 : -120.0;  // exp() of which no float holds
         d.sum.push_back(double(float(d.logit[i]) + float(d.start[i])));
         const double u = unit(random);
         d.target.push_back(u < 0.2 ? -1.0 : u < 0.5 ? 1.0 : 0.0);
@@ -37,17 +37,19 @@ Data random_data(std::size_t n) {
 }
 
 TEST_F(DropLossTest, AgreesWithReference) {
-    for (const std::size_t n : {std::size_t(1), std::size_t(7), std::size_t(1000), std::size_t(66 * 1030), std::size_t(40961)}) {
+    for (const std::size_t n :
+         {std::size_t(1), std::size_t(7), std::size_t(1000), std::size_t(66 * 1030), std::size_t(40961)}) {
         const Data d = random_data(n);
         DropLoss loss(device(), n);
         Stream stream(device());
         const Array<float> logit = test::to_device(device(), d.logit);
         const auto start = test::to_device<shared::StartLogits>(device(), d.start);
         const auto target = test::to_device<shared::DropTargets>(device(), d.target);
-        Array<float> d_logit(device(), n + 1, "gradient");   // a guard behind
+        Array<float> d_logit(device(), n + 1, "gradient");  // a guard behind
         Array<float, shared::DropProbabilities> probability(device(), n + 1, "probability");
         for (const bool with_start : {true, false}) {
-            const reference::DropEntropy expected = reference::drop_entropy(with_start ? d.sum : d.logit, d.target);
+            const reference::DropEntropy expected =
+                reference::drop_entropy(with_start ? d.sum : d.logit, d.target);
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
             loss.run(stream, n,
@@ -80,15 +82,18 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const auto entropy = [&](const std::vector<double>& logits) {
         const Array<float> logit = test::to_device(device(), logits);
         loss.run(stream, n,
-                 {logit.address_as<float, shared::DropLogits>(), {}, target.address(),
-                  d_logit.address_as<float, shared::DropLogitGradients>(), {}},
+                 {logit.address_as<float, shared::DropLogits>(),
+                  {},
+                  target.address(),
+                  d_logit.address_as<float, shared::DropLogitGradients>(),
+                  {}},
                  d.known);
         stream.finish();
         return loss.score(d.known).entropy;
     };
     for (std::size_t i = 0; i < n; i += 5) {
         std::vector<double> logits = test::random_floats(n, 9), above = logits, below = logits;
-        above[i] += 0.125, below[i] -= 0.125;   // differences of floats need a long step
+        above[i] += 0.125, below[i] -= 0.125;  // differences of floats need a long step
         const double difference = (entropy(above) - entropy(below)) / 0.25;
         entropy(logits);
         EXPECT_NEAR(test::doubles(d_logit)[i], difference, 3e-3 / double(d.known) * 2.0) << i;
@@ -107,9 +112,11 @@ TEST_F(DropLossTest, NothingKnown) {
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
         loss.run(stream, n,
-                 {logit.address_as<float, shared::DropLogits>(), {},
+                 {logit.address_as<float, shared::DropLogits>(),
+                  {},
                   no_target ? Address<float, shared::DropTargets>() : none.address(),
-                  d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
+                  d_logit.address_as<float, shared::DropLogitGradients>(),
+                  probability.address()},
                  0);
         stream.finish();
         for (const double x : test::doubles(d_logit)) EXPECT_EQ(x, 0.0);
@@ -118,7 +125,8 @@ TEST_F(DropLossTest, NothingKnown) {
     }
     // no derivative is asked for: probabilities alone
     loss.run(stream, n,
-             {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()}, 0);
+             {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()},
+             0);
     stream.finish();
     const std::vector<double> p = test::doubles(probability);
     const reference::DropEntropy expected = reference::drop_entropy(d.logit, std::vector<double>(n, -1.0));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training and asking the ray-drop network: it learns a rule that no pixel shows by itself, gives the same answer twice, starts as nothing,
-// works on other image sizes, and refuses what it cannot work with.
+// Training and asking the ray-drop network: it learns a rule that no pixel shows by
+// itself, gives the same answer twice, starts as nothing, works on other image sizes, and
+// refuses what it cannot work with.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -17,7 +18,8 @@ namespace {
 
 class DropNetworkTest : public test::DeviceTest {};
 
-/// Random intensities; a ray is dropped where its right neighbour is dark. The rendered logit says 0.3 everywhere.
+/// Random intensities; a ray is dropped where its right neighbour is dark. The rendered
+/// logit says 0.3 everywhere.
 DropImage dark_neighbours(int rows, int columns, const RefineOptions& options, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     const std::vector<std::string> names = drop_channel_names(options);
@@ -30,13 +32,15 @@ DropImage dark_neighbours(int rows, int columns, const RefineOptions& options, s
         image.channels[2 * n + i] = 0.3f;
     }
     for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t row = i / std::size_t(columns), right = row * std::size_t(columns) + (i + 1) % std::size_t(columns);
+        const std::size_t row = i / std::size_t(columns),
+                          right = row * std::size_t(columns) + (i + 1) % std::size_t(columns);
         image.dropped[i] = intensity[right] < 0.3f ? 1.0f : 0.0f;
     }
     return image;
 }
 
-std::vector<DropImage> some_images(const RefineOptions& options, std::size_t n, int rows = 16, int columns = 40) {
+std::vector<DropImage> some_images(const RefineOptions& options, std::size_t n, int rows = 16,
+                                   int columns = 40) {
     std::vector<DropImage> images;
     for (std::size_t i = 0; i < n; ++i) images.push_back(dark_neighbours(rows, columns, options, 20 + i));
     return images;
@@ -44,7 +48,8 @@ std::vector<DropImage> some_images(const RefineOptions& options, std::size_t n, 
 
 double accuracy_of(const std::vector<float>& probability, const DropImage& image) {
     double right = 0.0;
-    for (std::size_t i = 0; i < probability.size(); ++i) right += (probability[i] > 0.5f) == (image.dropped[i] > 0.5f);
+    for (std::size_t i = 0; i < probability.size(); ++i)
+        right += (probability[i] > 0.5f) == (image.dropped[i] > 0.5f);
     return right / double(probability.size());
 }
 
@@ -62,13 +67,17 @@ TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
     options.epochs = 20;
     const DropNetwork network = train_drop_network(device(), some_images(options, 32), options, 1, {});
     DropRefiner refiner(device(), network);
-    const DropImage seen_first_now = dark_neighbours(16, 40, options, 99), larger = dark_neighbours(25, 61, options, 98);
-    EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);   // 0.7 by always saying "returned"
+    const DropImage seen_first_now = dark_neighbours(16, 40, options, 99),
+                    larger = dark_neighbours(25, 61, options, 98);
+    // 0.7 by always saying "returned"
+    EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);
     EXPECT_GT(accuracy_of(refiner.refine(larger), larger), 0.97);
     EXPECT_EQ(refiner.refine(larger), refiner.refine(larger));
-    const DropImage shapes[] = {seen_first_now, larger, dark_neighbours(20, 50, options, 97)};   // more than it keeps room for
+    // more than it keeps room for
+    const DropImage shapes[] = {seen_first_now, larger, dark_neighbours(20, 50, options, 97)};
     for (const int which : {0, 1, 0, 2, 1, 2, 0})
-        EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which])) << which;
+        EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which]))
+            << which;
 }
 
 TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
@@ -83,10 +92,11 @@ TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
     RefineOptions options = short_training();
     options.epochs = 2;
-    options.network = "paper";   // which drops values
+    options.network = "paper";  // which drops values
     options.width = 8;
     const std::vector<DropImage> images = some_images(options, 4);
-    const DropNetwork a = train_drop_network(device(), images, options, 1, {}), b = train_drop_network(device(), images, options, 1, {}),
+    const DropNetwork a = train_drop_network(device(), images, options, 1, {}),
+                      b = train_drop_network(device(), images, options, 1, {}),
                       c = train_drop_network(device(), images, options, 2, {});
     EXPECT_EQ(a.parameters, b.parameters);
     EXPECT_EQ(a.running, b.running);
@@ -128,8 +138,8 @@ TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
 }
 
 /// Stops after a step, and gives the state there.
-RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options, int step,
-                        const RefineState* start = nullptr) {
+RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
+                        int step, const RefineState* start = nullptr) {
     RefineState kept;
     train_drop_network(
         device, images, options, 1,
@@ -159,7 +169,8 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
                           at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
         EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
-        const DropNetwork resumed = train_drop_network(device(), images, options, 1, told_to(parts), &at_its_end);
+        const DropNetwork resumed =
+            train_drop_network(device(), images, options, 1, told_to(parts), &at_its_end);
         EXPECT_EQ(resumed.parameters, expected.parameters) << name;
         EXPECT_EQ(resumed.running, expected.running) << name;
         EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
@@ -170,18 +181,22 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
             EXPECT_EQ(parts[i].entropy, whole[i + 6].entropy);
         }
         const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
-        EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters, expected.parameters);
+        EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters,
+                  expected.parameters);
         EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
         options.epochs = 1;
-        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError) << "4 steps of 3";
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
+            << "4 steps of 3";
         options.epochs = 4;
         options.width = 16;
-        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError) << "of another network";
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
+            << "of another network";
     }
 }
 
 TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
-    const auto message = [&](const std::vector<DropImage>& images, const RefineOptions& options) -> std::string {
+    const auto message = [&](const std::vector<DropImage>& images,
+                             const RefineOptions& options) -> std::string {
         try {
             train_drop_network(device(), images, options, 1, {});
         } catch (const Error& error) {
@@ -192,7 +207,8 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
     using testing::HasSubstr;
     RefineOptions options = short_training();
     options.levels = 3;
-    EXPECT_THAT(message(some_images(options, 1, 6, 40), options), HasSubstr("6 x 40 pixels, expected at least 8 x 8"));
+    EXPECT_THAT(message(some_images(options, 1, 6, 40), options),
+                HasSubstr("6 x 40 pixels, expected at least 8 x 8"));
     EXPECT_THAT(message({}, options), HasSubstr("no images"));
     std::vector<DropImage> images = some_images(options, 2);
     images[1].channels[16 * 40 + 45] = std::numeric_limits<float>::quiet_NaN();
@@ -213,18 +229,23 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
     options.epochs = 1;
     DropNetwork network = train_drop_network(device(), some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
-    EXPECT_THAT([&] { DropRefiner(device(), network); }, testing::ThrowsMessage<DataError>(testing::HasSubstr("parameters, expected")));
+    EXPECT_THAT([&] { DropRefiner(device(), network); },
+                testing::ThrowsMessage<DataError>(testing::HasSubstr("parameters, expected")));
     network.widths[0] -= 1;
     DropRefiner refiner(device(), network);
-    EXPECT_THAT([&] { refiner.refine({16, 40, std::vector<float>(16 * 40), {}}); },
-                testing::ThrowsMessage<DataError>(testing::HasSubstr("values of channels")));
+    EXPECT_THAT(
+        [&] {
+            refiner.refine({16, 40, std::vector<float>(16 * 40), {}});
+        },
+        testing::ThrowsMessage<DataError>(testing::HasSubstr("values of channels")));
 }
 
 TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
     RefineOptions options;
     options.network = "paper";
     options.rays = "origin,direction";
-    EXPECT_EQ(drop_channel_names(options).size(), 7u);   // d, intensity, beta, origin, and of the direction the elevation
+    // d, intensity, beta, origin, and of the direction the elevation
+    EXPECT_EQ(drop_channel_names(options).size(), 7u);
     EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images of the double reference on the device, as a slice of a larger tensor whose other channels must stay as they are.
+// Images of the double reference on the device, as a slice of a larger tensor whose other
+// channels must stay as they are.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +20,8 @@ namespace relidar::test {
 using reference::ImageBatch;
 
 /// Normal deviates that a float holds, times `scale`, plus `offset`.
-inline std::vector<double> random_floats(std::size_t n, std::uint64_t seed, double scale = 1.0, double offset = 0.0) {
+inline std::vector<double> random_floats(std::size_t n, std::uint64_t seed, double scale = 1.0,
+                                         double offset = 0.0) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> normal;
     std::vector<double> values(n);
@@ -27,7 +29,8 @@ inline std::vector<double> random_floats(std::size_t n, std::uint64_t seed, doub
     return values;
 }
 
-inline ImageBatch random_images(const refine::Grid& grid, int channels, std::uint64_t seed, double scale = 1.0, double offset = 0.0) {
+inline ImageBatch random_images(const refine::Grid& grid, int channels, std::uint64_t seed,
+                                double scale = 1.0, double offset = 0.0) {
     ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
     images.values = random_floats(images.values.size(), seed, scale, offset);
     return images;
@@ -44,7 +47,8 @@ Array<float, Meaning> to_device(Device& device, const std::vector<double>& value
 }
 
 template <class Meaning = void>
-Array<glm::vec2, Meaning> pairs_to_device(Device& device, const std::vector<double>& x, const std::vector<double>& y) {
+Array<glm::vec2, Meaning> pairs_to_device(Device& device, const std::vector<double>& x,
+                                          const std::vector<double>& y) {
     std::vector<glm::vec2> pairs;
     for (std::size_t i = 0; i < x.size(); ++i) pairs.emplace_back(float(x[i]), float(y[i]));
     return {device, std::span<const glm::vec2>(pairs), "pairs"};
@@ -71,12 +75,14 @@ public:
           before_(before),
           shape_(images) {
         std::vector<float> values(tensor_.channels * tensor_.grid.all_pixels(), kGuard);
-        for_slice([&](std::size_t in_tensor, std::size_t in_slice) { values[in_tensor] = float(images.values[in_slice]); });
+        for_slice([&](std::size_t in_tensor, std::size_t in_slice) {
+            values[in_tensor] = float(images.values[in_slice]);
+        });
         upload(tensor_, values);
     }
     /// What is to be written: not a number until then.
-    static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels, std::uint32_t before = 1,
-                              std::uint32_t after = 2) {
+    static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels,
+                              std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
         for (double& x : images.values) x = std::nan("");
         return OnDevice(device, images, before, after);
@@ -109,13 +115,15 @@ private:
         for (int image = 0; image < shape_.n; ++image)
             for (int c = 0; c < shape_.channels; ++c)
                 for (std::size_t i = 0; i < pixels; ++i) {
-                    const std::size_t channel = std::size_t(image) * tensor_.channels + before_ + std::size_t(c);
+                    const std::size_t channel =
+                        std::size_t(image) * tensor_.channels + before_ + std::size_t(c);
                     visit(channel * pixels + i, shape_.index(image, c, 0, 0) + i);
                 }
     }
 };
 
-/// Largest error over the largest value expected: a single place that is wrong shows. Infinite where a value is not a number.
+/// Largest error over the largest value expected: a single place that is wrong shows.
+/// Infinite where a value is not a number.
 inline double worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
     if (actual.size() != expected.size()) return HUGE_VAL;
     double worst = 0.0, largest = 0.0;
@@ -126,15 +134,20 @@ inline double worst_error(const std::vector<double>& actual, const std::vector<d
     }
     return largest > 0.0 ? worst / largest : worst;
 }
-inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) { return worst_error(actual.values, expected.values); }
+inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) {
+    return worst_error(actual.values, expected.values);
+}
 
-/// 0 for values that the normalisation brings so near to 0 that rounding decides whether ReLU lets their gradient through.
-inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std::vector<double>& beta, const std::vector<double>& gamma) {
+/// 0 for values that the normalisation brings so near to 0 that rounding decides whether
+/// ReLU lets their gradient through.
+inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std::vector<double>& beta,
+                            const std::vector<double>& gamma) {
     reference::NormLayer above{beta, gamma, {}}, below = above;
     for (double& x : below.beta) x = -x;
     for (double& x : below.gamma) x = -x;
     const reference::Moments moments = reference::moments_of(from);
-    const ImageBatch positive = reference::normalise(from, moments, above), negative = reference::normalise(from, moments, below);
+    const ImageBatch positive = reference::normalise(from, moments, above),
+                     negative = reference::normalise(from, moments, below);
     for (std::size_t i = 0; i < asked.values.size(); ++i)
         if (positive.values[i] + negative.values[i] < 1e-5) asked.values[i] = 0.0;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and diff/network/norm_vjp against
-// the double reference: values, derivatives, running
+// diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and
+// diff/network/norm_vjp against the double reference: values, derivatives, running
 // moments, what is dropped, and moments of values far from zero.
 #include "diff/network/norm.hpp"
 
@@ -26,8 +26,9 @@ void PrintTo(const NormCase& c, std::ostream* out) {
 class NormTest : public test::DeviceTest {};
 class NormSizes : public test::DeviceTest, public testing::WithParamInterface<NormCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
-                         testing::Values(NormCase{{1, 66, 1030}, 3}, NormCase{{4, 5, 13}, 17}, NormCase{{1, 7, 9}, 1},
-                                         NormCase{{4, 1, 3}, 9}, NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
+                         testing::Values(NormCase{{1, 66, 1030}, 3}, NormCase{{4, 5, 13}, 17},
+                                         NormCase{{1, 7, 9}, 1}, NormCase{{4, 1, 3}, 9},
+                                         NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
 
 /// A layer and its parameters on the device.
 struct OnePass {
@@ -41,9 +42,13 @@ struct OnePass {
     OnePass(Device& device, const NormCase& c)
         : norm(device),
           state(device, std::uint32_t(c.channels)),
-          layer{test::random_floats(std::size_t(c.channels), 5, 0.5), test::random_floats(std::size_t(c.channels), 6), {}, 1e-5},
+          layer{test::random_floats(std::size_t(c.channels), 5, 0.5),
+                test::random_floats(std::size_t(c.channels), 6),
+                {},
+                1e-5},
           beta_gamma(test::pairs_to_device<shared::BetaGamma>(device, layer.beta, layer.gamma)),
-          running(test::pairs_to_device<shared::RunningMoments>(device, std::vector<double>(layer.beta.size(), 0.5),
+          running(test::pairs_to_device<shared::RunningMoments>(device,
+                                                                std::vector<double>(layer.beta.size(), 0.5),
                                                                 std::vector<double>(layer.beta.size(), 2.0))),
           stream(device) {
         norm.reserve(device, std::uint32_t(c.channels), c.grid);
@@ -57,12 +62,14 @@ struct OnePass {
     }
 };
 
-/// What a pass lets through of each value, found from what it made of values that are all positive.
+/// What a pass lets through of each value, found from what it made of values that are all
+/// positive.
 std::vector<double> gate_of(Device& device, const NormCase& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
-    pass.beta_gamma =   // all become 1
-        test::pairs_to_device<shared::BetaGamma>(device, std::vector<double>(n, 1.0), std::vector<double>(n, 0.0));
+    pass.beta_gamma =  // all become 1
+        test::pairs_to_device<shared::BetaGamma>(device, std::vector<double>(n, 1.0),
+                                                 std::vector<double>(n, 0.0));
     pass.state.dropout = dropout;
     pass.state.dropout_key = key;
     return pass.forward(device, OnDevice(device, test::random_images(c.grid, c.channels, 1)), c).values;
@@ -74,8 +81,10 @@ double largest(const std::vector<double>& values) {
     return most;
 }
 
-/// Bound of what is summed to a derivative by an input; of two pixels nearly all of it cancels.
-double largest_term(const test::ImageBatch& from, const reference::NormLayer& layer, const test::ImageBatch& asked) {
+/// Bound of what is summed to a derivative by an input; of two pixels nearly all of it
+/// cancels.
+double largest_term(const test::ImageBatch& from, const reference::NormLayer& layer,
+                    const test::ImageBatch& asked) {
     double scale = 0.0;
     const reference::Moments moments = reference::moments_of(from);
     for (std::size_t k = 0; k < layer.gamma.size(); ++k)
@@ -103,13 +112,14 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
     const NormCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
-    pass.state.dropout = 0.9f;   // of no account
+    pass.state.dropout = 0.9f;  // of no account
     pass.state.dropout_key = 3;
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels);
     pass.norm.evaluate(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
     pass.stream.finish();
     const std::vector<double> mean(pass.layer.beta.size(), 0.5), variance(pass.layer.beta.size(), 2.0);
-    EXPECT_LT(worst_error(to.read(), reference::normalise(values, {mean, variance}, pass.layer)), test::kLayer);
+    EXPECT_LT(worst_error(to.read(), reference::normalise(values, {mean, variance}, pass.layer)),
+              test::kLayer);
     for (const glm::vec2& running : pass.running.download()) EXPECT_EQ(running, glm::vec2(0.5f, 2.0f));
 }
 
@@ -123,13 +133,17 @@ TEST_P(NormSizes, Derivatives) {
         pass.state.dropout = dropout;
         pass.state.dropout_key = 77;
         if (dropout > 0.0f) pass.layer.gate = gate_of(device(), c, dropout, 77);
-        const OnDevice from(device(), values), d_to(device(), asked), d_from = OnDevice::unwritten(device(), c.grid, c.channels);
+        const OnDevice from(device(), values), d_to(device(), asked),
+            d_from = OnDevice::unwritten(device(), c.grid, c.channels);
         const std::size_t n = 2 * std::size_t(c.channels);
-        const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));   // a part of them, from the fourth
+        // a part of them, from the fourth
+        const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));
         const test::ImageBatch actual = pass.forward(device(), from, c);
         pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), {d_parameters, 4});
         pass.stream.finish();
-        EXPECT_LT(worst_error(actual, reference::normalise(values, reference::moments_of(values), pass.layer)), test::kLayer);
+        EXPECT_LT(
+            worst_error(actual, reference::normalise(values, reference::moments_of(values), pass.layer)),
+            test::kLayer);
         const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, asked);
         const double scale = largest(expected.from.values) / largest_term(values, pass.layer, asked);
         EXPECT_LT(worst_error(d_from.read(), expected.from) * scale, 2e-5);
@@ -138,7 +152,8 @@ TEST_P(NormSizes, Derivatives) {
         for (std::size_t k = 0; k < n; k += 2) d_beta.push_back(d[4 + k]), d_gamma.push_back(d[5 + k]);
         EXPECT_LT(worst_error(d_beta, expected.beta), test::kLayer);
         EXPECT_LT(worst_error(d_gamma, expected.gamma), test::kLayer);
-        for (const std::size_t k : {std::size_t(0), std::size_t(3), n + 4, n + 5}) EXPECT_EQ(d[k], -7.0) << "wrote beside its parameters";
+        for (const std::size_t k : {std::size_t(0), std::size_t(3), n + 4, n + 5})
+            EXPECT_EQ(d[k], -7.0) << "wrote beside its parameters";
     }
 }
 
@@ -147,7 +162,8 @@ TEST_P(NormSizes, DerivativeByABias) {
     const test::ImageBatch asked = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
     OnePass pass(device(), c);
     const OnDevice d_to(device(), asked);
-    const auto d_bias = test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
+    const auto d_bias =
+        test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
     pass.norm.bias_vjp(pass.stream, d_to.slice(), d_bias.address());
     pass.stream.finish();
     std::vector<double> actual = test::doubles(d_bias);
@@ -156,7 +172,8 @@ TEST_P(NormSizes, DerivativeByABias) {
     EXPECT_LT(worst_error(actual, reference::channel_sums(asked)), test::kLayer);
 }
 
-/// Mean 1000, deviation 1: the naive E[x^2] - E[x]^2 has no digits left in single precision.
+/// Mean 1000, deviation 1: the naive E[x^2] - E[x]^2 has no digits left in single
+/// precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
         const NormCase c{grid, 3};
@@ -176,9 +193,12 @@ TEST_F(NormTest, MomentsOfValuesFarFromZero) {
 TEST_F(NormTest, ASinglePixelIsFinite) {
     const NormCase c{{1, 1, 1}, 3};
     OnePass pass(device(), c);
-    const test::ImageBatch actual = pass.forward(device(), OnDevice(device(), test::random_images(c.grid, 3, 1)), c);
-    for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(actual.values[k], std::max(pass.layer.beta[k], 0.0), 1e-5);
-    for (const glm::vec2& running : pass.running.download()) EXPECT_TRUE(std::isfinite(running.x) && std::isfinite(running.y));
+    const test::ImageBatch actual =
+        pass.forward(device(), OnDevice(device(), test::random_images(c.grid, 3, 1)), c);
+    for (std::size_t k = 0; k < 3; ++k)
+        EXPECT_NEAR(actual.values[k], std::max(pass.layer.beta[k], 0.0), 1e-5);
+    for (const glm::vec2& running : pass.running.download())
+        EXPECT_TRUE(std::isfinite(running.x) && std::isfinite(running.y));
 }
 
 TEST_F(NormTest, DropoutDropsItsShareByKey) {
@@ -187,18 +207,21 @@ TEST_F(NormTest, DropoutDropsItsShareByKey) {
         const std::vector<double> gate = gate_of(device(), c, dropout, 11);
         double n_dropped = 0.0, of_image[4] = {}, same = 0.0;
         for (std::size_t i = 0; i < gate.size(); ++i) {
-            EXPECT_TRUE(gate[i] == 0.0 || std::abs(gate[i] - 1.0 / (1.0 - double(dropout))) < 1e-6) << gate[i];
+            EXPECT_TRUE(gate[i] == 0.0 || std::abs(gate[i] - 1.0 / (1.0 - double(dropout))) < 1e-6)
+                << gate[i];
             n_dropped += gate[i] == 0.0;
             of_image[i / (gate.size() / 4)] += gate[i] == 0.0;
         }
-        const double n = double(gate.size()), deviation = std::sqrt(double(dropout) * (1.0 - double(dropout)) / n);
+        const double n = double(gate.size()),
+                     deviation = std::sqrt(double(dropout) * (1.0 - double(dropout)) / n);
         EXPECT_NEAR(n_dropped / n, dropout, 5.0 * deviation);
         for (const double share : of_image) EXPECT_NEAR(share / (n / 4.0), dropout, 10.0 * deviation);
         EXPECT_EQ(gate, gate_of(device(), c, dropout, 11));
         const std::vector<double> other = gate_of(device(), c, dropout, 12);
         for (std::size_t i = 0; i < gate.size(); ++i) same += (gate[i] == 0.0) == (other[i] == 0.0);
         // two independent masks agree where both drop or both keep
-        EXPECT_NEAR(same / n, double(dropout * dropout + (1.0f - dropout) * (1.0f - dropout)), 5.0 * 0.5 / std::sqrt(n));
+        EXPECT_NEAR(same / n, double(dropout * dropout + (1.0f - dropout) * (1.0f - dropout)),
+                    5.0 * 0.5 / std::sqrt(n));
     }
 }
 

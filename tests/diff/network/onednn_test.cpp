@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// The layers of the ray-drop network against oneDNN. It knows no ring of columns: images are given some columns of the other end on both
-// sides, and what it makes of those is left out, or of gradients added where they came from.
+// The layers of the ray-drop network against oneDNN. It knows no ring of columns: images
+// are given some columns of the other end on both sides, and what it makes of those is
+// left out, or of gradients added where they came from.
 #include <onednn_primitive.hpp>
 
 #include "../../support/device.hpp"
-#include "gpu/stream.hpp"
-#include "images.hpp"
 #include "diff/network/conv.hpp"
 #include "diff/network/norm.hpp"
 #include "diff/network/resample.hpp"
+#include "gpu/stream.hpp"
+#include "images.hpp"
 
 namespace relidar {
 namespace {
@@ -23,7 +24,9 @@ protected:
     dnnl::stream stream_{engine_};
 
     static memory::desc images_like(const ImageBatch& images) {
-        return {{images.n, images.channels, images.rows, images.columns}, memory::data_type::f32, memory::format_tag::nchw};
+        return {{images.n, images.channels, images.rows, images.columns},
+                memory::data_type::f32,
+                memory::format_tag::nchw};
     }
     memory given(const memory::desc& desc, const std::vector<double>& values) {
         memory result(desc, engine_);
@@ -53,18 +56,21 @@ ImageBatch ringed(const ImageBatch& images, int by) {
         for (int c = 0; c < images.channels; ++c)
             for (int y = 0; y < images.rows; ++y)
                 for (int x = 0; x < result.columns; ++x)
-                    result.at(image, c, y, x) = images.at(image, c, y, (x - by + images.columns) % images.columns);
+                    result.at(image, c, y, x) =
+                        images.at(image, c, y, (x - by + images.columns) % images.columns);
     return result;
 }
 
-/// The transpose: gradients of such columns added to those of the columns they were copied from.
+/// The transpose: gradients of such columns added to those of the columns they were
+/// copied from.
 ImageBatch folded(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
     for (int image = 0; image < images.n; ++image)
         for (int c = 0; c < images.channels; ++c)
             for (int y = 0; y < images.rows; ++y)
                 for (int x = 0; x < images.columns; ++x)
-                    result.at(image, c, y, (x - by + result.columns) % result.columns) += images.at(image, c, y, x);
+                    result.at(image, c, y, (x - by + result.columns) % result.columns) +=
+                        images.at(image, c, y, x);
     return result;
 }
 
@@ -75,7 +81,8 @@ ImageBatch cropped(const ImageBatch& images, int by) {
         for (int c = 0; c < images.channels; ++c)
             for (int y = 0; y < images.rows; ++y)
                 for (int x = 0; x < result.columns; ++x)
-                    if (x + by >= 0 && x + by < images.columns) result.at(image, c, y, x) = images.at(image, c, y, x + by);
+                    if (x + by >= 0 && x + by < images.columns)
+                        result.at(image, c, y, x) = images.at(image, c, y, x + by);
     return result;
 }
 
@@ -86,30 +93,36 @@ struct ConvAnswers {
 
 class OneDnnConv : public OneDnnTest, public testing::WithParamInterface<std::uint32_t> {
 protected:
-    ConvAnswers ask(const ImageBatch& plain, const std::vector<double>& weights, const std::vector<double>& bias, const ImageBatch& d_to,
-                    int taps) {
+    ConvAnswers ask(const ImageBatch& plain, const std::vector<double>& weights,
+                    const std::vector<double>& bias, const ImageBatch& d_to, int taps) {
         const int side = taps == 9 ? 3 : 1, reach = side / 2;
         const ImageBatch from = ringed(plain, reach);
         const memory::desc of_from = images_like(from), of_to = images_like(d_to),
-                           of_weights({d_to.channels, plain.channels, side, side}, memory::data_type::f32, memory::format_tag::oihw),
+                           of_weights({d_to.channels, plain.channels, side, side}, memory::data_type::f32,
+                                      memory::format_tag::oihw),
                            of_bias({d_to.channels}, memory::data_type::f32, memory::format_tag::x);
         const memory::dims strides{1, 1}, ends{reach, 0};
-        const auto forward =
-            onednn::describe<dnnl::convolution_forward>(engine_, prop_kind::forward_training, algorithm::convolution_direct, of_from,
-                                                        of_weights, of_bias, of_to, strides, ends, ends);
+        const auto forward = onednn::describe<dnnl::convolution_forward>(
+            engine_, prop_kind::forward_training, algorithm::convolution_direct, of_from, of_weights, of_bias,
+            of_to, strides, ends, ends);
         const auto by_input = onednn::describe_backward<dnnl::convolution_backward_data>(
             engine_, forward, algorithm::convolution_direct, of_from, of_weights, of_to, strides, ends, ends);
         const auto by_weights = onednn::describe_backward<dnnl::convolution_backward_weights>(
-            engine_, forward, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides, ends, ends);
-        memory in = given(from), w = given(of_weights, weights), b = given(of_bias, bias), asked = given(d_to), out = empty(of_to),
-               d_in = empty(of_from), d_w = empty(of_weights), d_b = empty(of_bias);
+            engine_, forward, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides,
+            ends, ends);
+        memory in = given(from), w = given(of_weights, weights), b = given(of_bias, bias),
+               asked = given(d_to), out = empty(of_to), d_in = empty(of_from), d_w = empty(of_weights),
+               d_b = empty(of_bias);
         execute(dnnl::convolution_forward(forward),
                 {{DNNL_ARG_SRC, in}, {DNNL_ARG_WEIGHTS, w}, {DNNL_ARG_BIAS, b}, {DNNL_ARG_DST, out}});
         execute(dnnl::convolution_backward_data(by_input),
                 {{DNNL_ARG_DIFF_DST, asked}, {DNNL_ARG_WEIGHTS, w}, {DNNL_ARG_DIFF_SRC, d_in}});
-        execute(dnnl::convolution_backward_weights(by_weights),
-                {{DNNL_ARG_SRC, in}, {DNNL_ARG_DIFF_DST, asked}, {DNNL_ARG_DIFF_WEIGHTS, d_w}, {DNNL_ARG_DIFF_BIAS, d_b}});
-        return {images_of(out, d_to), folded(images_of(d_in, from), reach), values_of(d_w, weights.size()), values_of(d_b, bias.size())};
+        execute(dnnl::convolution_backward_weights(by_weights), {{DNNL_ARG_SRC, in},
+                                                                 {DNNL_ARG_DIFF_DST, asked},
+                                                                 {DNNL_ARG_DIFF_WEIGHTS, d_w},
+                                                                 {DNNL_ARG_DIFF_BIAS, d_b}});
+        return {images_of(out, d_to), folded(images_of(d_in, from), reach), values_of(d_w, weights.size()),
+                values_of(d_b, bias.size())};
     }
 };
 INSTANTIATE_TEST_SUITE_P(Refine, OneDnnConv, testing::Values(1u, 9u));
@@ -120,18 +133,23 @@ TEST_P(OneDnnConv, Agrees) {
         Grid grid;
         int n_in, n_out;
     };
-    for (const Sizes& size : {Sizes{{4, 9, 37}, 9, 17}, Sizes{{1, 66, 1030}, 10, 16}, Sizes{{2, 2, 13}, 3, 1}}) {
-        const ImageBatch values = test::random_images(size.grid, size.n_in, 1), asked = test::random_images(size.grid, size.n_out, 2);
-        const std::vector<double> weights = test::random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
+    for (const Sizes& size :
+         {Sizes{{4, 9, 37}, 9, 17}, Sizes{{1, 66, 1030}, 10, 16}, Sizes{{2, 2, 13}, 3, 1}}) {
+        const ImageBatch values = test::random_images(size.grid, size.n_in, 1),
+                         asked = test::random_images(size.grid, size.n_out, 2);
+        const std::vector<double> weights =
+                                      test::random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
                                   bias = test::random_floats(std::size_t(size.n_out), 4);
         const ConvAnswers expected = ask(values, weights, bias, asked, int(taps));
         refine::Conv conv(device(), taps);
         refine::Norm norm(device());
         norm.reserve(device(), std::uint32_t(size.n_out), size.grid);
-        conv.reserve(device(), conv.partial_floats(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
+        conv.reserve(device(),
+                     conv.partial_floats(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), size.grid, size.n_out),
-                       d_from = OnDevice::unwritten(device(), size.grid, size.n_in);
+        const OnDevice from(device(), values), d_to(device(), asked),
+            to = OnDevice::unwritten(device(), size.grid, size.n_out),
+            d_from = OnDevice::unwritten(device(), size.grid, size.n_in);
         const auto w = test::to_device<shared::ConvWeights>(device(), weights);
         const auto b = test::to_device<shared::ConvBias>(device(), bias);
         const Array<float, shared::ConvWeights> d_w(device(), weights.size(), "gradient");
@@ -150,7 +168,7 @@ TEST_P(OneDnnConv, Agrees) {
 
 struct NormAnswers {
     ImageBatch to, d_from;
-    std::vector<double> d_gamma_beta;   ///< all gammas, then all betas
+    std::vector<double> d_gamma_beta;  ///< all gammas, then all betas
 };
 
 class OneDnnNorm : public OneDnnTest {
@@ -164,8 +182,9 @@ protected:
         const memory::desc of_channels({from.channels}, memory::data_type::f32, memory::format_tag::x);
         const auto beta = gamma_beta.begin() + from.channels;
         memory in = given(from), scale = given(of_channels, {gamma_beta.begin(), beta}),
-               shift = given(of_channels, {beta, gamma_beta.end()}), out = empty(of_images), d_in = empty(of_images),
-               mean = empty(forward.mean_desc()), variance = empty(forward.variance_desc()), d_scale = empty(of_channels),
+               shift = given(of_channels, {beta, gamma_beta.end()}), out = empty(of_images),
+               d_in = empty(of_images), mean = empty(forward.mean_desc()),
+               variance = empty(forward.variance_desc()), d_scale = empty(of_channels),
                d_shift = empty(of_channels);
         execute(dnnl::batch_normalization_forward(forward), {{DNNL_ARG_SRC, in},
                                                              {DNNL_ARG_SCALE, scale},
@@ -179,17 +198,16 @@ protected:
             to.values[i] = std::max(to.values[i], 0.0);
         }
         memory d_out = given(asked);
-        execute(dnnl::batch_normalization_backward(backward), {{DNNL_ARG_SRC, in},
-                                                               {DNNL_ARG_MEAN, mean},
-                                                               {DNNL_ARG_VARIANCE, variance},
-                                                               {DNNL_ARG_DIFF_DST, d_out},
-                                                               {DNNL_ARG_SCALE, scale},
-#if DNNL_VERSION_MAJOR < 3   // asks for what it does not use; 3 refuses it
-                                                               {DNNL_ARG_SHIFT, shift},
+        execute(dnnl::batch_normalization_backward(backward), {
+            {DNNL_ARG_SRC, in}, {DNNL_ARG_MEAN, mean}, {DNNL_ARG_VARIANCE, variance},
+                {DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_SCALE, scale},
+#if DNNL_VERSION_MAJOR < 3  // asks for what it does not use; 3 refuses it
+                {DNNL_ARG_SHIFT, shift},
 #endif
-                                                               {DNNL_ARG_DIFF_SRC, d_in},
-                                                               {DNNL_ARG_DIFF_SCALE, d_scale},
-                                                               {DNNL_ARG_DIFF_SHIFT, d_shift}});
+                {DNNL_ARG_DIFF_SRC, d_in}, {DNNL_ARG_DIFF_SCALE, d_scale}, {
+                DNNL_ARG_DIFF_SHIFT, d_shift
+            }
+        });
         std::vector<double> d_gamma_beta = values_of(d_scale, std::size_t(from.channels));
         const std::vector<double> d_beta = values_of(d_shift, std::size_t(from.channels));
         d_gamma_beta.insert(d_gamma_beta.end(), d_beta.begin(), d_beta.end());
@@ -202,7 +220,8 @@ TEST_F(OneDnnNorm, Agrees) {
         const int channels = 9;
         const ImageBatch values = test::random_images(grid, channels, 1, 2.0, 0.7);
         ImageBatch asked = test::random_images(grid, channels, 2);
-        const std::vector<double> beta = test::random_floats(channels, 5, 0.5), gamma = test::random_floats(channels, 6);
+        const std::vector<double> beta = test::random_floats(channels, 5, 0.5),
+                                  gamma = test::random_floats(channels, 6);
         test::leave_out_kinks(asked, values, beta, gamma);
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
@@ -214,8 +233,9 @@ TEST_F(OneDnnNorm, Agrees) {
         const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), grid, channels),
-                       d_from = OnDevice::unwritten(device(), grid, channels);
+        const OnDevice from(device(), values), d_to(device(), asked),
+            to = OnDevice::unwritten(device(), grid, channels),
+            d_from = OnDevice::unwritten(device(), grid, channels);
         norm.forward(stream, from.slice(), {parameters.address(), running.address()}, state, to.slice());
         norm.vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), {d_parameters, 0});
         stream.finish();
@@ -233,20 +253,26 @@ class OneDnnResample : public OneDnnTest {};
 
 TEST_F(OneDnnResample, PoolingAgrees) {
     for (const Grid& grid : {Grid{4, 7, 13}, Grid{1, 66, 1030}}) {
-        const ImageBatch values = test::random_images(grid, 3, 1), asked = test::random_images(refine::pooled(grid), 3, 2);
+        const ImageBatch values = test::random_images(grid, 3, 1),
+                         asked = test::random_images(refine::pooled(grid), 3, 2);
         const memory::desc of_from = images_like(values), of_to = images_like(asked);
         const memory::dims two{2, 2}, none{0, 0};
-        const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training, algorithm::pooling_max,
-                                                                       of_from, of_to, two, two, none, none, none);
-        const auto backward = onednn::describe_backward<onednn::pooling_backward>(engine_, forward, algorithm::pooling_max, of_from, of_to,
-                                                                                  two, two, none, none, none);
-        memory in = given(values), d_out = given(asked), out = empty(of_to), d_in = empty(of_from), which = empty(forward.workspace_desc());
-        execute(onednn::pooling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
-        execute(onednn::pooling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
+        const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training,
+                                                                       algorithm::pooling_max, of_from, of_to,
+                                                                       two, two, none, none, none);
+        const auto backward = onednn::describe_backward<onednn::pooling_backward>(
+            engine_, forward, algorithm::pooling_max, of_from, of_to, two, two, none, none, none);
+        memory in = given(values), d_out = given(asked), out = empty(of_to), d_in = empty(of_from),
+               which = empty(forward.workspace_desc());
+        execute(onednn::pooling_forward(forward),
+                {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
+        execute(onednn::pooling_backward(backward),
+                {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
         refine::Resample resample(device());
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), refine::pooled(grid), 3),
-                       d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
+        const OnDevice from(device(), values), d_to(device(), asked),
+            to = OnDevice::unwritten(device(), refine::pooled(grid), 3),
+            d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
         resample.pool(stream, from.slice(), to.slice());
         resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
         stream.finish();
@@ -255,26 +281,29 @@ TEST_F(OneDnnResample, PoolingAgrees) {
     }
 }
 
-/// Twice the columns, so that columns beyond the ends keep every centre where it was; any number of rows.
+/// Twice the columns, so that columns beyond the ends keep every centre where it was; any
+/// number of rows.
 TEST_F(OneDnnResample, UpsamplingAgrees) {
     struct Sizes {
         Grid small, large;
     };
     for (const Sizes& size : {Sizes{{4, 3, 13}, {4, 7, 26}}, Sizes{{1, 33, 515}, {1, 66, 1030}}}) {
-        const ImageBatch values = test::random_images(size.small, 3, 1), asked = test::random_images(size.large, 3, 2);
+        const ImageBatch values = test::random_images(size.small, 3, 1),
+                         asked = test::random_images(size.large, 3, 2);
         const ImageBatch wide = ringed(values, 1), wide_asked = cropped(asked, -2);
         const memory::desc of_from = images_like(wide), of_to = images_like(wide_asked);
-        const auto forward = onednn::describe<dnnl::resampling_forward>(engine_, prop_kind::forward_training, algorithm::resampling_linear,
-                                                                        of_from, of_to);
-        const auto backward =
-            onednn::describe_backward<dnnl::resampling_backward>(engine_, forward, algorithm::resampling_linear, of_from, of_to);
+        const auto forward = onednn::describe<dnnl::resampling_forward>(
+            engine_, prop_kind::forward_training, algorithm::resampling_linear, of_from, of_to);
+        const auto backward = onednn::describe_backward<dnnl::resampling_backward>(
+            engine_, forward, algorithm::resampling_linear, of_from, of_to);
         memory in = given(wide), d_out = given(wide_asked), out = empty(of_to), d_in = empty(of_from);
         execute(dnnl::resampling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}});
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});
         refine::Resample resample(device());
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked), to = OnDevice::unwritten(device(), size.large, 3),
-                       d_from = OnDevice::unwritten(device(), size.small, 3);
+        const OnDevice from(device(), values), d_to(device(), asked),
+            to = OnDevice::unwritten(device(), size.large, 3),
+            d_from = OnDevice::unwritten(device(), size.small, 3);
         resample.upsample(stream, from.slice(), to.slice());
         resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
         stream.finish();

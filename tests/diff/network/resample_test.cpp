@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/pool, diff/network/pool_vjp, diff/network/upsample and diff/network/upsample_vjp against the
-// double reference: odd sizes, ties, the ring, slices.
+// diff/network/pool, diff/network/pool_vjp, diff/network/upsample and
+// diff/network/upsample_vjp against the double reference: odd sizes, ties, the ring,
+// slices.
 #include "diff/network/resample.hpp"
 
 #include "../../support/device.hpp"
@@ -26,68 +27,81 @@ struct UpsampleCase {
     int channels;
 };
 void PrintTo(const UpsampleCase& c, std::ostream* out) {
-    *out << c.small.n << "x" << c.small.rows << "x" << c.small.columns << " -> " << c.large.rows << "x" << c.large.columns << ", "
-         << c.channels;
+    *out << c.small.n << "x" << c.small.rows << "x" << c.small.columns << " -> " << c.large.rows << "x"
+         << c.large.columns << ", " << c.channels;
 }
 
 class ResampleTest : public test::DeviceTest {};
 class PoolSizes : public test::DeviceTest, public testing::WithParamInterface<PoolCase> {};
 class UpsampleSizes : public test::DeviceTest, public testing::WithParamInterface<UpsampleCase> {};
 INSTANTIATE_TEST_SUITE_P(Refine, PoolSizes,
-                         testing::Values(PoolCase{{1, 66, 1030}, 3}, PoolCase{{4, 5, 13}, 9}, PoolCase{{1, 7, 9}, 17},
-                                         PoolCase{{4, 2, 3}, 1}, PoolCase{{1, 3, 2}, 3}, PoolCase{{4, 1, 3}, 3}, PoolCase{{1, 5, 1}, 3}));
-INSTANTIATE_TEST_SUITE_P(Refine, UpsampleSizes,
-                         testing::Values(UpsampleCase{{1, 33, 515}, {1, 66, 1030}, 3}, UpsampleCase{{4, 2, 6}, {4, 5, 13}, 9},
-                                         UpsampleCase{{1, 3, 4}, {1, 7, 9}, 17}, UpsampleCase{{4, 1, 1}, {4, 2, 3}, 1},
-                                         UpsampleCase{{1, 1, 2}, {1, 3, 5}, 3}, UpsampleCase{{1, 2, 3}, {1, 2, 3}, 3},
-                                         UpsampleCase{{4, 3, 2}, {4, 13, 9}, 3}, UpsampleCase{{1, 8, 16}, {1, 16, 32}, 3},
-                                         UpsampleCase{{1, 1, 1}, {1, 1, 1}, 1}, UpsampleCase{{1, 5, 7}, {1, 6, 8}, 3}));
+                         testing::Values(PoolCase{{1, 66, 1030}, 3}, PoolCase{{4, 5, 13}, 9},
+                                         PoolCase{{1, 7, 9}, 17}, PoolCase{{4, 2, 3}, 1},
+                                         PoolCase{{1, 3, 2}, 3}, PoolCase{{4, 1, 3}, 3},
+                                         PoolCase{{1, 5, 1}, 3}));
+INSTANTIATE_TEST_SUITE_P(
+    Refine, UpsampleSizes,
+    testing::Values(UpsampleCase{{1, 33, 515}, {1, 66, 1030}, 3}, UpsampleCase{{4, 2, 6}, {4, 5, 13}, 9},
+                    UpsampleCase{{1, 3, 4}, {1, 7, 9}, 17}, UpsampleCase{{4, 1, 1}, {4, 2, 3}, 1},
+                    UpsampleCase{{1, 1, 2}, {1, 3, 5}, 3}, UpsampleCase{{1, 2, 3}, {1, 2, 3}, 3},
+                    UpsampleCase{{4, 3, 2}, {4, 13, 9}, 3}, UpsampleCase{{1, 8, 16}, {1, 16, 32}, 3},
+                    UpsampleCase{{1, 1, 1}, {1, 1, 1}, 1}, UpsampleCase{{1, 5, 7}, {1, 6, 8}, 3}));
 
 TEST_P(PoolSizes, PoolAndItsDerivative) {
     const PoolCase& c = GetParam();
     test::ImageBatch values = test::random_images(c.grid, c.channels, 1);
-    for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);   // many are equal
+    // many are equal
+    for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
     const Grid small = refine::pooled(c.grid);
     EXPECT_EQ(small, (Grid{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
-    const test::ImageBatch asked = test::random_images(small, c.channels, 2), before = test::random_images(c.grid, c.channels, 3);
+    const test::ImageBatch asked = test::random_images(small, c.channels, 2),
+                           before = test::random_images(c.grid, c.channels, 3);
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels), d_to(device(), asked),
-                                           d_from(device(), before);
+    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels),
+                                           d_to(device(), asked), d_from(device(), before);
     resample.pool(stream, from.slice(), to.slice());
     resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();
     EXPECT_EQ(to.read().values, reference::pool(values).values);
     test::ImageBatch expected = reference::pool_vjp(values, asked);
-    for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];   // it is added
+    // it is added
+    for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];
     EXPECT_LT(worst_error(d_from.read(), expected), 1e-6);
 }
 
 /// Four pixels of which some are equal: the first one gets all of it.
 TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
-    const std::vector<std::vector<double>> quads{{1, 1, 1, 1}, {0, 2, 2, 1}, {0, 1, 3, 3}, {-1, -2, -1, -1}, {0, 0, 0, 5}};
+    const std::vector<std::vector<double>> quads{
+        {1, 1, 1, 1}, {0, 2, 2, 1}, {0, 1, 3, 3}, {-1, -2, -1, -1}, {0, 0, 0, 5}};
     const std::vector<int> winner{0, 1, 2, 0, 3};
     test::ImageBatch values(1, 1, 2, 10), ones(1, 1, 1, 5);
     for (int q = 0; q < 5; ++q) {
         ones.at(0, 0, 0, q) = 1.0;
-        for (int k = 0; k < 4; ++k) values.at(0, 0, k / 2, 2 * q + k % 2) = quads[std::size_t(q)][std::size_t(k)];
+        for (int k = 0; k < 4; ++k)
+            values.at(0, 0, k / 2, 2 * q + k % 2) = quads[std::size_t(q)][std::size_t(k)];
     }
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), values), d_to(device(), ones), d_from(device(), test::ImageBatch(1, 1, 2, 10));
+    const OnDevice from(device(), values), d_to(device(), ones),
+        d_from(device(), test::ImageBatch(1, 1, 2, 10));
     resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();
     const test::ImageBatch d = d_from.read();
     for (int q = 0; q < 5; ++q)
-        for (int k = 0; k < 4; ++k) EXPECT_EQ(d.at(0, 0, k / 2, 2 * q + k % 2), k == winner[std::size_t(q)] ? 1.0 : 0.0) << q << " " << k;
+        for (int k = 0; k < 4; ++k)
+            EXPECT_EQ(d.at(0, 0, k / 2, 2 * q + k % 2), k == winner[std::size_t(q)] ? 1.0 : 0.0)
+                << q << " " << k;
 }
 
 TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
-    const test::ImageBatch values = test::random_images(c.small, c.channels, 1), asked = test::random_images(c.large, c.channels, 2);
+    const test::ImageBatch values = test::random_images(c.small, c.channels, 1),
+                           asked = test::random_images(c.large, c.channels, 2);
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.large, c.channels), d_to(device(), asked),
+    const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.large, c.channels),
+                                           d_to(device(), asked),
                                            d_from = OnDevice::unwritten(device(), c.small, c.channels);
     resample.upsample(stream, from.slice(), to.slice());
     resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
@@ -97,7 +111,8 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     EXPECT_LT(worst_error(back, reference::upsample_vjp(asked, back.rows, back.columns)), 2e-6);
     // both kernels place pixels alike, so that they are transposes to rounding
     const double forth = test::dot(asked.values, actual.values);
-    EXPECT_NEAR(test::dot(back.values, values.values), forth, 1e-6 * std::sqrt(double(asked.values.size())) * 4.0);
+    EXPECT_NEAR(test::dot(back.values, values.values), forth,
+                1e-6 * std::sqrt(double(asked.values.size())) * 4.0);
 }
 
 /// Constants stay, rows end with the last one, and the first and last column are mixed.
@@ -107,7 +122,8 @@ TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     for (double& x : ones.values) x = 1.0;
     Resample resample(device());
     Stream stream(device());
-    const OnDevice from(device(), first), to = OnDevice::unwritten(device(), {1, 4, 8}, 1), even(device(), ones),
+    const OnDevice from(device(), first), to = OnDevice::unwritten(device(), {1, 4, 8}, 1),
+                                          even(device(), ones),
                                           even_to = OnDevice::unwritten(device(), {1, 7, 11}, 1);
     resample.upsample(stream, from.slice(), to.slice());
     resample.upsample(stream, even.slice(), even_to.slice());
@@ -115,7 +131,8 @@ TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     const test::ImageBatch actual = to.read();
     const double column[8] = {0.75, 0.75, 0.25, 0.0, 0.0, 0.0, 0.0, 0.25}, row[4] = {1.0, 0.75, 0.25, 0.0};
     for (int y = 0; y < 4; ++y)
-        for (int x = 0; x < 8; ++x) EXPECT_NEAR(actual.at(0, 0, y, x), row[y] * column[x], 1e-6) << y << " " << x;
+        for (int x = 0; x < 8; ++x)
+            EXPECT_NEAR(actual.at(0, 0, y, x), row[y] * column[x], 1e-6) << y << " " << x;
     for (const double x : even_to.read().values) EXPECT_NEAR(x, 1.0, 1e-6);
 }
 

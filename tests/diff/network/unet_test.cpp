@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// The whole network against the same network put together from the double reference's layers: its logits in training and in evaluation, and
-// its gradient against central differences of the reference, a few parameters of every group.
+// The whole network against the same network put together from the double reference's
+// layers: its logits in training and in evaluation, and its gradient against central
+// differences of the reference, a few parameters of every group.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
 
 #include "../../support/device.hpp"
-#include "images.hpp"
 #include "diff/network/drop_network.hpp"
 #include "diff/network/unet.hpp"
+#include "images.hpp"
 
 namespace relidar {
 namespace {
@@ -28,14 +29,16 @@ public:
         const std::size_t n_levels = network_.widths.size() - 1;
         std::vector<ImageBatch> skips{convolve(plan_.head, inputs)};
         for (std::size_t l = 1; l <= n_levels; ++l)
-            skips.push_back(run(plan_.down[2 * l - 1], run(plan_.down[2 * l - 2], reference::pool(skips.back()))));
+            skips.push_back(
+                run(plan_.down[2 * l - 1], run(plan_.down[2 * l - 2], reference::pool(skips.back()))));
         ImageBatch up;
         if (n_levels > 0) {
             up = std::move(skips.back());
             skips.pop_back();
             if (network_.heads > 0) attend(up);
         }
-        for (std::size_t l = skips.size(); l-- > 0;) up = run(plan_.up[2 * l + 1], run(plan_.up[2 * l], joined(up, skips[l])));
+        for (std::size_t l = skips.size(); l-- > 0;)
+            up = run(plan_.up[2 * l + 1], run(plan_.up[2 * l], joined(up, skips[l])));
         return convolve(plan_.tail, up);
     }
 
@@ -50,8 +53,9 @@ private:
     }
     ImageBatch convolve(const ConvLayer& layer, const ImageBatch& from) const {
         const std::vector<double> bias = layer.bias ? part(*layer.bias, layer.n_out) : std::vector<double>{};
-        return reference::convolve(from, part(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps), bias, int(layer.n_out),
-                                   int(layer.taps));
+        return reference::convolve(from,
+                                   part(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps),
+                                   bias, int(layer.n_out), int(layer.taps));
     }
     ImageBatch run(const Block& block, const ImageBatch& from) const {
         reference::NormLayer layer;
@@ -62,10 +66,12 @@ private:
             running.mean.push_back(double(network_.running[block.running + 2 * c]));
             running.variance.push_back(double(network_.running[block.running + 2 * c + 1]));
         }
-        return convolve(block.conv, reference::normalise(from, training_ ? reference::moments_of(from) : running, layer));
+        return convolve(block.conv,
+                        reference::normalise(from, training_ ? reference::moments_of(from) : running, layer));
     }
     void attend(ImageBatch& images) const {
-        const ImageBatch added = convolve(plan_.project, reference::attend(run(*plan_.query, images), int(network_.heads)));
+        const ImageBatch added =
+            convolve(plan_.project, reference::attend(run(*plan_.query, images), int(network_.heads)));
         for (std::size_t i = 0; i < images.values.size(); ++i) images.values[i] += added.values[i];
     }
     static ImageBatch joined(const ImageBatch& below, const ImageBatch& skip) {
@@ -76,8 +82,9 @@ private:
             for (int c = 0; c < result.channels; ++c)
                 for (int y = 0; y < skip.rows; ++y)
                     for (int x = 0; x < skip.columns; ++x)
-                        result.at(image, c, y, x) =
-                            c < below.channels ? larger.at(image, c, y, x) : skip.at(image, c - below.channels, y, x);
+                        result.at(image, c, y, x) = c < below.channels
+                                                        ? larger.at(image, c, y, x)
+                                                        : skip.at(image, c - below.channels, y, x);
         return result;
     }
 };
@@ -102,23 +109,26 @@ protected:
         network_.taps = GetParam().taps;
         const UnetPlan plan(network_);
         refine::initialise(network_, plan, 5);
-        parameters_ = test::random_floats(plan.n_parameters, 6, 0.4, 0.1);   // nothing at its start: zeros would hide gradients
+        // nothing at its start: zeros would hide gradients
+        parameters_ = test::random_floats(plan.n_parameters, 6, 0.4, 0.1);
         network_.parameters.assign(parameters_.begin(), parameters_.end());
         const std::vector<double> running = test::random_floats(plan.n_running, 7, 0.3);
-        for (std::size_t i = 0; i < running.size(); ++i) network_.running[i] = float(i % 2 ? 1.0 + std::abs(running[i]) : running[i]);
+        for (std::size_t i = 0; i < running.size(); ++i)
+            network_.running[i] = float(i % 2 ? 1.0 + std::abs(running[i]) : running[i]);
         inputs_ = test::random_images(GetParam().grid, 3, 8);
     }
-    void fill_inputs(const refine::Unet& unet) {
-        test::upload(unet.inputs(), inputs_.values);
-    }
+    void fill_inputs(const refine::Unet& unet) { test::upload(unet.inputs(), inputs_.values); }
 };
 
 INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
-                         testing::Values(Shape{"two_levels", {4, 6, 8}, 0, 9, {2, 9, 13}}, Shape{"attention", {4, 8}, 2, 9, {2, 7, 10}},
-                                         Shape{"pixel", {5}, 0, 1, {2, 3, 11}}, Shape{"three_levels", {2, 4, 4, 6}, 3, 9, {1, 17, 26}}),
+                         testing::Values(Shape{"two_levels", {4, 6, 8}, 0, 9, {2, 9, 13}},
+                                         Shape{"attention", {4, 8}, 2, 9, {2, 7, 10}},
+                                         Shape{"pixel", {5}, 0, 1, {2, 3, 11}},
+                                         Shape{"three_levels", {2, 4, 4, 6}, 3, 9, {1, 17, 26}}),
                          [](const auto& tested) { return std::string(tested.param.name); });
 
-void expect_near(const std::vector<double>& found, const std::vector<double>& expected, double tolerance, const char* what) {
+void expect_near(const std::vector<double>& found, const std::vector<double>& expected, double tolerance,
+                 const char* what) {
     ASSERT_EQ(found.size(), expected.size());
     double error = 0.0, size = 0.0;
     for (std::size_t i = 0; i < found.size(); ++i) {
@@ -137,10 +147,12 @@ TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     Stream stream(device());
     unet.evaluate(stream);
     stream.finish();
-    expect_near(test::doubles(unet.logit().values), ReferenceUnet(network_, parameters_, false).logits(inputs_).values, 1e-5, "evaluation");
+    expect_near(test::doubles(unet.logit().values),
+                ReferenceUnet(network_, parameters_, false).logits(inputs_).values, 1e-5, "evaluation");
     unet.forward(stream, 1, 0.0f);
     stream.finish();
-    expect_near(test::doubles(unet.logit().values), ReferenceUnet(network_, parameters_, true).logits(inputs_).values, 1e-4, "training");
+    expect_near(test::doubles(unet.logit().values),
+                ReferenceUnet(network_, parameters_, true).logits(inputs_).values, 1e-4, "training");
 }
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
@@ -163,7 +175,7 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         return std::inner_product(asked.begin(), asked.end(), logits.values.begin(), 0.0);
     };
     const UnetPlan plan(network_);
-    std::vector<std::pair<std::size_t, std::size_t>> groups;   // first and number of parameters
+    std::vector<std::pair<std::size_t, std::size_t>> groups;  // first and number of parameters
     const auto add_conv = [&](const ConvLayer& layer) {
         groups.emplace_back(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps);
         if (layer.bias) groups.emplace_back(*layer.bias, layer.n_out);
@@ -184,12 +196,13 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
             found.push_back(gradients[parameter]);
             expected.push_back((loss(parameter, 1e-6) - loss(parameter, -1e-6)) / 2e-6);
         }
-        // a bias before a normalisation by the batch has no effect but by way of the next convolution's zeros
-        const double largest = std::abs(*std::max_element(expected.begin(), expected.end(), [](double a, double b) {
-            return std::abs(a) < std::abs(b);
-        }));
+        // a bias before a normalisation by the batch has no effect but by way of the next
+        // convolution's zeros
+        const double largest = std::abs(*std::max_element(
+            expected.begin(), expected.end(), [](double a, double b) { return std::abs(a) < std::abs(b); }));
         for (std::size_t k = 0; k < found.size(); ++k)
-            EXPECT_NEAR(found[k], expected[k], 2e-3 * largest + 1e-3) << "parameter " << k << " of the group at " << first;
+            EXPECT_NEAR(found[k], expected[k], 2e-3 * largest + 1e-3)
+                << "parameter " << k << " of the group at " << first;
     }
 }
 

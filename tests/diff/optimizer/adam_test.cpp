@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/optimizer/adam against Adam written out in double, every parameter group, untouched rows, inactive SH
-// coefficients, and the schedule.
+// diff/optimizer/adam against Adam written out in double, every parameter group,
+// untouched rows, inactive SH coefficients, and the schedule.
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
 
-#include "gpu/forced.hpp"
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/scene/device_scene.hpp>
+#include "gpu/forced.hpp"
 
 #include "../../support/device.hpp"
-#include "gpu/stream.hpp"
 #include "diff/shared/optimizer.h"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
@@ -32,7 +32,8 @@ Surfels random_surfels(std::uint32_t n, std::uint64_t seed, ParameterSet of) {
     for (auto& x : s.opacity_logit) x = normal(random);
     for (auto& x : s.sh) x = normal(random);
     for (auto& x : s.log_scale_w) x = normal(random);
-    for (Gait& x : s.gait) x = {normal(random), normal(random), {normal(random), normal(random), normal(random)}};
+    for (Gait& x : s.gait)
+        x = {normal(random), normal(random), {normal(random), normal(random), normal(random)}};
     return s;
 }
 
@@ -47,13 +48,18 @@ struct Scalar {
     }
 };
 
-/// Three models, the second without surfels: each has a rate of its own for its means, and the others' for all else.
+/// Three models, the second without surfels: each has a rate of its own for its means,
+/// and the others' for all else.
 TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     std::vector<shared::ModelEntry> entries(3);
     entries[1].first_surfel = entries[2].first_surfel = 40;
     const Array<shared::ModelEntry> models(device(), std::span<const shared::ModelEntry>(entries), "models");
-    const LearningRates rates{.mean = 1e-2, .rotation = 2e-3, .log_scale = 3e-3, .opacity_logit = 4e-2, .models = &models,
+    const LearningRates rates{.mean = 1e-2,
+                              .rotation = 2e-3,
+                              .log_scale = 3e-3,
+                              .opacity_logit = 4e-2,
+                              .models = &models,
                               .mean_factors = {1.0f, 7.0f, 0.25f}};
     const Forced forced(device(), {.coalesces = GetParam()});
     Adam adam(device(), n, {.n_fixed = n_fixed});
@@ -80,8 +86,14 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     }
 }
 
-const LearningRates kRates{.mean = 1e-3, .rotation = 2e-3, .log_scale = 3e-3, .opacity_logit = 4e-2, .sh = 5e-3, .sh_rest_factor = 0.05,
-                           .gait = 7e-4, .intensity_factor = 0.4};
+const LearningRates kRates{.mean = 1e-3,
+                           .rotation = 2e-3,
+                           .log_scale = 3e-3,
+                           .opacity_logit = 4e-2,
+                           .sh = 5e-3,
+                           .sh_rest_factor = 0.05,
+                           .gait = 7e-4,
+                           .intensity_factor = 0.4};
 
 /// A third of the scales begin above what they may grow to.
 std::vector<float> some_bounds(std::uint32_t n) {
@@ -90,32 +102,40 @@ std::vector<float> some_bounds(std::uint32_t n) {
     return bounds;
 }
 
-/// With one thread a row and one a float; where all rows have gradients, where those that are not touched (in some steps or
-/// in all) decay, and where these stay; in the latter two the first rows are fixed.
+/// With one thread a row and one a float; where all rows have gradients, where those that
+/// are not touched (in some steps or in all) decay, and where these stay; in the latter
+/// two the first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const std::vector<float> bounds = some_bounds(n);
     enum class Untouched { none, decay, stay };
     for (const Untouched untouched : {Untouched::none, Untouched::decay, Untouched::stay}) {
         const bool only_touched = untouched == Untouched::stay;
-        const ParameterSet parameter_set{only_touched ? Primitive::gaussian : Primitive::surfel, untouched == Untouched::decay};
+        const ParameterSet parameter_set{only_touched ? Primitive::gaussian : Primitive::surfel,
+                                         untouched == Untouched::decay};
         const std::uint32_t n_fixed = untouched == Untouched::none ? 0 : 37;
         const Forced forced(device(), {.coalesces = GetParam()});
         Adam adam(device(), n, {.only_touched = only_touched, .n_fixed = n_fixed}, parameter_set);
         adam.bound_scales(device(), bounds);
         Stream stream(device());
-        SurfelArrays parameters(device(), n, "parameters", parameter_set), gradients(device(), n, "gradients", parameter_set);
+        SurfelArrays parameters(device(), n, "parameters", parameter_set),
+            gradients(device(), n, "gradients", parameter_set);
         const Surfels start = random_surfels(n, 1, parameter_set);
         parameters.upload(start);
-        const auto is_touched = [&](std::uint32_t i, int t) { return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t; };
+        const auto is_touched = [&](std::uint32_t i, int t) {
+            return untouched == Untouched::none || i % 3 == 0 || int(i % 3) == t;
+        };
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
-            g.push_back(random_surfels(n, 10 + std::uint64_t(t), parameter_set));   // that of the others must not be read
+            // that of the others must not be read
+            g.push_back(random_surfels(n, 10 + std::uint64_t(t), parameter_set));
             gradients.upload(g.back());
             std::vector<std::uint32_t> touched(n);
             for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
-            const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), std::span<const std::uint32_t>(touched), "touched");
-            adam.step(stream, parameters, gradients, untouched == Untouched::none ? nullptr : &on_device, kRates, t, 2);
+            const Array<std::uint32_t, shared::TouchedSurfels> on_device(
+                device(), std::span<const std::uint32_t>(touched), "touched");
+            adam.step(stream, parameters, gradients, untouched == Untouched::none ? nullptr : &on_device,
+                      kRates, t, 2);
             stream.finish();
         }
         const Surfels actual = parameters.download();
@@ -130,22 +150,27 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
                 EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
             };
             for (int k = 0; k < 3; ++k)
-                expect(start.mean[i][k], actual.mean[i][k], kRates.mean, [&](const Surfels& s) { return s.mean[i][k]; });
+                expect(start.mean[i][k], actual.mean[i][k], kRates.mean,
+                       [&](const Surfels& s) { return s.mean[i][k]; });
             for (int k = 0; k < 4; ++k)
-                expect(start.rotation[i][k], actual.rotation[i][k], kRates.rotation, [&](const Surfels& s) { return s.rotation[i][k]; });
+                expect(start.rotation[i][k], actual.rotation[i][k], kRates.rotation,
+                       [&](const Surfels& s) { return s.rotation[i][k]; });
             for (int k = 0; k < 2; ++k)
                 expect(start.log_scale[i][k], actual.log_scale[i][k], kRates.log_scale,
                        [&](const Surfels& s) { return s.log_scale[i][k]; });
             for (int k = 0; k < 5 && parameter_set.bends; ++k)
-                expect(gait(start)[k], gait(actual)[k], kRates.gait, [&](const Surfels& s) { return gait(s)[k]; });
+                expect(gait(start)[k], gait(actual)[k], kRates.gait,
+                       [&](const Surfels& s) { return gait(s)[k]; });
             if (kind_of(parameter_set.primitive).third_scale)
-                expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale, [&](const Surfels& s) { return s.log_scale_w[i]; });
+                expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale,
+                       [&](const Surfels& s) { return s.log_scale_w[i]; });
             expect(start.opacity_logit[i], actual.opacity_logit[i], kRates.opacity_logit,
                    [&](const Surfels& s) { return s.opacity_logit[i]; });
             for (std::size_t k = 0; k < kShFloats; ++k) {
                 const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
                 // degree 2: nine coefficients
-                const double factor = (within == 0 ? 1.0 : kRates.sh_rest_factor) * (k < kShCoefficients ? kRates.intensity_factor : 1.0);
+                const double factor = (within == 0 ? 1.0 : kRates.sh_rest_factor) *
+                                      (k < kShCoefficients ? kRates.intensity_factor : 1.0);
                 const double rate = within >= 9 ? 0.0 : kRates.sh * factor;
                 expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
             }
@@ -153,7 +178,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     }
 }
 
-/// 65535 workgroups is all a device need take in one dimension; a launch of more must reach the last row all the same.
+/// 65535 workgroups is all a device need take in one dimension; a launch of more must
+/// reach the last row all the same.
 TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     const std::uint32_t n = 2200000;
     const Kernel<shared::AdamParams> kernel(device(), "diff/optimizer/adam");
@@ -163,16 +189,37 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     Array<float, shared::SecondMoments> v(device(), n, "v");
     Stream stream(device());
     for (const Buffer* array : {&value.buffer(), &m.buffer(), &v.buffer()}) stream.fill(*array);
-    stream.fill(gradient, 0x3f800000u);   // 1
+    stream.fill(gradient, 0x3f800000u);  // 1
     run(stream, kernel, n,
-        {.values = value.address(), .gradients = gradient.address(), .moment1 = m.address(), .moment2 = v.address(), .touched = {},
-         .rows = {}, .n_listed = {}, .bounds = {}, .model_scale = {}, .models = {},
-         .learning_rate = 1.0f, .beta1 = 0.9f, .beta2 = 0.999f, .epsilon = 1e-15f, .correction1 = 10.0f, .correction2 = 1000.0f,
-         .first_scale = 1.0f, .block_scale = 1.0f, .n_models = 0, .first_row = 0,
-         .n_rows = n, .stride = 1, .block = 1, .n_blocks = 1, .n_active = 1});
+        {.values = value.address(),
+         .gradients = gradient.address(),
+         .moment1 = m.address(),
+         .moment2 = v.address(),
+         .touched = {},
+         .rows = {},
+         .n_listed = {},
+         .bounds = {},
+         .model_scale = {},
+         .models = {},
+         .learning_rate = 1.0f,
+         .beta1 = 0.9f,
+         .beta2 = 0.999f,
+         .epsilon = 1e-15f,
+         .correction1 = 10.0f,
+         .correction2 = 1000.0f,
+         .first_scale = 1.0f,
+         .block_scale = 1.0f,
+         .n_models = 0,
+         .first_row = 0,
+         .n_rows = n,
+         .stride = 1,
+         .block = 1,
+         .n_blocks = 1,
+         .n_active = 1});
     stream.finish();
     const std::vector<float> values = value.download();
-    EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }), std::ptrdiff_t(n));
+    EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
+              std::ptrdiff_t(n));
 }
 
 TEST(Schedule, IsExponentialBetweenItsEnds) {

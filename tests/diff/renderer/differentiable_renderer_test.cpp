@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// The chain as one object, by its host arrays: gradients against the double reference, batches that grow, instances that move, and what is
-// refused. (Every way gradients are found and summed: tests/diff/backward.)
+// The chain as one object, by its host arrays: gradients against the double reference,
+// batches that grow, instances that move, and what is refused. (Every way gradients are
+// found and summed: tests/diff/backward.)
 #include <relidar/base/error.hpp>
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/optimizer.hpp>
 
-#include "../backward/passes.hpp"
 #include "../../support/surfels.hpp"
+#include "../backward/passes.hpp"
 
 namespace relidar {
 namespace {
@@ -16,7 +17,8 @@ using test::lanes;
 class Differentiable : public test::DeviceTest {
 protected:
     reference::Settings settings;
-    test::RandomScene scene = test::make_random_scene({.seed = 81, .actor_instances = 1, .rays = 40}, settings);
+    test::RandomScene scene =
+        test::make_random_scene({.seed = 81, .actor_instances = 1, .rays = 40}, settings);
     test::SceneAndPoses placed = test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     WorldRays rays = test::to_world_rays(scene.rays);
 
@@ -29,7 +31,8 @@ protected:
 RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
     RenderedGradients result;
     for (const reference::PixelGradient& g : d) {
-        result.depth.push_back(float(g.depth)), result.weight.push_back(float(g.weight)), result.intensity.push_back(float(g.intensity));
+        result.depth.push_back(float(g.depth)), result.weight.push_back(float(g.weight)),
+            result.intensity.push_back(float(g.intensity));
         result.hit_logit.push_back(float(g.hit_logit)), result.drop_logit.push_back(float(g.drop_logit));
     }
     return result;
@@ -43,7 +46,8 @@ reference::Gradients expected_gradients(const test::RandomScene& scene, referenc
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     reference::Gradients expected(scene.world);
     for (std::size_t i = 0; i < scene.rays.size(); ++i)
-        d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], 16, d_rendered[i], expected));
+        d_rays.push_back(
+            reference::backward(scene.world, brute, settings, scene.rays[i], 16, d_rendered[i], expected));
     return expected;
 }
 
@@ -51,9 +55,10 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     const std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 5);
     std::vector<reference::RayGradient> d_rays;
     const reference::Gradients expected = expected_gradients(scene, settings, d_rendered, d_rays);
-    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {}, {.wanted = {.rays = true, .poses = true}});
+    DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
+                                    {.wanted = {.rays = true, .poses = true}});
     place(renderer);
-    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});   // then a larger batch
+    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // then a larger batch
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
     const HostGradients found = renderer.backward(to_arrays(d_rendered));
     test::GradientTable table;
@@ -120,8 +125,8 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
         }
         renderer.backward(d);
         const Gradients& gradients = renderer.gradients();
-        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05},
-                  step, 3);
+        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched,
+                  {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
     }
     EXPECT_LT(losses.back(), 0.1 * losses.front());
 }

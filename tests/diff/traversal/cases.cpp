@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builders of the traversal conformance cases. Everything random comes from a given seed and std::mt19937_64.
+// Builders of the traversal conformance cases. Everything random comes from a given seed
+// and std::mt19937_64.
 #include "cases.hpp"
 
 #include <cmath>
@@ -14,10 +15,13 @@ namespace {
 using reference::Surfel;
 using Random = std::mt19937_64;
 
-double uniform(Random& random, double low, double high) { return std::uniform_real_distribution<double>(low, high)(random); }
+double uniform(Random& random, double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(random);
+}
 
 glm::dvec3 uniform_point(Random& random, double half) {
-    const double x = uniform(random, -half, half), y = uniform(random, -half, half), z = uniform(random, -half, half);
+    const double x = uniform(random, -half, half), y = uniform(random, -half, half),
+                 z = uniform(random, -half, half);
     return {x, y, z};
 }
 
@@ -38,13 +42,15 @@ Surfel facing_surfel(double x, double scale_m, double opacity) {
     return s;
 }
 
-/// Any orientation, an unnormalised quaternion, standard deviations 0.03 to 0.5 m, opacity from just over the cut to 0.99.
+/// Any orientation, an unnormalised quaternion, standard deviations 0.03 to 0.5 m,
+/// opacity from just over the cut to 0.99.
 Surfel random_surfel(Random& random, double half_m) {
     std::normal_distribution<double> normal;
     Surfel s;
     s.mean = uniform_point(random, half_m);
     s.rotation = {normal(random), normal(random), normal(random), normal(random)};
-    s.log_scale = {uniform(random, std::log(0.03), std::log(0.5)), uniform(random, std::log(0.03), std::log(0.5))};
+    s.log_scale = {uniform(random, std::log(0.03), std::log(0.5)),
+                   uniform(random, std::log(0.03), std::log(0.5))};
     s.opacity_logit = logit(std::exp(uniform(random, std::log(0.005), std::log(0.99))));
     return s;
 }
@@ -56,7 +62,9 @@ void add_ray(TraversalCase& c, const glm::dvec3& origin, const glm::dvec3& direc
 
 std::vector<reference::Placement> one_instance(std::size_t n) { return {{0, std::uint32_t(n), {}}}; }
 
-double proxy_k(const Surfel& s) { return std::sqrt(2.0 * std::log(255.0 / (1.0 + std::exp(-s.opacity_logit)))); }
+double proxy_k(const Surfel& s) {
+    return std::sqrt(2.0 * std::log(255.0 / (1.0 + std::exp(-s.opacity_logit))));
+}
 
 }  // namespace
 
@@ -73,13 +81,13 @@ TraversalCase single_case() {
     TraversalCase c{"single", to_surfels({facing_surfel(5, 0.5, 0.8)}), one_instance(1), {}};
     add_ray(c, {0, 0, 0}, {1, 0, 0});
     add_ray(c, {0, 0.3, -0.4}, {1, 0, 0});
-    add_ray(c, {10, 0.3, -0.4}, {-1, 0, 0});   // from the back
-    add_ray(c, {0, 0, 0}, {-1, 0, 0});         // behind
-    add_ray(c, {5, -3, 0}, {0, 1, 0});         // in the plane
-    add_ray(c, {4, -3, 0}, {0, 1, 0});         // parallel to it
-    add_ray(c, {4.79, 0, 0}, {1, 0, 0});       // just beyond the near limit of 0.2 m
-    add_ray(c, {4.81, 0, 0}, {1, 0, 0});       // just within
-    add_ray(c, {0, 3, 0}, {1, 0, 0});          // beside
+    add_ray(c, {10, 0.3, -0.4}, {-1, 0, 0});  // from the back
+    add_ray(c, {0, 0, 0}, {-1, 0, 0});        // behind
+    add_ray(c, {5, -3, 0}, {0, 1, 0});        // in the plane
+    add_ray(c, {4, -3, 0}, {0, 1, 0});        // parallel to it
+    add_ray(c, {4.79, 0, 0}, {1, 0, 0});      // just beyond the near limit of 0.2 m
+    add_ray(c, {4.81, 0, 0}, {1, 0, 0});      // just within
+    add_ray(c, {0, 3, 0}, {1, 0, 0});         // beside
     return c;
 }
 
@@ -89,8 +97,9 @@ TraversalCase equal_depth_case() {
     const Pose at_five{glm::dquat(1, 0, 0, 0), {5, 0, 0}}, at_six{glm::dquat(1, 0, 0, 0), {6, 0, 0}};
     c.instances = {{0, 7, at_five}, {0, 7, at_six}, {0, 7, at_five}, {3, 2, at_five}};
     Random random(7);
-    for (int i = 0; i < 50; ++i) add_ray(c, {0, 0, 0}, glm::dvec3(5, uniform(random, -1, 1), uniform(random, -1, 1)));
-    add_ray(c, {0, 0, 0}, {1, 0, 0});   // through the corner both triangles of each proxy share
+    for (int i = 0; i < 50; ++i)
+        add_ray(c, {0, 0, 0}, glm::dvec3(5, uniform(random, -1, 1), uniform(random, -1, 1)));
+    add_ray(c, {0, 0, 0}, {1, 0, 0});  // through the corner both triangles of each proxy share
     return c;
 }
 
@@ -99,7 +108,8 @@ TraversalCase long_list_case() {
     for (int i = 0; i < 100; ++i) surfels.push_back(facing_surfel(1 + ((i * 37) % 100) * 0.1, 1.0, 0.05));
     TraversalCase c{"long list", to_surfels(surfels), one_instance(100), {}};
     Random random(8);
-    for (int i = 0; i < 20; ++i) add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
+    for (int i = 0; i < 20; ++i)
+        add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
     return c;
 }
 
@@ -107,11 +117,13 @@ TraversalCase tied_list_case(int n) {
     std::vector<Surfel> surfels;
     for (int i = 0; i < n; ++i) {
         surfels.push_back(facing_surfel(1 + (i * 37) % (n / 3 + 1) * 0.01, 1.0, 0.01));
-        surfels.back().mean.y = (3 - i % 7) * 0.05;   // so that those at one distance are not found in the order of their numbers
+        // so that those at one distance are not found in the order of their numbers
+        surfels.back().mean.y = (3 - i % 7) * 0.05;
     }
     TraversalCase c{"list of " + std::to_string(n), to_surfels(surfels), one_instance(surfels.size()), {}};
     Random random(9);
-    for (int i = 0; i < 6; ++i) add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
+    for (int i = 0; i < 6; ++i)
+        add_ray(c, {0, 0, 0}, {11, uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5)});
     return c;
 }
 
@@ -126,11 +138,13 @@ TraversalCase outline_case(std::uint64_t seed, int n_rays) {
         const double k = proxy_k(s), along = uniform(random, -1, 1), angle = uniform(random, 0, 2 * kPi);
         const double side = uniform(random, 0, 1) < 0.5 ? -1.0 : 1.0, rim = i % 2 == 0 ? 0.99 : 1.01;
         const glm::dvec2 on_rim = rim * glm::dvec2(std::cos(angle), std::sin(angle));
-        const glm::dvec2 spots[6] = {{along, along}, {along, -along}, {along, side}, {side, along}, {side, -side}, on_rim};
+        const glm::dvec2 spots[6] = {{along, along}, {along, -along}, {along, side},
+                                     {side, along},  {side, -side},   on_rim};
         const glm::dvec2 half = i % 6 == 5 ? k * a.scale : k * a.scale * 1.002 + 1e-4;
         const glm::dvec2 spot = spots[i % 6] * half;
         const glm::dvec3 target = a.mean + spot.x * a.rotation[0] + spot.y * a.rotation[1];
-        const glm::dvec3 origin = target + uniform(random, 1, 6) * glm::normalize(a.rotation[2] + 0.8 * unit_vector(random));
+        const glm::dvec3 origin =
+            target + uniform(random, 1, 6) * glm::normalize(a.rotation[2] + 0.8 * unit_vector(random));
         add_ray(c, origin, target - origin);
     }
     return c;
@@ -144,17 +158,21 @@ TraversalCase grazing_case(std::uint64_t seed, int n_rays) {
     for (int i = 0; i < n_rays; ++i) {
         const Surfel& s = surfels[std::size_t(i) % surfels.size()];
         const reference::Activated a = reference::activate(s);
-        const double r = uniform(random, 0, 1.05) * proxy_k(s), angle = uniform(random, 0, 2 * kPi), heading = uniform(random, 0, 2 * kPi);
-        const glm::dvec3 target = a.mean + r * (std::cos(angle) * a.scale.x * a.rotation[0] + std::sin(angle) * a.scale.y * a.rotation[1]);
+        const double r = uniform(random, 0, 1.05) * proxy_k(s), angle = uniform(random, 0, 2 * kPi),
+                     heading = uniform(random, 0, 2 * kPi);
+        const glm::dvec3 target = a.mean + r * (std::cos(angle) * a.scale.x * a.rotation[0] +
+                                                std::sin(angle) * a.scale.y * a.rotation[1]);
         const double facing = std::exp(uniform(random, std::log(1e-3), std::log(1e-2)));
-        const glm::dvec3 direction = std::cos(heading) * a.rotation[0] + std::sin(heading) * a.rotation[1] + facing * a.rotation[2];
+        const glm::dvec3 direction =
+            std::cos(heading) * a.rotation[0] + std::sin(heading) * a.rotation[1] + facing * a.rotation[2];
         add_ray(c, target - uniform(random, 1, 5) * direction, direction);
     }
     return c;
 }
 
 TraversalCase degenerate_case() {
-    const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
+    const double nan = std::numeric_limits<double>::quiet_NaN(),
+                 inf = std::numeric_limits<double>::infinity();
     const Surfel good = facing_surfel(5, 0.5, 0.5);
     std::vector<Surfel> surfels(16, good);
     for (std::size_t i = 0; i < surfels.size(); ++i) surfels[i].mean.x = 4.0 + 0.1 * double(i);
@@ -164,13 +182,14 @@ TraversalCase degenerate_case() {
     surfels[4].rotation = {0, 0, 0, 0};
     surfels[5].rotation.z = nan;
     surfels[6].log_scale.x = -inf;
-    surfels[7].log_scale.y = -800;   // 1 / s overflows
+    surfels[7].log_scale.y = -800;  // 1 / s overflows
     surfels[8].log_scale = {nan, nan};
     surfels[10].opacity_logit = nan;
     surfels[11].opacity_logit = logit(0.99 / 255.0);
     surfels[12].opacity_logit = -inf;
     surfels[13].opacity_logit = -1e4;
-    TraversalCase c{"degenerate", to_surfels(surfels), {{0, 16, {}}, {0, 2, {}}, {4, 5, {}}}, {}};   // instances 1 and 2: nothing valid
+    // instances 1 and 2: nothing valid
+    TraversalCase c{"degenerate", to_surfels(surfels), {{0, 16, {}}, {0, 2, {}}, {4, 5, {}}}, {}};
     Random random(9);
     for (int i = 0; i < 40; ++i) add_ray(c, {0, 0, 0}, {5, uniform(random, -1, 1), uniform(random, -1, 1)});
     add_ray(c, {0, 0, 0}, {1, 0, 0});
@@ -180,14 +199,20 @@ TraversalCase degenerate_case() {
 TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays) {
     Random random(seed);
     std::vector<Surfel> surfels;
-    for (int i = 0; i < n_surfels; ++i) surfels.push_back(random_surfel(random, i < n_surfels * 3 / 4 ? 4.0 : 1.5));
-    for (int i = 0; i < n_surfels / 20; ++i) surfels[std::size_t(i)] = surfels[std::size_t(n_surfels / 2 + i)];   // exact copies: ties
+    for (int i = 0; i < n_surfels; ++i)
+        surfels.push_back(random_surfel(random, i < n_surfels * 3 / 4 ? 4.0 : 1.5));
+    // exact copies: ties
+    for (int i = 0; i < n_surfels / 20; ++i)
+        surfels[std::size_t(i)] = surfels[std::size_t(n_surfels / 2 + i)];
     TraversalCase c{"random", to_surfels(surfels), {}, {}};
-    const auto n_background = std::uint32_t(n_surfels * 3 / 4), n_actor = std::uint32_t(n_surfels) - n_background;
+    const auto n_background = std::uint32_t(n_surfels * 3 / 4),
+               n_actor = std::uint32_t(n_surfels) - n_background;
     c.instances.push_back({0, n_background, {}});
     for (int i = 0; i < 3; ++i)
         c.instances.push_back(
-            {n_background, n_actor, {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 2.0)}});
+            {n_background,
+             n_actor,
+             {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 2.0)}});
     for (int i = 0; i < n_rays; ++i) {
         const glm::dvec3 origin = uniform_point(random, 5.0);
         add_ray(c, origin, uniform_point(random, 3.0) - origin);
@@ -209,8 +234,9 @@ TraversalCase street_case(const Surfels& street, const RayTable& rays, double ra
 
 TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed) {
     Random random(seed);
-    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
-    const float unusable[] = {kNan, -kInfinity, -800.0f};   // the last: 1 / s overflows
+    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
+                    kInfinity = std::numeric_limits<float>::infinity();
+    const float unusable[] = {kNan, -kInfinity, -800.0f};  // the last: 1 / s overflows
     for (std::size_t i = 0; i < c.surfels.mean.size(); ++i) {
         const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
         c.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
@@ -232,16 +258,17 @@ TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays) {
         surfels.push_back(s);
     }
     TraversalCase c{"crowded 3D Gaussians", to_surfels(surfels), {}, {}};
-    c.instances = {{0, std::uint32_t(n_gaussians), {}},
-                   {0, std::uint32_t(n_gaussians / 2), {glm::angleAxis(0.8, unit_vector(random)), {0.5, -0.3, 0.2}}}};
+    c.instances = {
+        {0, std::uint32_t(n_gaussians), {}},
+        {0, std::uint32_t(n_gaussians / 2), {glm::angleAxis(0.8, unit_vector(random)), {0.5, -0.3, 0.2}}}};
     for (int i = 0; i < n_rays; ++i) add_ray(c, uniform_point(random, 5.0), unit_vector(random));
     return c;
 }
 
 std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays) {
     std::vector<TraversalCase> cases;
-    for (const TraversalCase& c :
-         {single_case(), equal_depth_case(), degenerate_case(), outline_case(seed, n_rays), random_case(seed + 2, 400, n_rays)})
+    for (const TraversalCase& c : {single_case(), equal_depth_case(), degenerate_case(),
+                                   outline_case(seed, n_rays), random_case(seed + 2, 400, n_rays)})
         cases.push_back(as_gaussians(c, seed + 3));
     cases.push_back(crowded_case(seed + 4, 120, n_rays));
     return cases;
@@ -257,25 +284,35 @@ TraversalCase that_moves(TraversalCase c, std::uint64_t seed) {
         m.half_span_s = double(float(i % 3 == 0 ? 0.05 : uniform(random, 0.002, 0.03)));
         m.middle_s = double(float(i % 3 == 0 ? 0.0 : uniform(random, -0.03, 0.03)));
     }
-    for (std::size_t i = 0; i < c.rays.size(); ++i) c.rays.time_s.push_back(float(uniform(random, -0.07, 0.07)));
+    for (std::size_t i = 0; i < c.rays.size(); ++i)
+        c.rays.time_s.push_back(float(uniform(random, -0.07, 0.07)));
     c.name += " that moves";
     return c;
 }
 
 std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays) {
-    TraversalCase many = random_case(seed + 1, 200, n_rays);   // more than there are bits of a mask
+    TraversalCase many = random_case(seed + 1, 200, n_rays);  // more than there are bits of a mask
     Random random(seed);
     for (int i = 0; i < 12; ++i)
-        many.instances.push_back({150, 50, {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 3.0)}});
-    return {that_moves(equal_depth_case(), seed), that_moves(random_case(seed, 800, n_rays), seed), that_moves(many, seed + 2),
+        many.instances.push_back(
+            {150,
+             50,
+             {glm::angleAxis(uniform(random, 0, kPi), unit_vector(random)), uniform_point(random, 3.0)}});
+    return {that_moves(equal_depth_case(), seed), that_moves(random_case(seed, 800, n_rays), seed),
+            that_moves(many, seed + 2),
             that_moves(as_gaussians(random_case(seed + 3, 400, n_rays), seed), seed),
             that_moves(crowded_case(seed + 4, 120, n_rays), seed)};
 }
 
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays) {
-    return {empty_case(),           single_case(),     equal_depth_case(),
-            long_list_case(),       degenerate_case(), outline_case(seed, n_rays),
-            grazing_case(seed + 1, n_rays), random_case(seed + 2, 800, n_rays)};
+    return {empty_case(),
+            single_case(),
+            equal_depth_case(),
+            long_list_case(),
+            degenerate_case(),
+            outline_case(seed, n_rays),
+            grazing_case(seed + 1, n_rays),
+            random_case(seed + 2, 800, n_rays)};
 }
 
 }  // namespace relidar::test

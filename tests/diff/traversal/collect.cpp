@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "diff/traversal/collect_hits.hpp"
 #include "collect.hpp"
+#include "diff/traversal/collect_hits.hpp"
 
 #include <gtest/gtest.h>
 
@@ -8,12 +8,14 @@
 
 namespace relidar::test {
 
-CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, shared::TraceScene scene,
-                      const WorldRays& rays, std::uint32_t max_hits) {
-    const Kernel<shared::CollectHitsParams> collect_hits(device, "diff/traversal/collect_hits", variant, constants);
+CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants,
+                      shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
+    const Kernel<shared::CollectHitsParams> collect_hits(device, "diff/traversal/collect_hits", variant,
+                                                         constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
-    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count");
+    const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
+                                                              "pass cap count");
     const Array<std::uint32_t, shared::HitCounts> counts(device, n, "counts");
     const Array<std::uint32_t, shared::HitInstances> instance(device, n_slots, "instances");
     const Array<std::uint32_t, shared::HitSurfels> surfel(device, n_slots, "surfels");

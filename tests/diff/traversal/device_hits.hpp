@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fixture of the device's half of the traversal conformance suite: collected hits against a host provider. All decide by the same float
-// function, so ordered ids must be equal; what single precision cannot decide (a hit within rounding of its outline, two t within
+// Fixture of the device's half of the traversal conformance suite: collected hits against
+// a host provider. All decide by the same float function, so ordered ids must be equal;
+// what single precision cannot decide (a hit within rounding of its outline, two t within
 // rounding of each other) is counted and bounded.
 #pragma once
 
@@ -8,10 +9,10 @@
 #include <string>
 #include <vector>
 
-#include "diff/traversal/collect_hits.hpp"
 #include "../../support/device.hpp"
 #include "../../support/placed.hpp"
 #include "cases.hpp"
+#include "diff/traversal/collect_hits.hpp"
 #include "hit_comparison.hpp"
 
 namespace relidar::test {
@@ -40,13 +41,15 @@ inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
 class DeviceHits : public DeviceTest {
 protected:
     /// Compares every ray of a case with a host provider (float canonical).
-    HitDifferences compare(const TraversalCase& c, const reference::HitProvider& expected, const CollectedHits& actual) {
+    HitDifferences compare(const TraversalCase& c, const reference::HitProvider& expected,
+                           const CollectedHits& actual) {
         const reference::World world = to_world(c);
         const std::vector<reference::Ray> rays = to_reference(c.rays);
         HitDifferences differences;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             EXPECT_LE(actual.counts[i], kMaxHits) << "the case has more hits than the test keeps";
-            compare_hits(world, {}, rays[i], i, reference::all_hits(expected, rays[i], 64), hits_of(actual, i), differences);
+            compare_hits(world, {}, rays[i], i, reference::all_hits(expected, rays[i], 64),
+                         hits_of(actual, i), differences);
         }
         return differences;
     }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract on the device (diff/traversal/collect_hits): ray query over triangles and over boxes, the software tree walked by
-// lanes and by subgroups, and brute force, against the host's brute force and Embree.
-#include "gpu/forced.hpp"
-#include "diff/traversal/collect_hits.hpp"
+// The traversal contract on the device (diff/traversal/collect_hits): ray query over
+// triangles and over boxes, the software tree walked by lanes and by subgroups, and brute
+// force, against the host's brute force and Embree.
 #include "device_hits.hpp"
+#include "diff/traversal/collect_hits.hpp"
+#include "gpu/forced.hpp"
 
 namespace relidar {
 namespace {
@@ -19,8 +20,10 @@ protected:
         const test::SceneAndPoses placed = test::to_scene(c.surfels, c.instances);
         ImageModel model;
         model.primitive = c.surfels.primitive;
-        return test::in_world(collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays, kMaxHits),
-                              placed);
+        return test::in_world(
+            collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace}, c.rays,
+                         kMaxHits),
+            placed);
     }
     void expect_conformance(const std::vector<TraversalCase>& cases);
 };
@@ -36,8 +39,12 @@ struct Setting {
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
     if (device.traversal() == Traversal::software)
-        return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}}, {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}}, brute};
-    return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}}, {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}}, brute};
+        return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}},
+                {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}},
+                brute};
+    return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}},
+            {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}},
+            brute};
 }
 
 void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
@@ -61,7 +68,8 @@ class ChunkSize : public DeviceHits, public testing::WithParamInterface<Primitiv
 INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize, testing::Values(Primitive::surfel, Primitive::gaussian));
 
 TEST_P(ChunkSize, DoesNotMatter) {
-    const TraversalCase c = GetParam() == Primitive::gaussian ? test::crowded_case(6, 100, 500) : test::random_case(5, 400, 2000);
+    const TraversalCase c =
+        GetParam() == Primitive::gaussian ? test::crowded_case(6, 100, 500) : test::random_case(5, 400, 2000);
     const CollectedHits expected = collect(c, {}, {.chunk = 64});
     for (const int chunk : {1, 5, 32})
         for (const Setting& s : providers(device(), chunk)) {
@@ -69,7 +77,8 @@ TEST_P(ChunkSize, DoesNotMatter) {
             const CollectedHits actual = collect(c, s.accel, s.trace);
             EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
             for (std::size_t ray = 0; ray < c.rays.size(); ++ray)
-                ASSERT_EQ(hits_of(actual, ray), hits_of(expected, ray)) << s.name << ", chunk " << chunk << ", ray " << ray;
+                ASSERT_EQ(hits_of(actual, ray), hits_of(expected, ray))
+                    << s.name << ", chunk " << chunk << ", ray " << ray;
         }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classification of differences between hit providers (docs/architecture.md sections 6 and 9; boundaries of M1 and M2).
+// Classification of differences between hit providers (docs/architecture.md sections 6
+// and 9; boundaries of M1 and M2).
 #include "hit_comparison.hpp"
 
 #include <algorithm>
@@ -17,7 +18,8 @@ Id id_of(const reference::Hit& hit) { return {hit.instance, hit.surfel}; }
 
 std::string describe(std::size_t ray_index, const char* what, const reference::Hit& hit) {
     char text[160];
-    std::snprintf(text, sizeof text, "ray %zu: %s (instance %u, surfel %u) at t = %.9g", ray_index, what, hit.instance, hit.surfel, hit.t);
+    std::snprintf(text, sizeof text, "ray %zu: %s (instance %u, surfel %u) at t = %.9g", ray_index, what,
+                  hit.instance, hit.surfel, hit.t);
     return text;
 }
 
@@ -27,32 +29,39 @@ void add_error(HitDifferences& d, const std::string& message) {
 
 }  // namespace
 
-bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray, const reference::Hit& hit) {
+bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+                 const reference::Hit& hit) {
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
     const auto local = reference::to_model(world.instances[hit.instance].at(ray.time_s), ray);
     const reference::PlaneHit<double> met = reference::meet(r, local);
     const glm::dvec3 uvw(met.u, met.v, met.w),
-        along(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction), glm::dot(r.normal, local.direction));
-    const double t = met.t, size_m = glm::length(ray.origin) + glm::length(r.mean) + glm::length(r.mean - local.origin) + std::abs(t);
+        along(glm::dot(r.axis_u, local.direction), glm::dot(r.axis_v, local.direction),
+              glm::dot(r.normal, local.direction));
+    const double t = met.t, size_m = glm::length(ray.origin) + glm::length(r.mean) +
+                                     glm::length(r.mean - local.origin) + std::abs(t);
     // of a point, in standard deviations
-    const double of_axes = 4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));
+    const double of_axes =
+        4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));
     const bool is_flat = r.primitive == Primitive::surfel;
     const double t_error = is_flat ? 4e-7 * size_m / std::abs(along.z) : of_axes / glm::length(along);
     const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uvw, uvw);
     // density does not change along a ray where it is largest
     const double uvw_error = of_axes + (is_flat ? glm::length(glm::dvec2(along)) * t_error : 0.0);
     // NaN: yes
-    const bool at_cut =
-        !(std::abs(log_alpha - std::log(double(model.alpha_min))) > 1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);
+    const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) >
+                          1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);
     const bool at_near = !(std::abs(t - double(model.near_m)) > t_error);
     return at_cut || at_near;
 }
 
-void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray, std::size_t ray_index,
-                  const std::vector<reference::Hit>& expected, const std::vector<reference::Hit>& actual, HitDifferences& d) {
+void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+                  std::size_t ray_index, const std::vector<reference::Hit>& expected,
+                  const std::vector<reference::Hit>& actual, HitDifferences& d) {
     d.n_rays += 1;
     d.n_hits += expected.size();
-    const auto same_id = [](const reference::Hit& a, const reference::Hit& b) { return id_of(a) == id_of(b); };
+    const auto same_id = [](const reference::Hit& a, const reference::Hit& b) {
+        return id_of(a) == id_of(b);
+    };
     if (std::equal(expected.begin(), expected.end(), actual.begin(), actual.end(), same_id)) return;
     d.n_different_rays += 1;
     std::map<Id, double> expected_t;
@@ -82,8 +91,9 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
 
 std::string HitDifferences::summary(const std::string& title) const {
     char text[240];
-    std::snprintf(text, sizeof text, "%-14s %7zu rays %9zu hits %6zu different: %5zu flips %4zu swaps %4zu errors", title.c_str(), n_rays,
-                  n_hits, n_different_rays, n_flips, n_swaps, n_errors);
+    std::snprintf(text, sizeof text,
+                  "%-14s %7zu rays %9zu hits %6zu different: %5zu flips %4zu swaps %4zu errors",
+                  title.c_str(), n_rays, n_hits, n_different_rays, n_flips, n_swaps, n_errors);
     return text + (first_error.empty() ? std::string() : "; first: " + first_error);
 }
 

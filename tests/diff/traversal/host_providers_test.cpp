@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// The host half of the traversal conformance suite: Embree over proxies (M3) must give the ordered ids that brute force over the
-// same float records gives, for chunk sizes 1 to 32; float and double canonical functions differ only on boundaries; the contract
-// of next_hits holds (all_hits throws where it does not).
+// The host half of the traversal conformance suite: Embree over proxies (M3) must give
+// the ordered ids that brute force over the same float records gives, for chunk sizes 1
+// to 32; float and double canonical functions differ only on boundaries; the contract of
+// next_hits holds (all_hits throws where it does not).
 #include <gtest/gtest.h>
 
 #include <cstdio>
 
-#include "scene/benchmark_street.hpp"
 #include "../../support/surfels.hpp"
 #include "cases.hpp"
 #include "hit_comparison.hpp"
+#include "scene/benchmark_street.hpp"
 
 namespace relidar {
 namespace {
@@ -22,13 +23,15 @@ constexpr std::uint64_t kSeed = 20261121;
 constexpr int kAll = 1 << 30;
 
 /// Every ray of a case, with chunk sizes 1, 2, ... 32 in turn.
-HitDifferences compare(const TraversalCase& c, const HitProvider& expected, const HitProvider& actual, const ImageModel& model = {}) {
+HitDifferences compare(const TraversalCase& c, const HitProvider& expected, const HitProvider& actual,
+                       const ImageModel& model = {}) {
     const World world = to_world(c);
     HitDifferences differences;
     const std::vector<Ray> rays = test::to_reference(c.rays);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const int chunk = 1 + int(i % 32);
-        compare_hits(world, model, rays[i], i, all_hits(expected, rays[i], kAll), all_hits(actual, rays[i], chunk), differences);
+        compare_hits(world, model, rays[i], i, all_hits(expected, rays[i], kAll),
+                     all_hits(actual, rays[i], chunk), differences);
     }
     std::printf("  %s\n", differences.summary(c.name).c_str());
     return differences;
@@ -62,7 +65,8 @@ TEST(HostProviders, AgreeOnModelsThatMove) {
         const HitDifferences d = compare(c, BruteForce(world, model, Precision::double_record), brute);
         EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
         EXPECT_LE(double(d.n_flips), 1e-3 * double(d.n_hits) + 1.0) << c.name;
-        if (!kind_of(c.surfels.primitive).third_scale) expect_identical(compare(c, brute, EmbreeFilter(world, model)), c);
+        if (!kind_of(c.surfels.primitive).third_scale)
+            expect_identical(compare(c, brute, EmbreeFilter(world, model)), c);
     }
 }
 
@@ -74,7 +78,8 @@ TEST(HostProviders, EmbreeAgreesOn100000RandomRays) {
 }
 
 TEST(HostProviders, EmbreeAgreesInTheStreet) {
-    const TraversalCase c = test::street_case(make_benchmark_street(100000), make_benchmark_rays("waymo"), 6.0, 9);
+    const TraversalCase c =
+        test::street_case(make_benchmark_street(100000), make_benchmark_rays("waymo"), 6.0, 9);
     const HitDifferences d = compare_embree(c);
     expect_identical(d, c);
     EXPECT_GT(d.n_hits, d.n_rays);
@@ -88,8 +93,8 @@ TEST(HostProviders, GrazingRaysAreExactWithWiderProxies) {
 TEST(HostProviders, DoubleAndFloatDifferOnlyOnBoundaries) {
     for (const TraversalCase& c : test::conformance_cases(kSeed, 3000)) {
         const World world = to_world(c);
-        const HitDifferences d =
-            compare(c, BruteForce(world, {}, Precision::double_record), BruteForce(world, {}, Precision::float_record));
+        const HitDifferences d = compare(c, BruteForce(world, {}, Precision::double_record),
+                                         BruteForce(world, {}, Precision::float_record));
         EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
         EXPECT_LE(double(d.n_flips), 1e-3 * double(d.n_hits) + 1.0) << c.name;
     }
@@ -128,9 +133,11 @@ TEST(HostProviders, DegenerateSurfelsAreNeverReported) {
     const EmbreeFilter embree(world, {});
     std::size_t found = 0;
     for (const Ray& ray : test::to_reference(c.rays))
-        for (const HitProvider* provider : {static_cast<const HitProvider*>(&brute), static_cast<const HitProvider*>(&embree)})
+        for (const HitProvider* provider :
+             {static_cast<const HitProvider*>(&brute), static_cast<const HitProvider*>(&embree)})
             for (const Hit& hit : all_hits(*provider, ray, 3)) {
-                EXPECT_TRUE(hit.surfel == 2 || hit.surfel == 9 || hit.surfel == 14 || hit.surfel == 15) << "surfel " << hit.surfel;
+                EXPECT_TRUE(hit.surfel == 2 || hit.surfel == 9 || hit.surfel == 14 || hit.surfel == 15)
+                    << "surfel " << hit.surfel;
                 EXPECT_EQ(hit.instance, 0u);
                 ++found;
             }
@@ -141,7 +148,7 @@ TEST(HostProviders, HugeSurfelsAndFarOriginsStayFinite) {
     std::vector<Surfel> surfels(2);
     surfels[0].mean = {5, 0, 0};
     surfels[0].rotation = {0.5, 0.5, 0.5, 0.5};
-    surfels[0].log_scale = {11.0, 60.0};   // 60 km and 1e26 m
+    surfels[0].log_scale = {11.0, 60.0};  // 60 km and 1e26 m
     surfels[0].opacity_logit = 1.0;
     surfels[1] = surfels[0];
     surfels[1].mean = {1e30, 0, 0};
@@ -152,7 +159,8 @@ TEST(HostProviders, HugeSurfelsAndFarOriginsStayFinite) {
     ASSERT_EQ(hits.size(), 1u);
     EXPECT_EQ(hits[0].surfel, 0u);
     EXPECT_EQ(hits[0].t, 5.0);
-    for (const Hit& hit : all_hits(embree, {{1e8, 0, 0}, {-1, 1e-20, 0}}, 16)) EXPECT_TRUE(std::isfinite(hit.t));
+    for (const Hit& hit : all_hits(embree, {{1e8, 0, 0}, {-1, 1e-20, 0}}, 16))
+        EXPECT_TRUE(std::isfinite(hit.t));
 }
 
 }  // namespace

@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many random rays over instances, ties and surfels that must never be hit, through a build, refits and a rebuild: the device's providers
-// give the very hits of its brute force, and the host's (Embree's for surfels). 10^4 rays a state; RELIDAR_MANY_RAYS=1000000 asks for more.
+// Many random rays over instances, ties and surfels that must never be hit, through a
+// build, refits and a rebuild: the device's providers give the very hits of its brute
+// force, and the host's (Embree's for surfels). 10^4 rays a state;
+// RELIDAR_MANY_RAYS=1000000 asks for more.
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
 #include <random>
 
 #include <relidar/diff/accel.hpp>
-#include "gpu/forced.hpp"
-#include "diff/traversal/collect_hits.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"
-#include "gpu/stream.hpp"
+#include "diff/traversal/collect_hits.hpp"
 #include "diff/traversal/trace_scene.hpp"
+#include "gpu/forced.hpp"
+#include "gpu/stream.hpp"
 
 namespace relidar {
 namespace {
@@ -26,15 +28,28 @@ int many() {
 
 /// Every fortieth surfel becomes one that cannot be hit, each for another reason.
 void spoil(Surfels& s) {
-    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(), kInf = std::numeric_limits<float>::infinity();
+    constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
+                    kInf = std::numeric_limits<float>::infinity();
     for (std::size_t i = 0; i < s.size(); i += 40) switch (i / 40 % 6) {
-        case 0: s.mean[i].y = kNan; break;
-        case 1: s.mean[i].x = -kInf; break;
-        case 2: s.rotation[i] = glm::vec4(0.0f); break;
-        case 3: s.log_scale[i].x = -kInf; break;
-        case 4: s.opacity_logit[i] = kNan; break;
-        default: s.opacity_logit[i] = -1e4f; break;
-    }
+            case 0:
+                s.mean[i].y = kNan;
+                break;
+            case 1:
+                s.mean[i].x = -kInf;
+                break;
+            case 2:
+                s.rotation[i] = glm::vec4(0.0f);
+                break;
+            case 3:
+                s.log_scale[i].x = -kInf;
+                break;
+            case 4:
+                s.opacity_logit[i] = kNan;
+                break;
+            default:
+                s.opacity_logit[i] = -1e4f;
+                break;
+        }
 }
 
 /// As after steps of an optimiser, large ones.
@@ -56,7 +71,8 @@ protected:
 
     void SetUp() override {
         DeviceHits::SetUp();
-        if (GetParam() == Primitive::gaussian) case_ = test::as_gaussians(test::random_case(20261123, 450, many()), 3);
+        if (GetParam() == Primitive::gaussian)
+            case_ = test::as_gaussians(test::random_case(20261123, 450, many()), 3);
         spoil(case_.surfels);
         model_.primitive = GetParam();
         placed_ = test::to_scene(case_.surfels, case_.instances);
@@ -64,8 +80,8 @@ protected:
 
     CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
         return test::collect(device(), traversal_variant(device()),
-                             trace_constants(device(), accel.proxy(), options, model_), trace_scene(scene, accel.addresses(), model_),
-                             case_.rays, 64);
+                             trace_constants(device(), accel.proxy(), options, model_),
+                             trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
     }
 
     void expect_agreement(const DeviceScene& scene, const Accel& accel, const std::string& state) {
@@ -77,13 +93,15 @@ protected:
             if (walk == Walk::lane && device().traversal() == Traversal::ray_query) continue;
             const CollectedHits found = collect(scene, accel, {.walk = walk});
             std::size_t n_different = 0;
-            for (std::size_t i = 0; i < case_.rays.size(); ++i) n_different += test::hits_of(found, i) != test::hits_of(brute, i);
+            for (std::size_t i = 0; i < case_.rays.size(); ++i)
+                n_different += test::hits_of(found, i) != test::hits_of(brute, i);
             EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup")
                                        << ": rays whose hits differ from brute force";
         }
-        std::unique_ptr<reference::HitProvider> host;   // Embree knows rectangles alone
+        std::unique_ptr<reference::HitProvider> host;  // Embree knows rectangles alone
         if (GetParam() == Primitive::gaussian)
-            host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_, reference::Precision::float_record);
+            host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_,
+                                                           reference::Precision::float_record);
         else host = std::make_unique<reference::EmbreeFilter>(test::to_world(case_), model_);
         const test::HitDifferences d = compare(case_, *host, brute);
         std::printf("%s\n", d.summary(state + ", against the host").c_str());
@@ -100,7 +118,8 @@ TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Accel accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
-        scene.parameters().upload(case_.surfels);   // the ranges of this case follow each other: numbers are the same
+        // the ranges of this case follow each other: numbers are the same
+        scene.parameters().upload(case_.surfels);
         scene.activate(stream, model_, glm::vec3(0.0f));
         accel.update(stream, scene, rebuild);
         stream.finish();

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The walk of software_bvh.glsl alone, over trees built on the host: what fails here is the traversal, not the device's builder.
-#include "diff/traversal/collect_hits.hpp"
+// The walk of software_bvh.glsl alone, over trees built on the host: what fails here is
+// the traversal, not the device's builder.
 #include "../../support/host_bvh.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"
+#include "diff/traversal/collect_hits.hpp"
 #include "diff/traversal/trace_scene.hpp"
 
 namespace relidar {
@@ -23,12 +24,14 @@ protected:
         scene.activate(stream, model, glm::vec3(0.0f));
         stream.finish();
         const test::HostBvh bvh(device(), scene);
-        const shared::TraceScene trace = trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
+        const shared::TraceScene trace =
+            trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
         const auto primitive = static_cast<std::uint32_t>(c.surfels.primitive);
         const std::vector<Constant> constants{
             {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::PRIMITIVE, primitive}};
-        return test::in_world(test::collect(device(), KernelVariant("@software_bvh"), constants, trace, c.rays, test::kMaxHits),
-                              placed);
+        return test::in_world(
+            test::collect(device(), KernelVariant("@software_bvh"), constants, trace, c.rays, test::kMaxHits),
+            placed);
     }
 };
 
@@ -41,8 +44,8 @@ TEST_F(SoftwareWalk, ConformanceCases) {
         for (const std::uint32_t chunk : {1u, 5u, 64u})
             for (std::uint32_t packet = 0; packet <= (device().info().type == "CPU" ? 2u : 1u); ++packet)
                 expect_equal(c, compare(c, brute, collect(c, chunk, packet)),
-                             c.name + (packet ? ", subgroup" : ", lane") + (packet == 2 ? ", sharing loads" : "") + ", chunk " +
-                                 std::to_string(chunk));
+                             c.name + (packet ? ", subgroup" : ", lane") +
+                                 (packet == 2 ? ", sharing loads" : "") + ", chunk " + std::to_string(chunk));
     }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan that cannot be read ends the reading of a log, or is left out of it as if it had never been there.
+// A scan that cannot be read ends the reading of a log, or is left out of it as if it had
+// never been there.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -15,10 +16,10 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
 
+#include "log/clouds/point_writers.hpp"
 #include "log/readers/argoverse2/argoverse2_log.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 #include "log/readers/nuscenes/nuscenes_folder.hpp"
-#include "log/clouds/point_writers.hpp"
 
 namespace relidar {
 namespace {
@@ -43,9 +44,11 @@ std::vector<int> numbers(const Sequence& sequence) {
     return numbers;
 }
 
-/// Cuts a scan in the middle of the log: an error, or the others alone, with a note. @param part  of a dataset with several
+/// Cuts a scan in the middle of the log: an error, or the others alone, with a note.
+/// @param part  of a dataset with several
 /// @return what is left of the log
-Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number, const std::string& part = {}) {
+Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
+                         const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
     DatasetOptions strict = skipping(part);
     strict.skip_broken = false;
@@ -56,7 +59,8 @@ Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number, 
     Sequence left = load_sequence(log.string(), skipping(part));
     EXPECT_EQ(numbers(left), expected);
     const auto told = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
-        return note.starts_with("a broken scan is left out: ") && note.find(scan.filename().string()) != std::string::npos;
+        return note.starts_with("a broken scan is left out: ") &&
+               note.find(scan.filename().string()) != std::string::npos;
     });
     EXPECT_EQ(told, 1) << testing::PrintToString(left.notes);
     for (const Frame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
@@ -96,18 +100,21 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const std::size_t n = whole.size() / 16;
     const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
     put(whole.substr(0, 16 * (n / 3)));
-    EXPECT_THAT(complaint(drive), HasSubstr(fmt::format("0000000001.bin: {} points where the scans beside it have", n / 3)));
+    EXPECT_THAT(complaint(drive),
+                HasSubstr(fmt::format("0000000001.bin: {} points where the scans beside it have", n / 3)));
     EXPECT_THAT(complaint(drive), HasSubstr("dataset.skip_broken=true leaves such scans out"));
-    put(whole.substr(0, 16 * (n - n / 8)));   // about eight rings of 64: not all have as many returns
+    put(whole.substr(0, 16 * (n - n / 8)));  // about eight rings of 64: not all have as many returns
     EXPECT_THAT(complaint(drive), HasSubstr("0000000001.bin: its points end in ring 5"));
     EXPECT_THAT(complaint(drive), HasSubstr("those of the scans beside it in ring 64"));
     put(std::string(whole.size(), '\0'));
-    EXPECT_THAT(complaint(drive), HasSubstr(fmt::format("0000000001.bin: all {} points are at the sensor", n)));
+    EXPECT_THAT(complaint(drive),
+                HasSubstr(fmt::format("0000000001.bin: all {} points are at the sensor", n)));
     const Sequence left = load_sequence(drive.folder.string(), skipping());
     EXPECT_EQ(numbers(left), (std::vector<int>{0, 2}));
     EXPECT_THAT(left.notes, testing::Contains(HasSubstr("a broken scan is left out: ")));
     const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
-    for (const int kept_deg : {120, 270}) {   // in the last ring, and in the one before: one point in ten is missing anyway
+    // in the last ring, and in the one before: one point in ten is missing anyway
+    for (const int kept_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(whole.substr(0, 16 * (n - n_missing)));
         EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << kept_deg;
@@ -133,21 +140,24 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     const Scan& scan = log.frames[0].scan;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) ASSERT_FLOAT_EQ(scan.intensity[i], 0.2f);
-    EXPECT_THAT(log.notes, testing::Contains(HasSubstr("whole numbers up to 51: they are read as shares of 255")));
+    EXPECT_THAT(log.notes,
+                testing::Contains(HasSubstr("whole numbers up to 51: they are read as shares of 255")));
     for (const float wrong : {1.5f, 256.0f, -1.0f}) {
         set_intensities(drive, wrong);
         EXPECT_THAT(complaint(drive), HasSubstr("expected 0 to 1, or whole numbers up to 255")) << wrong;
     }
     set_intensities(drive, 0.0f);
-    EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Contains(HasSubstr("no intensities: every return has 0")));
+    EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes,
+                testing::Contains(HasSubstr("no intensities: every return has 0")));
 }
 
 TEST(BrokenScans, OfNuscenesAndArgoverse) {
     const test::NuscenesFolder scene("broken_sweeps");
     expect_left_out(scene.folder, scene.sweep(4), 4, "scene-0103");
     const test::Argoverse2Log log("broken_sweeps");
-    for (const int sweep : {0, 1}) {   // the first one tells which lasers are whose
-        const fs::path file = log.folder / "sensors/lidar" / (std::to_string(test::Argoverse2Log::sweep_ns(sweep)) + ".feather");
+    for (const int sweep : {0, 1}) {  // the first one tells which lasers are whose
+        const fs::path file = log.folder / "sensors/lidar" /
+                              (std::to_string(test::Argoverse2Log::sweep_ns(sweep)) + ".feather");
         expect_left_out(log.folder, file, sweep);
     }
 }
@@ -162,7 +172,8 @@ protected:
         for (int b = 0; b < 16; ++b)
             for (int c = 0; c < 90; ++c) {
                 const double e = 0.1 - 0.02 * b, a = kPi - (c + 0.5) * 2.0 * kPi / 90;
-                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f, std::uint16_t(b), 0.0});
+                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f,
+                                  std::uint16_t(b), 0.0});
             }
         for (int i = 0; i < 5; ++i) test::write_text(folder / scan(i), test::pcd_binary(points));
     }
@@ -185,18 +196,20 @@ TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
     options.poses_file = kNoPoses;
     // intensities of the scans are 51 of 255
     const std::string head = test::read_text(folder / "sequence.json");
-    test::write_text(folder / "sequence.json", head.substr(0, head.size() - 1) + R"(, "intensity_max": 255, "point_times": "absolute"})");
+    test::write_text(folder / "sequence.json", head.substr(0, head.size() - 1) +
+                                                   R"(, "intensity_max": 255, "point_times": "absolute"})");
     EXPECT_EQ(load_sequence(folder.string(), options).frames.size(), 5u);
 }
 
 TEST_F(BareFolder, LeavesBrokenScansOut) {
-    test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 255,
+    test::write_text(folder / "sequence.json",
+                     R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 255,
         "point_times": "absolute", "lidars": [{"name": "top", "scans": "."}]})");
     std::string poses;
     for (int i = 0; i < 5; ++i) poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
     test::write_text(folder / "poses.txt", poses);
     expect_left_out(folder, folder / scan(2), 2);
-    cut(folder / scan(0));   // its beams are fitted to the first ones
+    cut(folder / scan(0));  // its beams are fitted to the first ones
     EXPECT_EQ(numbers(load_sequence(folder.string(), skipping())), (std::vector<int>{1, 3, 4}));
     for (const int i : {1, 3, 4}) cut(folder / scan(i));
     try {

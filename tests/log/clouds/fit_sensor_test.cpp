@@ -19,7 +19,8 @@ SpinningSensor true_sensor(bool clockwise = true) {
     SpinningSensor s;
     double elevation_deg = 15.0;
     for (int b = 0; b < kBeams; ++b) {
-        s.beams.push_back({.elevation_rad = elevation_deg * kPi / 180.0, .azimuth_offset_rad = 0.002 * (b % 3 - 1)});
+        s.beams.push_back(
+            {.elevation_rad = elevation_deg * kPi / 180.0, .azimuth_offset_rad = 0.002 * (b % 3 - 1)});
         elevation_deg -= 0.4 + 0.4 * (b % 3);
     }
     s.columns = kColumns;
@@ -29,14 +30,17 @@ SpinningSensor true_sensor(bool clockwise = true) {
     return s;
 }
 
-/// Points on four of five rays, at 3 to 70 m, of the beams that look down at 3 to 8 m; rings counted from below.
+/// Points on four of five rays, at 3 to 70 m, of the beams that look down at 3 to 8 m;
+/// rings counted from below.
 ScanPoints points_on(const SpinningSensor& s, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(s);
     ScanPoints points;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         if (random.uniform() < 0.2) continue;
-        points.point_m.push_back(rays.origin[i] + float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) * rays.direction[i]);
+        points.point_m.push_back(rays.origin[i] +
+                                 float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
+                                     rays.direction[i]);
         points.intensity.push_back(0.5f);
         points.ring.push_back(std::uint16_t(s.beams.size() - 1 - rays.channel[i]));
         points.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -46,7 +50,8 @@ ScanPoints points_on(const SpinningSensor& s, std::uint64_t seed) {
 
 void expect_beams(const std::vector<Beam>& found, const std::vector<Beam>& truth, double tolerance) {
     ASSERT_EQ(found.size(), truth.size());
-    for (std::size_t b = 0; b < truth.size(); ++b) EXPECT_NEAR(found[b].elevation_rad, truth[b].elevation_rad, tolerance) << "beam " << b;
+    for (std::size_t b = 0; b < truth.size(); ++b)
+        EXPECT_NEAR(found[b].elevation_rad, truth[b].elevation_rad, tolerance) << "beam " << b;
 }
 
 TEST(FindBeams, FromElevationsAlone) {
@@ -58,17 +63,20 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     Random random(3);
     ScanPoints points;
     for (int i = 0; i < 20000; ++i)
-        points.point_m.emplace_back(random.uniform(5.0, 50.0), random.uniform(-10.0, 10.0), random.uniform(-3.0, 3.0));
+        points.point_m.emplace_back(random.uniform(5.0, 50.0), random.uniform(-10.0, 10.0),
+                                    random.uniform(-3.0, 3.0));
     EXPECT_TRUE(find_beams({points}).empty());
     EXPECT_TRUE(find_beams({}).empty());
     SpinningSensor wide = true_sensor();
-    for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;  // seen from the centre its bands are wider than the distance between beams
+    // seen from the centre its bands are wider than the distance between beams
+    for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;
     EXPECT_TRUE(find_beams({points_on(wide, 1)}).empty());
 }
 
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = true_sensor();
-    for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;  // 2 degrees at 3 m: as much as three beams
+    // 2 degrees at 3 m: as much as three beams
+    for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;
     ScanPoints points = points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
@@ -86,7 +94,8 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
         EXPECT_EQ(fit.sensor.clockwise, clockwise);
         EXPECT_NEAR(fit.sensor.period_s, 0.05, 1e-4);
         ASSERT_EQ(fit.beam_of_ring.size(), std::size_t(kBeams));
-        for (int ring = 0; ring < kBeams; ++ring) EXPECT_EQ(fit.beam_of_ring[std::size_t(ring)], kBeams - 1 - ring);
+        for (int ring = 0; ring < kBeams; ++ring)
+            EXPECT_EQ(fit.beam_of_ring[std::size_t(ring)], kBeams - 1 - ring);
         for (std::size_t b = 1; b < truth.beams.size(); ++b)  // where the head stands itself is not known
             EXPECT_NEAR(fit.sensor.beams[b].azimuth_offset_rad - fit.sensor.beams[0].azimuth_offset_rad,
                         truth.beams[b].azimuth_offset_rad - truth.beams[0].azimuth_offset_rad, 1e-5);
@@ -115,8 +124,12 @@ TEST(FitSensor, WhatItCannotFit) {
     points.ring.clear();
     EXPECT_THROW(fit_sensor({points}, 0.1), UsageError);
     EXPECT_THROW(fit_sensor({}, 0.1), UsageError);
-    const ScanPoints one{
-        .point_m = {{5.0f, 0.0f, 0.0f}}, .intensity = {0.5f}, .ring = {0}, .time_offset_s = {}, .return_number = {}, .firing = {}};
+    const ScanPoints one{.point_m = {{5.0f, 0.0f, 0.0f}},
+                         .intensity = {0.5f},
+                         .ring = {0},
+                         .time_offset_s = {},
+                         .return_number = {},
+                         .firing = {}};
     EXPECT_THROW(fit_sensor({one}, 0.1), DataError);
 }
 

@@ -34,7 +34,8 @@ TEST(PaperParts, HoldOutWhatIsPublished) {
 }
 
 TEST(PaperParts, HoldOutFourFramesThatAreTheirs) {
-    for (const auto& parts : {std::span<const PaperPart>(kKitti360Parts), std::span<const PaperPart>(kWaymoParts)})
+    for (const auto& parts :
+         {std::span<const PaperPart>(kKitti360Parts), std::span<const PaperPart>(kWaymoParts)})
         for (const PaperPart& part : parts) {
             EXPECT_GT(part.test_first, part.first) << part.name;
             EXPECT_LT(part.test_first + (kPaperTestFrames - 1) * part.test_every, part.last) << part.name;
@@ -44,11 +45,15 @@ TEST(PaperParts, HoldOutFourFramesThatAreTheirs) {
 
 TEST(PaperParts, AreAllNamed) {
     std::string names;
-    for (const auto& parts : {std::span<const PaperPart>(kKitti360Parts), std::span<const PaperPart>(kWaymoParts)})
+    for (const auto& parts :
+         {std::span<const PaperPart>(kKitti360Parts), std::span<const PaperPart>(kWaymoParts)})
         for (const PaperPart& part : parts) {
             const std::string name = part.name;
             names += name + " ";
-            EXPECT_EQ(part.last - part.first + 1, name == "ks4" ? 63 : name.starts_with("ks") ? 64 : 50) << name;
+            EXPECT_EQ(part.last - part.first + 1, name == "ks4"            ? 63
+                                                  : name.starts_with("ks") ? 64
+                                                                           : 50)
+                << name;
         }
     EXPECT_EQ(names, "ks1 ks2 ks3 ks4 kd1 kd2 kd3 kd4 kd5 kd6 ws1 ws2 ws3 ws4 wd1 wd2 wd3 wd4 ");
     EXPECT_EQ(kPaperTestFrames, 4);

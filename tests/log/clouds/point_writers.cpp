@@ -15,13 +15,12 @@ void append(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::uint8_t byte_of(float intensity) {
-    return std::uint8_t(std::lround(intensity * 255.0f));
-}
+std::uint8_t byte_of(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
 
 std::string pcd_header(std::size_t n, const char* data) {
     return fmt::format(
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring "
+        "timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
         "U U U F\n"
         "COUNT 1 1 1 3 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
         n, n, data);
@@ -29,9 +28,11 @@ std::string pcd_header(std::size_t n, const char* data) {
 
 std::string ply_header(std::size_t n, const char* format) {
     return fmt::format(
-        "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 y\nproperty double z\nproperty float "
+        "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 "
+        "y\nproperty double z\nproperty float "
         "intensity\n"
-        "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar int "
+        "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar "
+        "int "
         "vertex_indices\nend_header\n",
         format, n);
 }
@@ -41,7 +42,8 @@ std::string ply_header(std::size_t n, const char* format) {
 std::string pcd_text(const FilePoints& points) {
     std::string text = pcd_header(points.size(), "ascii");
     for (const FilePoint& p : points)
-        text += fmt::format("{} {} {} 7 7 7 {} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z, byte_of(p.intensity), p.ring, p.time_s);
+        text += fmt::format("{} {} {} 7 7 7 {} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z,
+                            byte_of(p.intensity), p.ring, p.time_s);
     return text;
 }
 
@@ -72,7 +74,8 @@ std::string pcd_compressed(const FilePoints& points) {
 std::string ply_text(const FilePoints& points) {
     std::string text = ply_header(points.size(), "ascii");
     for (const FilePoint& p : points)
-        text += fmt::format("{} {} {} {} {} {} 255\n", p.point_m.x, p.point_m.y, p.point_m.z, p.intensity, p.ring, p.time_s);
+        text += fmt::format("{} {} {} {} {} {} 255\n", p.point_m.x, p.point_m.y, p.point_m.z, p.intensity,
+                            p.ring, p.time_s);
     return text;
 }
 
@@ -80,7 +83,8 @@ std::string ply_binary(const FilePoints& points) {
     std::string bytes = ply_header(points.size(), "binary_little_endian");
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
-        append(bytes, p.intensity), append(bytes, p.ring), append(bytes, p.time_s), append(bytes, std::uint8_t(255));
+        append(bytes, p.intensity), append(bytes, p.ring), append(bytes, p.time_s),
+            append(bytes, std::uint8_t(255));
     }
     return bytes;
 }
@@ -95,7 +99,8 @@ std::string bin(const FilePoints& points) {
 }
 
 std::string npy(const FilePoints& points) {
-    std::string header = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 6), }}", points.size());
+    std::string header =
+        fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 6), }}", points.size());
     header.resize(118 - 1, ' ');
     std::string bytes = "\x93NUMPY";
     bytes += {'\x01', '\x00', char(118), '\x00'};
@@ -124,7 +129,9 @@ std::string lzf(const std::string& bytes) {
         const std::size_t back = known == last.end() ? 0 : at - known->second;
         std::size_t length = 0;
         if (key.size() == 3 && back > 0 && back <= 8192)
-            while (length < 264 && at + length < bytes.size() && bytes[at + length] == bytes[at + length - back]) ++length;
+            while (length < 264 && at + length < bytes.size() &&
+                   bytes[at + length] == bytes[at + length - back])
+                ++length;
         if (key.size() == 3) last[key] = at;
         if (length < 3) {
             plain += bytes[at++];

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points to scans: the rays that a sensor fired are the oracle; points of some of them, shuffled, have to find their rays again.
+// Points to scans: the rays that a sensor fired are the oracle; points of some of them,
+// shuffled, have to find their rays again.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -29,7 +30,8 @@ SpinningSensor sensor() {
     return s;
 }
 
-/// What came back along the sensor's rays: one in five nothing; a second return now and then.
+/// What came back along the sensor's rays: one in five nothing; a second return now and
+/// then.
 struct Truth {
     Scan scan;
     ScanPoints points;  ///< shuffled
@@ -44,11 +46,13 @@ struct Truth {
             if (random.uniform() < 0.2) continue;
             scan.range_m[i] = float(random.uniform(2.0, 60.0)), scan.intensity[i] = float(random.uniform());
             if (second && random.uniform() < 0.1)
-                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f, scan.second_returns[0].intensity[i] = 0.25f;
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f,
+                scan.second_returns[0].intensity[i] = 0.25f;
         }
         std::vector<std::size_t> order(scan.rays.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
-        for (std::size_t i = order.size(); i-- > 1;) std::swap(order[i], order[std::size_t(random.next() % (i + 1))]);
+        for (std::size_t i = order.size(); i-- > 1;)
+            std::swap(order[i], order[std::size_t(random.next() % (i + 1))]);
         for (const std::size_t i : order) {
             if (scan.range_m[i] == 0.0f) continue;
             add(i, scan.range_m[i], scan.intensity[i], 0);
@@ -63,7 +67,8 @@ private:
         points.intensity.push_back(intensity);
         points.ring.push_back(scan.rays.channel[ray]);
         points.return_number.push_back(number);
-        points.time_offset_s.push_back(scan.rays.time_offset_s[ray] + 0.004f);  // a head that faces forward 4 ms late
+        // a head that faces forward 4 ms late
+        points.time_offset_s.push_back(scan.rays.time_offset_s[ray] + 0.004f);
     }
 };
 
@@ -84,12 +89,14 @@ void expect_same_rays(const Scan& found, const Scan& truth, float late_s) {
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
     Truth truth(sensor());
     truth.points.time_offset_s.clear();
-    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan, 0.0f);
+    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan,
+                     0.0f);
 }
 
 TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
     const Truth truth(sensor());
-    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan, 0.004f);
+    expect_same_rays(spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor())), truth.scan,
+                     0.004f);
 }
 
 TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
@@ -112,7 +119,8 @@ TEST(SpinningScan, KeepsSecondReturns) {
     Scan cut = found;
     drop_outside(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
-        EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f || (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
+        EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||
+                    (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
 }
 
 TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
@@ -120,7 +128,8 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     ScanPoints points;
     const BeamRay ray = beam_ray(s.beams[0], 0.0);
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
-        points.point_m.emplace_back(ray.origin_m + range * ray.direction), points.intensity.push_back(2.0f), points.ring.push_back(0);
+        points.point_m.emplace_back(ray.origin_m + range * ray.direction), points.intensity.push_back(2.0f),
+            points.ring.push_back(0);
     const Scan scan = spinning_scan(points, s, even_sweep(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
@@ -130,19 +139,27 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
 }
 
-/// A sweep of more than a turn: both firings at azimuth 3 keep their points and times, though their azimuths are the same.
+/// A sweep of more than a turn: both firings at azimuth 3 keep their points and times,
+/// though their azimuths are the same.
 TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};
     one.columns = 3;
     const HeadLattice lattice{360, 0.0};
     const Sweep sweep{lattice, {lattice.tick(3.0), lattice.tick(3.0), lattice.tick(1.0)}};
-    const auto point = [](double azimuth, float range_m) { return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0); };
-    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)}, {0.1f, 0.2f, 0.3f}, {0, 0, 0}, {0.05f, 0.0f, 0.1f}, {},
+    const auto point = [](double azimuth, float range_m) {
+        return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0);
+    };
+    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)},
+                            {0.1f, 0.2f, 0.3f},
+                            {0, 0, 0},
+                            {0.05f, 0.0f, 0.1f},
+                            {},
                             {2, 1, 0}};
     const Scan scan = spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
-    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
+    for (std::size_t i = 0; i < 3; ++i)
+        EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
     ScanPoints beyond = points;
     beyond.firing[0] = 3;
     EXPECT_THROW(spinning_scan(beyond, one, sweep), UsageError);
@@ -188,21 +205,24 @@ TEST(SpinningScan, SaysWhichArrayIsWrong) {
 }
 
 TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
-    const PoseTrack track{{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(0.5, glm::dvec3(0, 0, 1)), {9.0, -2.0, 0.3}}}};
+    const PoseTrack track{{0.0, 1.0},
+                          {Pose{}, Pose{glm::angleAxis(0.5, glm::dvec3(0, 0, 1)), {9.0, -2.0, 0.3}}}};
     Random random(9);
     ScanPoints points;
     std::vector<glm::vec3> measured;
     for (int i = 0; i < 200; ++i) {
         const double offset_s = random.uniform(-0.05, 0.05);
-        measured.emplace_back(random.uniform(-30.0, 30.0), random.uniform(-30.0, 30.0), random.uniform(-2.0, 3.0));
+        measured.emplace_back(random.uniform(-30.0, 30.0), random.uniform(-30.0, 30.0),
+                              random.uniform(-2.0, 3.0));
         points.time_offset_s.push_back(float(offset_s));
-        const glm::dmat4 compensate =
-            glm::inverse(to_matrix(track.at(0.4))) * to_matrix(track.at(0.4 + double(points.time_offset_s.back())));
+        const glm::dmat4 compensate = glm::inverse(to_matrix(track.at(0.4))) *
+                                      to_matrix(track.at(0.4 + double(points.time_offset_s.back())));
         points.point_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
     }
     EXPECT_GT(glm::distance(points.point_m[0], measured[0]), 0.01f);
     undo_compensation(points, track, 0.4);
-    for (std::size_t i = 0; i < measured.size(); ++i) EXPECT_LT(glm::distance(points.point_m[i], measured[i]), 2e-5f);
+    for (std::size_t i = 0; i < measured.size(); ++i)
+        EXPECT_LT(glm::distance(points.point_m[i], measured[i]), 2e-5f);
 }
 
 TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {

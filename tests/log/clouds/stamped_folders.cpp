@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// After the documents of the datasets: Boreas' data reference, the tables and mounting of MulRan, ONCE's description of its formats.
+// After the documents of the datasets: Boreas' data reference, the tables and mounting of
+// MulRan, ONCE's description of its formats.
 #include "log/clouds/stamped_folders.hpp"
 
 #include <algorithm>
@@ -41,8 +42,8 @@ glm::dvec3 angles_of(const glm::dquat& rotation) {
     return {std::atan2(m[1][2], m[2][2]), -std::asin(m[0][2]), std::atan2(m[0][1], m[0][0])};
 }
 
-/// The same of R_x(-roll) R_y(-pitch) R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch)
-/// R_z(yaw), by number.
+/// The same of R_x(-roll) R_y(-pitch) R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw)
+/// R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch) R_z(yaw), by number.
 glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
     const glm::dvec3 angles = angles_of(order == 0 || order == 3 ? glm::conjugate(rotation) : rotation);
     return order == 2 || order == 3 ? -angles : angles;
@@ -51,12 +52,14 @@ glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
 }  // namespace
 
 double off_yard_m(const glm::dvec3& p) {
-    return std::min({std::abs(p.z + 0.35), std::abs(p.x + 31.0), std::abs(p.x - 42.0), std::abs(p.y + 24.0), std::abs(p.y - 29.0)});
+    return std::min({std::abs(p.z + 0.35), std::abs(p.x + 31.0), std::abs(p.x - 42.0), std::abs(p.y + 24.0),
+                     std::abs(p.y - 29.0)});
 }
 
 Pose StampedDrive::vehicle_at(double time_s) const {
     const double heading = heading_rad + rate_rad_s * time_s, radius_m = speed_mps / rate_rad_s;
-    const glm::dvec3 gone(std::sin(heading) - std::sin(heading_rad), std::cos(heading_rad) - std::cos(heading), 0.0);
+    const glm::dvec3 gone(std::sin(heading) - std::sin(heading_rad),
+                          std::cos(heading_rad) - std::cos(heading), 0.0);
     return {rotation_of(heading, pitch_rad, roll_rad), world_m + start_m + radius_m * gone};
 }
 
@@ -67,7 +70,8 @@ void StampedDrive::cast() {
             for (std::size_t b = 0; b < beams.size(); ++b) {
                 StampedRay ray;
                 ray.time_s = s * step_s + kTurn_s * (double(c) / columns - 0.5);
-                const glm::dvec3 d = beam_ray(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
+                const glm::dvec3 d =
+                    beam_ray(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
                 const Pose fired = lidar_at(ray.time_s);
                 ray.origin_m = fired.translation;
                 ray.point_m = world_m + yard_hit(ray.origin_m - world_m, fired.rotation * d);
@@ -102,7 +106,8 @@ StampedFolder::~StampedFolder() {
     fs::remove_all(folder, failed);
 }
 
-BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns) : StampedFolder("boreas", "boreas-" + name) {
+BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
+    : StampedFolder("boreas", "boreas-" + name) {
     drive.pitch_rad = 0.02, drive.roll_rad = -0.015;
     drive.start_m = {-3.0, -4.0, 0.9};
     drive.world_m = {312.5, -204.25, 12.0};
@@ -117,33 +122,38 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns) : S
             const StampedRay& ray = drive.rays[std::size_t(s)][i];
             if (!ray.returned) continue;
             const glm::vec3& p = ray.local_m;
-            append_floats(bytes, {p.x, p.y, p.z, 51.0f, float(laser_of(i % 128)), float(ray.time_s - s * drive.step_s)});
+            append_floats(bytes, {p.x, p.y, p.z, 51.0f, float(laser_of(i % 128)),
+                                  float(ray.time_s - s * drive.step_s)});
         }
         write_text(scan(s), bytes);
     }
-    std::string lines = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,angvel_x\n";
+    std::string lines =
+        "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,"
+        "angvel_x\n";
     for (int s = 0; s < 400; ++s) {
         const Pose pose = drive.lidar_at(s * drive.step_s);
         const glm::dvec3 a = angles_of(pose.rotation, angles), &t = pose.translation;
         const double heading = drive.heading_rad + drive.rate_rad_s * s * drive.step_s;
-        lines += fmt::format("{},{},{},{},{},{},0.0,{},{},{},0.3,0.0,0.0\n", stamp(s), t.x, t.y, t.z, 8.0 * std::cos(heading),
-                             8.0 * std::sin(heading), a.x, a.y, a.z);
+        lines += fmt::format("{},{},{},{},{},{},0.0,{},{},{},0.3,0.0,0.0\n", stamp(s), t.x, t.y, t.z,
+                             8.0 * std::cos(heading), 8.0 * std::sin(heading), a.x, a.y, a.z);
     }
     write_text(poses(), lines);
-    const Pose applanix_from_vehicle{rotation_of(kPi / 2.0, 0.0, 0.0), {}};   // x right, y forward
-    write_text(calibration(), matrix_text(applanix_from_vehicle * drive.vehicle_from_lidar, " ") + "\n0 0 0 1\n");
+    const Pose applanix_from_vehicle{rotation_of(kPi / 2.0, 0.0, 0.0), {}};  // x right, y forward
+    write_text(calibration(),
+               matrix_text(applanix_from_vehicle * drive.vehicle_from_lidar, " ") + "\n0 0 0 1\n");
 }
 
 MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFolder("mulran", name) {
     kind = "mulran:";
     drive.start_m = {-3.0, -4.0, -0.35};
     drive.world_m = {353012.5, 4026107.25, 21.0};
-    drive.vehicle_from_lidar = {rotation_of(179.6654 * kDegree, 0.0003 * kDegree, 0.0001 * kDegree), {1.7042, -0.021, 1.8047}};
+    drive.vehicle_from_lidar = {rotation_of(179.6654 * kDegree, 0.0003 * kDegree, 0.0001 * kDegree),
+                                {1.7042, -0.021, 1.8047}};
     for (int b = 0; b < 64; ++b)
         drive.beams.push_back({.elevation_rad = (16.6 - b * 33.2 / 63.0) * kDegree,
                                .azimuth_offset_rad = (3.164 - b % 4 * 2.109) * kDegree});
     drive.columns = 1024, drive.n_scans = kScans;
-    drive.first_azimuth_rad = 0.0;   // of its own, which looks backward
+    drive.first_azimuth_rad = 0.0;  // of its own, which looks backward
     drive.cast();
     for (int s = 0; s < kScans; ++s) {
         std::string bytes;
@@ -155,7 +165,7 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
         write_text(scan(s), bytes);
     }
     std::string lines;
-    for (int k = 0; k < 32; ++k)   // 100 a second, from 46 ms after the first scan on
+    for (int k = 0; k < 32; ++k)  // 100 a second, from 46 ms after the first scan on
         lines += fmt::format("{},{}\n", stamp(0) + 46000000 + k * std::int64_t(10000000),
                              matrix_text(drive.vehicle_at(0.046 + 0.01 * k), ","));
     write_text(poses(), lines);
@@ -163,10 +173,12 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
 
 OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : StampedFolder("once", name) {
     drive.rate_rad_s = 0.1, drive.start_m = {-12.0, -6.0, 1.45};
-    drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);   // its x to the left, its y backward
+    // its x to the left, its y backward
+    drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(known_sensor("Pandar40P")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
-    drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;   // half a step after backward: either end of a turn may take what is just there
+    // half a step after backward: either end of a turn may take what is just there
+    drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;
     drive.cast();
     const Pose world = drive.lidar_at(0.0);
     std::string frames;
@@ -179,12 +191,19 @@ OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : Sta
         const glm::dquat& q = pose.rotation;
         const std::string rotation = w_first ? fmt::format("{}, {}, {}, {}", q.w, q.x, q.y, q.z)
                                              : fmt::format("{}, {}, {}, {}", q.x, q.y, q.z, q.w);
-        frames += fmt::format("{}{{\"sequence_id\": \"{}\", \"frame_id\": \"{}\", \"pose\": [{}, {}, {}, {}]{}}}", s > 0 ? ", " : "", name,
-                              stamp(s), rotation, pose.translation.x, pose.translation.y, pose.translation.z,
-                              s != 1 ? "" : ", \"annos\": {\"names\": [\"Car\"], \"boxes_3d\": [[3.0, -9.0, -0.5, 4.5, 1.9, 1.6, 1.6]], "
-                                            "\"boxes_2d\": {}}");
+        frames +=
+            fmt::format("{}{{\"sequence_id\": \"{}\", \"frame_id\": \"{}\", \"pose\": [{}, {}, {}, {}]{}}}",
+                        s > 0 ? ", " : "", name, stamp(s), rotation, pose.translation.x, pose.translation.y,
+                        pose.translation.z,
+                        s != 1 ? ""
+                               : ", \"annos\": {\"names\": [\"Car\"], \"boxes_3d\": [[3.0, -9.0, -0.5, 4.5, "
+                                 "1.9, 1.6, 1.6]], "
+                                 "\"boxes_2d\": {}}");
     }
-    write_text(json(), fmt::format("{{\"meta_info\": {{\"weather\": \"sunny\"}}, \"calib\": {{}}, \"frames\": [{}]}}\n", frames));
+    write_text(
+        json(),
+        fmt::format("{{\"meta_info\": {{\"weather\": \"sunny\"}}, \"calib\": {{}}, \"frames\": [{}]}}\n",
+                    frames));
 }
 
 }  // namespace relidar::test

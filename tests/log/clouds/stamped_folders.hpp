@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Small sequences of Boreas, MulRan and ONCE written by the tests: a vehicle drives along a bend through the walled yard, and its LiDAR, in
-// the axes and with the names, times and poses of each dataset, measures every point from where it is at that moment.
+// Small sequences of Boreas, MulRan and ONCE written by the tests: a vehicle drives along
+// a bend through the walled yard, and its LiDAR, in the axes and with the names, times
+// and poses of each dataset, measures every point from where it is at that moment.
 #pragma once
 
 #include <cstdint>
@@ -19,21 +20,21 @@ struct StampedRay {
     double time_s = 0.0;       ///< after the first scan
     glm::dvec3 origin_m{0.0};  ///< of the world, as the next
     glm::dvec3 point_m{0.0};
-    glm::vec3 local_m{0.0f};   ///< in the LiDAR's frame, the dataset's axes
+    glm::vec3 local_m{0.0f};  ///< in the LiDAR's frame, the dataset's axes
     bool returned = false;
 };
 
 /// A drive with a level road and a vehicle that leans, and the LiDAR on it.
 struct StampedDrive {
     double speed_mps = 8.0, rate_rad_s = 0.3, heading_rad = 0.4, pitch_rad = 0.0, roll_rad = 0.0;
-    glm::dvec3 start_m{0.0};          ///< in the yard
-    glm::dvec3 world_m{0.0};          ///< of the yard
-    Pose vehicle_from_lidar;          ///< the dataset's axes
-    std::vector<Beam> beams;          ///< the highest first
+    glm::dvec3 start_m{0.0};  ///< in the yard
+    glm::dvec3 world_m{0.0};  ///< of the yard
+    Pose vehicle_from_lidar;  ///< the dataset's axes
+    std::vector<Beam> beams;  ///< the highest first
     int columns = 0, n_scans = 0;
-    double step_s = 0.1;              ///< from scan to scan; a turn takes 0.1 s, its middle at the stamp
-    double first_azimuth_rad = kPi;   ///< in the LiDAR's frame
-    std::vector<std::vector<StampedRay>> rays = {};   ///< [scan] column by column
+    double step_s = 0.1;             ///< from scan to scan; a turn takes 0.1 s, its middle at the stamp
+    double first_azimuth_rad = kPi;  ///< in the LiDAR's frame
+    std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
 
     Pose vehicle_at(double time_s) const;
     Pose lidar_at(double time_s) const { return vehicle_at(time_s) * vehicle_from_lidar; }
@@ -44,7 +45,9 @@ struct StampedDrive {
 /// A folder of its own under the tests' temporary one, which ends with it.
 struct StampedFolder {
     std::filesystem::path folder;
-    std::string kind = "";   ///< "mulran:" where it shall be read as such whatever is missing; empty: as it is recognised
+    /// "mulran:" where it shall be read as such whatever is missing; empty: as it is
+    /// recognised
+    std::string kind = "";
     StampedDrive drive;
 
     StampedFolder(const std::string& dataset, const std::string& name);
@@ -55,16 +58,20 @@ struct StampedFolder {
     StampedFolder& operator=(const StampedFolder&) = delete;
 };
 
-/// 128 beams, of which laser numbers are in disorder; the LiDAR looks 42.6 degrees to the right, its frame begins there. Poses go on
-/// for 40 s after the scans, twice around the yard.
+/// 128 beams, of which laser numbers are in disorder; the LiDAR looks 42.6 degrees to the
+/// right, its frame begins there. Poses go on for 40 s after the scans, twice around the
+/// yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;
 
-    /// @param angles  0: as Boreas describes them, 1: as most others do, 2 and 3: both with roll and yaw turned by in the other order
+    /// @param angles  0: as Boreas describes them, 1: as most others do, 2 and 3: both
+    /// with roll and yaw turned by in the other order
     explicit BoreasFolder(const std::string& name, int angles = 0, int columns = 360);
     static std::int64_t stamp(int scan) { return kFirst_us + scan * 100000; }
-    std::filesystem::path scan(int number) const { return folder / "lidar" / (std::to_string(stamp(number)) + ".bin"); }
+    std::filesystem::path scan(int number) const {
+        return folder / "lidar" / (std::to_string(stamp(number)) + ".bin");
+    }
     std::filesystem::path poses() const { return folder / "applanix/lidar_poses.csv"; }
     std::filesystem::path calibration() const { return folder / "calib/T_applanix_lidar.txt"; }
     static int laser_of(std::size_t beam) { return int(beam * 37 + 11) % 128; }
@@ -78,7 +85,9 @@ struct MulranFolder : StampedFolder {
     /// @param by_column  the order of points in files, else ring by ring
     explicit MulranFolder(const std::string& name, bool by_column = true);
     static std::int64_t stamp(int scan) { return kFirst_ns + scan * std::int64_t(100000000); }
-    std::filesystem::path scan(int number) const { return folder / "Ouster" / (std::to_string(stamp(number)) + ".bin"); }
+    std::filesystem::path scan(int number) const {
+        return folder / "Ouster" / (std::to_string(stamp(number)) + ".bin");
+    }
     std::filesystem::path poses() const { return folder / "global_pose.csv"; }
 };
 
@@ -90,7 +99,9 @@ struct OnceFolder : StampedFolder {
     /// @param w_first  of quaternions
     explicit OnceFolder(const std::string& name, bool w_first = false, int columns = 900);
     static std::int64_t stamp(int scan) { return kFirst_ms + scan * 500; }
-    std::filesystem::path scan(int number) const { return folder / "lidar_roof" / (std::to_string(stamp(number)) + ".bin"); }
+    std::filesystem::path scan(int number) const {
+        return folder / "lidar_roof" / (std::to_string(stamp(number)) + ".bin");
+    }
     std::filesystem::path json() const { return folder / (folder.filename().string() + ".json"); }
 };
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log of two LiDARs: where their returns lie in the world, which frames are held out together, and what is found of their beams.
+// A log of two LiDARs: where their returns lie in the world, which frames are held out
+// together, and what is found of their beams.
 #include <cmath>
 #include <map>
 #include <tuple>
@@ -25,27 +26,31 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 31) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
         const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-        const glm::dvec4 p = to_matrix(street.world_from_vehicle.at(t_s)) * to_matrix(rear.vehicle_from_sensor) *
+        const glm::dvec4 p = to_matrix(street.world_from_vehicle.at(t_s)) *
+                             to_matrix(rear.vehicle_from_sensor) *
                              glm::dvec4(glm::dvec3(frame.scan.point(i)), 1.0);
         EXPECT_LT(glm::distance(world_return(street, frame, i).point_m, glm::dvec3(p)),
                   1e-3);  // between poses the mounting turns on an arc, its track on a chord
     }
 }
 
-/// Heights of the road where both LiDARs have seen the same half metre of it: mean difference.
+/// Heights of the road where both LiDARs have seen the same half metre of it: mean
+/// difference.
 double height_difference_m(const Sequence& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
     for (const Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f) || frame.scan.range_m[i] > 25.0f) continue;
             const glm::dvec3 p = world_return(street, frame, i).point_m;
-            if (std::abs(p.z + street.world_offset_m.z) > 0.5) continue;  // the road is at height 0 of the street
+            // the road is at height 0 of the street
+            if (std::abs(p.z + street.world_offset_m.z) > 0.5) continue;
             const std::tuple cell(int(std::floor(2.0 * p.x)), int(std::floor(2.0 * p.y)));
             sum[frame.lidar][cell] += p.z, count[frame.lidar][cell] += 1.0;
         }
     double difference = 0.0, n = 0.0;
     for (const auto& [cell, total] : sum[0])
-        if (count[1].contains(cell)) difference += std::abs(total / count[0][cell] - sum[1][cell] / count[1][cell]), n += 1.0;
+        if (count[1].contains(cell))
+            difference += std::abs(total / count[0][cell] - sum[1][cell] / count[1][cell]), n += 1.0;
     EXPECT_GT(n, 50.0);
     return difference / n;
 }
@@ -80,7 +85,8 @@ TEST(TwoLidars, LasersAreCountedThrough) {
     double mean[2] = {0.0, 0.0};
     for (int l = 0; l < 2; ++l)
         for (std::size_t b = 4; b < 12; ++b)
-            mean[l] += street.lidars[std::size_t(l)].sensor.beams[b].range_offset_m / 8.0;  // the upper ones see no plane
+            // the upper ones see no plane
+            mean[l] += street.lidars[std::size_t(l)].sensor.beams[b].range_offset_m / 8.0;
     EXPECT_NEAR(mean[1] - mean[0], 0.06, 0.02);
 }
 

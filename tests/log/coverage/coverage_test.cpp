@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cells that segments cross, against a box test of each cell; what a scan has looked at, in a room and under the sky.
+// Cells that segments cross, against a box test of each cell; what a scan has looked at,
+// in a room and under the sky.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -23,10 +24,12 @@ struct Segment {
 
 /// Length of a segment within a cell, by clipping it to the cell's six planes.
 double length_within(const Segment& segment, const Cell& cell) {
-    const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)), d = segment.to_m - segment.from_m;
+    const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)),
+        d = segment.to_m - segment.from_m;
     double begin = 0.0, end = 1.0;
     for (int axis = 0; axis < 3; ++axis) {
-        const double a = (low[axis] - segment.from_m[axis]) / d[axis], b = (low[axis] + 1.0 - segment.from_m[axis]) / d[axis];
+        const double a = (low[axis] - segment.from_m[axis]) / d[axis],
+                     b = (low[axis] + 1.0 - segment.from_m[axis]) / d[axis];
         begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
     }
     return std::max(end - begin, 0.0) * glm::length(d);
@@ -34,7 +37,10 @@ double length_within(const Segment& segment, const Cell& cell) {
 
 std::vector<Segment> random_segments(int n, std::uint64_t seed) {
     Random random(seed);
-    const auto place = [&] { return glm::dvec3(random.uniform(-12.0, 12.0), random.uniform(-12.0, 12.0), random.uniform(-9.0, 9.0)); };
+    const auto place = [&] {
+        return glm::dvec3(random.uniform(-12.0, 12.0), random.uniform(-12.0, 12.0),
+                          random.uniform(-9.0, 9.0));
+    };
     std::vector<Segment> segments;
     for (int i = 0; i < n; ++i) {
         const glm::dvec3 from = place();
@@ -58,7 +64,8 @@ TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
     for (const Coverage::Block& block : coverage.blocks())
         for (const std::uint16_t word : block.cells) n_cells += std::size_t(__builtin_popcount(word));
     EXPECT_EQ(n_cells, crossed.size());
-    for (const Segment& segment : segments) EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), 1.0, 1e-12);
+    for (const Segment& segment : segments)
+        EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), 1.0, 1e-12);
     int n_partly = 0;
     for (const Segment& segment : random_segments(60, 2)) {
         double within_m = 0.0;
@@ -83,7 +90,8 @@ TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
     EXPECT_EQ(coverage.share({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
 }
 
-/// A LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees, that turns in 360 columns.
+/// A LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees, that turns in
+/// 360 columns.
 Sequence one_sweep() {
     Sequence sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
@@ -107,13 +115,14 @@ void set_ranges(Sequence& sequence, const std::array<float, 4>& range_m) {
 /// Share seen of a segment ahead of the sensor, at an elevation.
 double seen(const Coverage& coverage, double elevation_deg, double from_m, double to_m) {
     const double e = elevation_deg * kPi / 180.0;
-    const glm::dvec3 sensor(0.0, 0.0, 2.0), direction(std::cos(e) * std::cos(0.01), std::cos(e) * std::sin(0.01), std::sin(e));
+    const glm::dvec3 sensor(0.0, 0.0, 2.0),
+        direction(std::cos(e) * std::cos(0.01), std::cos(e) * std::sin(0.01), std::sin(e));
     return coverage.share(sensor + from_m * direction, sensor + to_m * direction);
 }
 
 TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
     Sequence sequence = one_sweep();
-    set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});   // a wall, and flat ground
+    set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});  // a wall, and flat ground
     const Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 29.5), 0.99);
     EXPECT_LT(seen(coverage, 20.0, 32.0, 60.0), 0.01) << "behind the wall";
@@ -125,7 +134,7 @@ TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
 
 TEST(Coverage, ADroppedRayTellsWhatItsNeighboursTell) {
     Sequence sequence = one_sweep();
-    set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});   // nothing above the ground
+    set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});  // nothing above the ground
     Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 79.0), 0.99) << "the sky";
     EXPECT_LT(seen(coverage, 20.0, 82.0, 120.0), 0.01) << "beyond its range";

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The range limit of a log's sensor: where it comes from, and the note about returns that it excludes.
+// The range limit of a log's sensor: where it comes from, and the note about returns that
+// it excludes.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -9,8 +10,8 @@
 #include <gmock/gmock.h>
 
 #include <relidar/base/math.hpp>
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/clouds/point_writers.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -21,14 +22,16 @@ using testing::HasSubstr;
 constexpr int kColumns = 36, kScans = 2;
 constexpr double kElevation_deg[] = {5.0, -5.0};
 
-/// A plain folder with two scans of a wall 20 m around the sensor. Each scan also has one return at 149.25 m and one at 0.4 m.
+/// A plain folder with two scans of a wall 20 m around the sensor. Each scan also has one
+/// return at 149.25 m and one at 0.4 m.
 class RangeLimit : public testing::Test {
 protected:
     const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) / "relidar_range_limit";
 
     void SetUp() override {
         std::filesystem::remove_all(folder);
-        for (int i = 0; i < kScans; ++i) test::write_text(folder / fmt::format("scans/{}.bin", i), test::bin(wall(i)));
+        for (int i = 0; i < kScans; ++i)
+            test::write_text(folder / fmt::format("scans/{}.bin", i), test::bin(wall(i)));
         test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
     }
     void TearDown() override { std::filesystem::remove_all(folder); }
@@ -37,20 +40,25 @@ protected:
         test::FilePoints points;
         for (std::uint16_t ring = 0; ring < 2; ++ring)
             for (int k = 0; k < kColumns; ++k) {
-                const double azimuth = kPi * (1.0 - (2.0 * k + 1.0) / kColumns), elevation = kElevation_deg[ring] * kPi / 180.0;
+                const double azimuth = kPi * (1.0 - (2.0 * k + 1.0) / kColumns),
+                             elevation = kElevation_deg[ring] * kPi / 180.0;
                 const bool is_far = ring == 0 && k == 5 + scan, is_near = ring == 1 && k == 11 + scan;
                 const double range_m = is_far ? 149.25 : is_near ? 0.4 : 20.0;
                 points.push_back({glm::vec3(range_m * glm::dvec3(std::cos(elevation) * std::cos(azimuth),
-                                                                 std::cos(elevation) * std::sin(azimuth), std::sin(elevation))),
+                                                                 std::cos(elevation) * std::sin(azimuth),
+                                                                 std::sin(elevation))),
                                   0.5f, ring, 0.1 * scan});
             }
         return points;
     }
     /// The log of a sensor with these further columns in its table.
-    Sequence load(const std::string& names, const std::string& values, const DatasetOptions& options = {}) const {
+    Sequence load(const std::string& names, const std::string& values,
+                  const DatasetOptions& options = {}) const {
         test::write_text(folder / "beams.csv", fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
-        test::write_text(folder / "sequence.json", fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
-            "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{{"sensor": "beams.csv:{}x10"}}]}})", kColumns));
+        test::write_text(folder / "sequence.json",
+                         fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
+            "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{{"sensor": "beams.csv:{}x10"}}]}})",
+                                     kColumns));
         return load_sequence(folder.string(), options);
     }
     static std::size_t count_returns(const Sequence& log) {
@@ -64,7 +72,9 @@ TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
     const Sequence log = load("", "");
     EXPECT_EQ(log.lidars[0].sensor.max_range_m, 150.0);
     EXPECT_EQ(count_returns(log), std::size_t(2 * kColumns * kScans)) << "no return is lost";
-    EXPECT_THAT(log.notes, Contains(HasSubstr("range: 150 m, the farthest return; the sensor's own limit is not known")));
+    EXPECT_THAT(
+        log.notes,
+        Contains(HasSubstr("range: 150 m, the farthest return; the sensor's own limit is not known")));
     EXPECT_THAT(log.notes, testing::Not(Contains(HasSubstr("count as dropped"))));
 }
 
@@ -72,15 +82,19 @@ TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
     const Sequence far = load(",max_range_m", ",100");
     EXPECT_EQ(far.lidars[0].sensor.max_range_m, 100.0);
     EXPECT_EQ(count_returns(far), std::size_t(2 * kColumns * kScans - 2));
-    EXPECT_THAT(far.notes, Contains(HasSubstr("range: 2 of 144 returns (1.4 %) count as dropped: 2 beyond 100 m")));
+    EXPECT_THAT(far.notes,
+                Contains(HasSubstr("range: 2 of 144 returns (1.4 %) count as dropped: 2 beyond 100 m")));
     const Sequence both = load(",min_range_m,max_range_m", ",1,100");
-    EXPECT_THAT(both.notes, Contains(HasSubstr("4 of 144 returns (2.8 %) count as dropped: 2 beyond 100 m and 2 nearer than 1 m")));
+    EXPECT_THAT(both.notes,
+                Contains(HasSubstr(
+                    "4 of 144 returns (2.8 %) count as dropped: 2 beyond 100 m and 2 nearer than 1 m")));
 }
 
 TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     DatasetOptions options;
     options.max_range_m = 30.0;
-    EXPECT_THAT(load("", "", options).notes, Contains(HasSubstr("2 of 144 returns (1.4 %) count as dropped: 2 beyond 30 m")));
+    EXPECT_THAT(load("", "", options).notes,
+                Contains(HasSubstr("2 of 144 returns (1.4 %) count as dropped: 2 beyond 30 m")));
 }
 
 }  // namespace

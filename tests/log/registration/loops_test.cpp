@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Roads driven again: a drive around a block whose odometry has drifted by metres, one that crosses itself only because its poses are
-// wrong, and a street that is driven once.
+// Roads driven again: a drive around a block whose odometry has drifted by metres, one
+// that crosses itself only because its poses are wrong, and a street that is driven once.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -45,14 +45,15 @@ double gap_m(const PoseTrack& track, const PoseTrack& exact) {
 TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
     const Sequence drive = test::drive_around_block(300);
     const PoseTrack& exact = drive.world_from_vehicle;
-    const PoseTrack drifted = bent(exact, 2e-4, 2e-4);   // 3.2 degrees on 283 m
+    const PoseTrack drifted = bent(exact, 2e-4, 2e-4);  // 3.2 degrees on 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
     const ClosedLoops closed = close_loops(drifted, thin(drive), loop_options());
     EXPECT_GE(closed.places, 2u);
     EXPECT_GT(closed.largest_m, 2.0);
     EXPECT_LT(gap_m(closed.track, exact), 0.1);
-    for (std::size_t k = 1; k < exact.pose.size(); ++k) {   // nothing is torn
-        const Pose step = inverse(closed.track.pose[k - 1]) * closed.track.pose[k], was = inverse(exact.pose[k - 1]) * exact.pose[k];
+    for (std::size_t k = 1; k < exact.pose.size(); ++k) {  // nothing is torn
+        const Pose step = inverse(closed.track.pose[k - 1]) * closed.track.pose[k],
+                   was = inverse(exact.pose[k - 1]) * exact.pose[k];
         EXPECT_LT(glm::distance(step.translation, was.translation), 0.03) << "at " << k;
     }
 }
@@ -64,11 +65,13 @@ TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
     EXPECT_EQ(close_loops(exact, scans, loop_options()).places, 0u);
-    // turned to a circle by wrong poses: the end comes near the beginning, and looks different
+    // turned to a circle by wrong poses: the end comes near the beginning, and looks
+    // different
     const PoseTrack circle = bent(exact, 2.0 * kPi / 120.0, 0.0);
     const ClosedLoops closed = close_loops(circle, scans, loop_options());
     EXPECT_EQ(closed.places, 0u) << "up to " << closed.largest_m << " m";
-    for (std::size_t k = 0; k < exact.pose.size(); ++k) ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);
+    for (std::size_t k = 0; k < exact.pose.size(); ++k)
+        ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);
 }
 
 }  // namespace

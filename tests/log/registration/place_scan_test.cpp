@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One scan placed on a scene: a hall whose walls are known exactly, a sensor that drives through it while it turns, and poses that are off.
+// One scan placed on a scene: a hall whose walls are known exactly, a sensor that drives
+// through it while it turns, and poses that are off.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -11,14 +12,16 @@
 namespace relidar {
 namespace {
 
-constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};   // of the hall, along x, y and z
+// of the hall, along x, y and z
+constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};
 
 /// The wall that a ray from inside meets.
 SeenSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double nearest = std::numeric_limits<double>::infinity();
     SeenSurface wall;
     for (int axis = 0; axis < 3; ++axis) {
-        const double side = kSides_m[axis][direction[axis] > 0.0 ? 1 : 0], t = (side - origin_m[axis]) / direction[axis];
+        const double side = kSides_m[axis][direction[axis] > 0.0 ? 1 : 0],
+                     t = (side - origin_m[axis]) / direction[axis];
         if (!(t < nearest)) continue;
         nearest = t;
         wall.point_m = origin_m + t * direction;
@@ -33,7 +36,8 @@ Sequence drive() {
     Sequence log;
     for (int k = 0; k < 3; ++k) {
         log.world_from_vehicle.time_s.push_back(0.1 * k);
-        log.world_from_vehicle.pose.push_back({rotation_of(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
+        log.world_from_vehicle.pose.push_back(
+            {rotation_of(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
     }
     for (int k = 0; k < 3; ++k) {
         Frame frame{k, 0.1 * k, {}};
@@ -48,7 +52,8 @@ Sequence drive() {
         frame.scan.rays.rows = 1, frame.scan.rays.columns = 24 * 360;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray = world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
-            frame.scan.range_m.push_back(static_cast<float>(glm::distance(wall_of(ray.origin_m, ray.direction).point_m, ray.origin_m)));
+            frame.scan.range_m.push_back(static_cast<float>(
+                glm::distance(wall_of(ray.origin_m, ray.direction).point_m, ray.origin_m)));
             frame.scan.intensity.push_back(0.5f);
         }
         log.frames.push_back(std::move(frame));
@@ -61,7 +66,8 @@ ScanPlacement placed(const Sequence& log, std::size_t pose, const RegisterOption
         log, pose,
         [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
             const Frame& frame = log.frames[std::size_t(position)];
-            const PoseTrack world_from_sensor = moved_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
+            const PoseTrack world_from_sensor =
+                moved_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
             std::vector<SeenSurface> seen;
             for (const std::size_t i : rays) {
                 const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
@@ -81,10 +87,12 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
     const Sequence exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
-    for (const std::size_t position : {0u, 1u, 2u}) {   // the first and the last carry rays beyond the end of the track
+    // the first and the last carry rays beyond the end of the track
+    for (const std::size_t position : {0u, 1u, 2u}) {
         Sequence log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
-        pose = moved(pose, {metres(random), metres(random), metres(random), radians(random), radians(random), radians(random)});
+        pose = moved(pose, {metres(random), metres(random), metres(random), radians(random), radians(random),
+                            radians(random)});
         const ScanPlacement found = placed(log, position);
         const Pose& truth = exact.world_from_vehicle.pose[position];
         ASSERT_TRUE(found.found);
@@ -98,15 +106,20 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
 TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     const Sequence exact = drive();
     Sequence log = exact;
-    for (std::size_t i = 0; i < log.frames[1].scan.range_m.size(); i += 4) log.frames[1].scan.range_m[i] *= 0.6f;   // a quarter
+    // a quarter
+    for (std::size_t i = 0; i < log.frames[1].scan.range_m.size(); i += 4)
+        log.frames[1].scan.range_m[i] *= 0.6f;
     log.world_from_vehicle.pose[1].translation += glm::dvec3(0.01, -0.02, 0.01);
     const ScanPlacement found = placed(log, 1);
     ASSERT_TRUE(found.found);
-    EXPECT_LT(glm::distance(found.world_from_vehicle.translation, exact.world_from_vehicle.pose[1].translation), 1e-3);
+    EXPECT_LT(
+        glm::distance(found.world_from_vehicle.translation, exact.world_from_vehicle.pose[1].translation),
+        1e-3);
     EXPECT_LT(found.on_surfaces, 0.9);
 }
 
-/// The same drive by two LiDARs, each of which sees what the other does not: `first` keeps returns of the two side walls alone.
+/// The same drive by two LiDARs, each of which sees what the other does not: `first`
+/// keeps returns of the two side walls alone.
 Sequence drive_of_two() {
     Sequence log = drive();
     const Pose mounted{rotation_of(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
@@ -119,7 +132,8 @@ Sequence drive_of_two() {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray = world_ray(second, frame.time_s, frame.scan.rays, i, true);
             const SeenSurface wall = wall_of(ray.origin_m, ray.direction);
-            other.scan.range_m[i] = wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
+            other.scan.range_m[i] =
+                wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
         }
         frames.push_back(frame);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -144,7 +158,8 @@ TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
         << "between poses the mounting turns on an arc, its track on a chord";
     EXPECT_LT(angle_between(both.world_from_vehicle, truth), 1e-5);
     std::erase_if(log.frames, [](const Frame& frame) { return frame.lidar == 1; });
-    EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01) << "side walls say nothing of the way";
+    EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01)
+        << "side walls say nothing of the way";
 }
 
 TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {
@@ -155,9 +170,9 @@ TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {
     const ScanPlacement far = placed(log, 1, strict);
     EXPECT_FALSE(far.found);
     EXPECT_EQ(far.world_from_vehicle.translation.y, log.world_from_vehicle.pose[1].translation.y);
-    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.5f;   // garbage
+    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.5f;  // garbage
     EXPECT_FALSE(placed(log, 1).found);
-    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.0f;   // no return
+    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.0f;  // no return
     EXPECT_FALSE(placed(log, 1).found);
 }
 

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The step of all poses against the same least squares problem written down densely: poses and the planes' own unknowns, one row a point.
+// The step of all poses against the same least squares problem written down densely:
+// poses and the planes' own unknowns, one row a point.
 #include <cmath>
 #include <numeric>
 #include <random>
 
-#include <Eigen/Dense>
 #include <gtest/gtest.h>
+#include <Eigen/Dense>
 
 #include "log/registration/pose_equations.hpp"
 
@@ -18,8 +19,8 @@ struct Problem {
     PoseTrack track;
     std::vector<ThinPoint> points;
     std::vector<PlacedPoint> placed;
-    std::vector<Plane> planes;                           ///< fitted with weights of their own, not those of the equations
-    std::vector<std::vector<std::uint32_t>> members;   ///< [planes]
+    std::vector<Plane> planes;  ///< fitted with weights of their own, not those of the equations
+    std::vector<std::vector<std::uint32_t>> members;  ///< [planes]
     double scale_m = 0.1;
 };
 
@@ -28,7 +29,8 @@ Plane plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
     return {at_m, n, u, glm::cross(n, u)};
 }
 
-/// Planes seen from poses a metre apart; a third of the points lies a kernel's width and more beside them.
+/// Planes seen from poses a metre apart; a third of the points lies a kernel's width and
+/// more beside them.
 Problem random_problem(unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> uniform(-1.0, 1.0);
@@ -44,7 +46,8 @@ Problem random_problem(unsigned seed) {
         std::vector<std::uint32_t>& members = p.members.emplace_back();
         for (int k = 0; k < kPointsAPlane; ++k) {
             const double off_m = k % 3 == 0 ? 0.3 * uniform(random) : 0.02 * uniform(random);
-            const glm::dvec3 at = centre + uniform(random) * plane.u + 0.4 * uniform(random) * plane.v + off_m * plane.normal;
+            const glm::dvec3 at =
+                centre + uniform(random) * plane.u + 0.4 * uniform(random) * plane.v + off_m * plane.normal;
             ThinPoint point;
             point.left = std::uint32_t(k % kPoses);
             point.s = 0.5f * float(uniform(random) + 1.0);
@@ -59,7 +62,8 @@ Problem random_problem(unsigned seed) {
     return p;
 }
 
-/// The poses' part of min sum w (r + row of poses . x - row of plane . y)^2 + prior over x and y: H x = -g, the planes eliminated densely.
+/// The poses' part of min sum w (r + row of poses . x - row of plane . y)^2 + prior over
+/// x and y: H x = -g, the planes eliminated densely.
 struct DenseEquations {
     Eigen::MatrixXd h;
     Eigen::VectorXd g;
@@ -77,26 +81,33 @@ DenseEquations dense_equations(const Problem& p, double prior) {
             Eigen::VectorXd all = Eigen::VectorXd::Zero(m);
             all.segment<6>(6 * Eigen::Index(point.left)) += (1.0 - double(point.s)) * row.j;
             all.segment<6>(6 * Eigen::Index(point.left + 1)) += double(point.s) * row.j;
-            all.segment<3>(n + 3 * Eigen::Index(c)) -= Eigen::Vector3d(1.0, glm::dot(p.planes[c].u, d), glm::dot(p.planes[c].v, d));
+            all.segment<3>(n + 3 * Eigen::Index(c)) -=
+                Eigen::Vector3d(1.0, glm::dot(p.planes[c].u, d), glm::dot(p.planes[c].v, d));
             h += row.weight * all * all.transpose();
             g += row.weight * row.residual_m * all;
         }
     Vector6 mean = Vector6::Zero();
-    for (Eigen::Index k = 0; k <= kPoses; ++k) mean += h.block<6, 6>(6 * k, 6 * k).diagonal() / double(kPoses + 1);
-    for (Eigen::Index k = 0; k <= kPoses; ++k) h.block<6, 6>(6 * k, 6 * k) += prior * Matrix6(mean.asDiagonal());
+    for (Eigen::Index k = 0; k <= kPoses; ++k)
+        mean += h.block<6, 6>(6 * k, 6 * k).diagonal() / double(kPoses + 1);
+    for (Eigen::Index k = 0; k <= kPoses; ++k)
+        h.block<6, 6>(6 * k, 6 * k) += prior * Matrix6(mean.asDiagonal());
     const Eigen::LLT<Eigen::MatrixXd> planes(h.bottomRightCorner(m - n, m - n));
     const Eigen::MatrixXd coupling = h.topRightCorner(n, m - n);
-    return {h.topLeftCorner(n, n) - coupling * planes.solve(coupling.transpose()), g.head(n) - coupling * planes.solve(g.tail(m - n))};
+    return {h.topLeftCorner(n, n) - coupling * planes.solve(coupling.transpose()),
+            g.head(n) - coupling * planes.solve(g.tail(m - n))};
 }
 
-/// Judged by what the step leaves of the cost: along what no point decides, the step is hardly determined.
+/// Judged by what the step leaves of the cost: along what no point decides, the step is
+/// hardly determined.
 TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
     for (const unsigned seed : {1u, 2u, 3u, 4u, 5u}) {
         const Problem p = random_problem(seed);
         PoseEquations equations(kPoses + 1);
-        for (std::size_t c = 0; c < p.planes.size(); ++c) equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
+        for (std::size_t c = 0; c < p.planes.size(); ++c)
+            equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
-        const Eigen::VectorXd found = equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
+        const Eigen::VectorXd found =
+            equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
         const DenseEquations dense = dense_equations(p, kPrior);
         const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = found - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration on the synthetic street, whose poses are known exactly: wrong by white noise and by drift, held-out scans, a scan of
-// garbage, a correction that is not allowed.
+// Registration on the synthetic street, whose poses are known exactly: wrong by white
+// noise and by drift, held-out scans, a scan of garbage, a correction that is not
+// allowed.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -17,9 +18,8 @@
 namespace relidar {
 namespace {
 
-using test::PoseError;
 using test::error_of;
-
+using test::PoseError;
 
 Sequence street_of(int n_frames) {
     SyntheticOptions options;
@@ -37,7 +37,8 @@ Registration registered(const Sequence& street, int test_every = 0) {
     return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
 }
 
-/// Everything a registration is asked for: 1 cm and 0.05 degrees, in the poses of scans of training and of testing.
+/// Everything a registration is asked for: 1 cm and 0.05 degrees, in the poses of scans
+/// of training and of testing.
 void expect_found(const Registration& found, const PoseTrack& exact, const Split& split, const char* what) {
     const PoseError train = error_of(found.world_from_vehicle, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << what;
@@ -47,21 +48,25 @@ void expect_found(const Registration& found, const PoseTrack& exact, const Split
     all.insert(all.end(), split.test.begin(), split.test.end());
     const PoseError both = error_of(found.world_from_vehicle, exact, all);
     EXPECT_LT(both.median_m, 0.005) << what;
-    for (const int k : split.test) {   // relative to the training pose before
+    for (const int k : split.test) {  // relative to the training pose before
         const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)],
-                   step = inverse(found.world_from_vehicle.pose[std::size_t(k - 1)]) * found.world_from_vehicle.pose[std::size_t(k)];
-        EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02) << what << ", held-out frame " << k;
+                   step = inverse(found.world_from_vehicle.pose[std::size_t(k - 1)]) *
+                          found.world_from_vehicle.pose[std::size_t(k)];
+        EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02)
+            << what << ", held-out frame " << k;
     }
 }
 
-/// A street of which a sweep sees a fifth: what is known of one end by the other is all in the equations.
+/// A street of which a sweep sees a fifth: what is known of one end by the other is all
+/// in the equations.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
     const Sequence street = make_synthetic_street(options);
     const Registration found = registered(street, 10);
     EXPECT_TRUE(found.lost.empty()) << found.lost.size() << " scans are lost";
-    const PoseError error = error_of(found.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
+    const PoseError error =
+        error_of(found.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
     EXPECT_LT(error.rms_m, 0.03);
     EXPECT_LT(error.worst_m, 0.06);
 }
@@ -70,9 +75,11 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     const Sequence street = street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 10);
-    expect_found(registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1)), 10), exact, split,
-                 "noise of 5 cm and 0.3 degrees");
-    expect_found(registered(test::with_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree)), 10), exact, split, "drift of 20 cm");
+    expect_found(
+        registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1)), 10), exact,
+        split, "noise of 5 cm and 0.3 degrees");
+    expect_found(registered(test::with_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree)), 10),
+                 exact, split, "drift of 20 cm");
 }
 
 /// Three sweeps, one of them held out: planes of two are made of more points of each.
@@ -80,7 +87,8 @@ TEST(RegisterScans, TwoScansAreEnough) {
     const Sequence street = street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
     PoseTrack wrong = test::perturbed(exact, 0.1, 0.3 * test::kDegree, 6);
-    const Registration found = register_scans(test::with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
+    const Registration found =
+        register_scans(test::with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
     ASSERT_TRUE(found.done);
     EXPECT_TRUE(found.lost.empty());
     const PoseError error = error_of(found.world_from_vehicle, exact, {0, 1, 2});
@@ -92,20 +100,22 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     SyntheticOptions options;
     options.n_frames = 11, options.rows = 32, options.columns = 256, options.speed_mps = 1.0;
     Sequence street = make_synthetic_street(options);
-    for (Frame& frame : street.frames) {   // what such a sensor would have seen: all rays fired at once
+    for (Frame& frame : street.frames) {  // what such a sensor would have seen: all rays fired at once
         RayTable rays = frame.scan.rays;
         std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
         frame.scan = cast_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
-    expect_found(registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact,
-                 split_frames(street, 5), "all rays at once");
+    expect_found(
+        registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact,
+        split_frames(street, 5), "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     const Sequence street = street_of(11);
-    const Sequence wrong = test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
+    const Sequence wrong =
+        test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
     const Registration found = registered(wrong);
     glm::dvec3 v(0.0), w(0.0);
     for (std::size_t k = 0; k < found.world_from_vehicle.pose.size(); ++k) {
@@ -117,7 +127,10 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     EXPECT_LT(glm::length(w), 1e-6);
     const Registration kept = registered(street);
     for (std::size_t k = 0; k < kept.world_from_vehicle.pose.size(); ++k)
-        EXPECT_LT(glm::length(kept.world_from_vehicle.pose[k].translation - street.world_from_vehicle.pose[k].translation), 0.01) << k;
+        EXPECT_LT(glm::length(kept.world_from_vehicle.pose[k].translation -
+                              street.world_from_vehicle.pose[k].translation),
+                  0.01)
+            << k;
     EXPECT_TRUE(kept.lost.empty());
 }
 
@@ -132,11 +145,14 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
         for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
     const Registration again = register_scans(other, split, leaving_out(street.boxes));
     for (const int k : split.train) {
-        EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].translation, again.world_from_vehicle.pose[std::size_t(k)].translation);
-        EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].rotation, again.world_from_vehicle.pose[std::size_t(k)].rotation);
+        EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].translation,
+                  again.world_from_vehicle.pose[std::size_t(k)].translation);
+        EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].rotation,
+                  again.world_from_vehicle.pose[std::size_t(k)].rotation);
     }
     for (const int k : split.test)
-        EXPECT_NE(found.world_from_vehicle.pose[std::size_t(k)].translation, again.world_from_vehicle.pose[std::size_t(k)].translation)
+        EXPECT_NE(found.world_from_vehicle.pose[std::size_t(k)].translation,
+                  again.world_from_vehicle.pose[std::size_t(k)].translation)
             << "its own pose follows its scan";
 }
 
@@ -183,7 +199,9 @@ TEST(RegisterScans, SaysWhatIsMissing) {
         register_scans(street, split_frames(street, 0), {});
         FAIL() << "expected DataError";
     } catch (const DataError& error) {
-        EXPECT_NE(std::string(error.what()).find("no surface that two of its 4 training scans see"), std::string::npos) << error.what();
+        EXPECT_NE(std::string(error.what()).find("no surface that two of its 4 training scans see"),
+                  std::string::npos)
+            << error.what();
     }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Logs of two LiDARs registered: what both see at one time is one scan of the vehicle; one that sweeps at other times rides along.
+// Logs of two LiDARs registered: what both see at one time is one scan of the vehicle;
+// one that sweeps at other times rides along.
 #include <gtest/gtest.h>
 
 #include <relidar/log/clouds.hpp>
@@ -25,7 +26,9 @@ Sequence one_after_the_other(double off_s) {
     for (const Frame& frame : together.frames) {
         const double time_s = frame.time_s + frame.lidar * off_s;
         add_frame(street, frame.index, time_s, together.world_from_vehicle.at(time_s), frame.lidar).scan =
-            frame.lidar == 0 ? frame.scan : cast_synthetic_street(two_lidar_options(), rays, together.world_from_sensor(1), time_s);
+            frame.lidar == 0
+                ? frame.scan
+                : cast_synthetic_street(two_lidar_options(), rays, together.world_from_sensor(1), time_s);
     }
     check_sequence(street);
     return street;
@@ -41,7 +44,8 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
     const Sequence street = test::two_lidar_street(two_lidar_options());
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 5);
-    for (const PoseTrack& wrong : {test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1), test::drifting(exact, 0.2, 0.3 * test::kDegree)}) {
+    for (const PoseTrack& wrong : {test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1),
+                                   test::drifting(exact, 0.2, 0.3 * test::kDegree)}) {
         const Registration found = register_scans(test::with_poses(street, wrong), split, {});
         ASSERT_TRUE(found.done);
         EXPECT_TRUE(found.lost.empty());
@@ -75,7 +79,8 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
         PoseTrack wrong = exact;
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
             wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);
-        const Registration found = register_scans(test::with_poses(street, wrong), split_frames(street, 5), {});
+        const Registration found =
+            register_scans(test::with_poses(street, wrong), split_frames(street, 5), {});
         ASSERT_TRUE(found.done);
         EXPECT_TRUE(found.lost.empty());
         const test::PoseError error = test::error_of(found.world_from_vehicle, exact, all_poses(street));
@@ -92,7 +97,8 @@ TEST(SeveralLidars, AreFollowedWithoutPoses) {
     blind.given_motion = false;
     const Registration found = register_scans(test::with_poses(street, none), split_frames(street, 5), blind);
     ASSERT_TRUE(found.done);
-    const test::PoseError error = test::error_of(found.world_from_vehicle, street.world_from_vehicle, all_poses(street));
+    const test::PoseError error =
+        test::error_of(found.world_from_vehicle, street.world_from_vehicle, all_poses(street));
     EXPECT_LT(error.median_m, 0.01);
     EXPECT_LT(error.worst_m, 0.03);
 }

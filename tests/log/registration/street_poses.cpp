@@ -35,8 +35,9 @@ PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double x = 2.0 * kPi * double(k) / double(track.pose.size());
         const double m = amplitude_m, w = amplitude_rad;
-        track.pose[k] = moved(track.pose[k], {m * std::sin(x), m * std::cos(1.3 * x), 0.5 * m * std::sin(0.7 * x), 0.4 * w * std::sin(x),
-                                              0.5 * w * std::cos(x), w * std::sin(1.1 * x)});
+        track.pose[k] =
+            moved(track.pose[k], {m * std::sin(x), m * std::cos(1.3 * x), 0.5 * m * std::sin(0.7 * x),
+                                  0.4 * w * std::sin(x), 0.5 * w * std::cos(x), w * std::sin(1.1 * x)});
     }
     return track;
 }
@@ -51,14 +52,17 @@ PoseTrack with_drift_and_jumps(const PoseTrack& exact) {
         step.rotation = glm::normalize(step.rotation * glm::angleAxis(turn_rad, glm::dvec3(0, 0, 1)) *
                                        glm::angleAxis(0.3 * turn_rad, glm::dvec3(0, 1, 0)));
         track.pose[k] = track.pose[k - 1] * step;
-        if (k % (n / 5) == 0) track.pose[k].translation += 0.3 * glm::normalize(glm::dvec3(std::sin(double(k)), std::cos(double(k)), 0.2));
+        if (k % (n / 5) == 0)
+            track.pose[k].translation +=
+                0.3 * glm::normalize(glm::dvec3(std::sin(double(k)), std::cos(double(k)), 0.2));
     }
     return track;
 }
 
 namespace {
 
-/// Takes the mean motion from one track to another out of the latter, about the centre of some of its poses.
+/// Takes the mean motion from one track to another out of the latter, about the centre of
+/// some of its poses.
 PoseTrack aligned(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (const int k : positions) {
@@ -68,15 +72,17 @@ PoseTrack aligned(PoseTrack track, const PoseTrack& exact, const std::vector<int
         w += glm::dvec3(twist[3], twist[4], twist[5]) / double(positions.size());
     }
     const glm::dquat turn = moved(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
-    for (Pose& pose : track.pose) pose = {glm::normalize(turn * pose.rotation), centre - v + turn * (pose.translation - centre)};
+    for (Pose& pose : track.pose)
+        pose = {glm::normalize(turn * pose.rotation), centre - v + turn * (pose.translation - centre)};
     return track;
 }
 
 }  // namespace
 
 PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
-    const Pose start = exact.pose[std::size_t(positions.front())] * inverse(track.pose[std::size_t(positions.front())]);
-    for (Pose& pose : track.pose) pose = start * pose;   // near enough for mean rotations
+    const Pose start =
+        exact.pose[std::size_t(positions.front())] * inverse(track.pose[std::size_t(positions.front())]);
+    for (Pose& pose : track.pose) pose = start * pose;  // near enough for mean rotations
     for (int i = 0; i < 5; ++i) track = aligned(std::move(track), exact, positions);
     std::vector<double> metres, degrees;
     double squares = 0.0;
@@ -86,7 +92,8 @@ PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<in
         degrees.push_back(glm::length(glm::dvec3(e[3], e[4], e[5])) * 180.0 / kPi);
         squares += metres.back() * metres.back();
     }
-    return {median(metres), median(degrees), std::sqrt(squares / double(positions.size())), *std::max_element(metres.begin(), metres.end()),
+    return {median(metres), median(degrees), std::sqrt(squares / double(positions.size())),
+            *std::max_element(metres.begin(), metres.end()),
             *std::max_element(degrees.begin(), degrees.end())};
 }
 

@@ -19,8 +19,9 @@ PoseTrack perturbed(PoseTrack track, double sigma_m, double sigma_rad, std::uint
 /// Every pose moved by a smooth curve of these amplitudes.
 PoseTrack drifting(PoseTrack track, double amplitude_m, double amplitude_rad);
 
-/// What is integrated from wheels and gyros: 1 % of the way too much, 1 degree of heading and 0.3 degrees of pitch per 100 m, and jumps of
-/// 0.3 m at a fifth, at two, at three and at four fifths of the track.
+/// What is integrated from wheels and gyros: 1 % of the way too much, 1 degree of heading
+/// and 0.3 degrees of pitch per 100 m, and jumps of 0.3 m at a fifth, at two, at three
+/// and at four fifths of the track.
 PoseTrack with_drift_and_jumps(const PoseTrack& exact);
 
 struct PoseError {

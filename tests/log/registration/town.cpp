@@ -14,7 +14,7 @@ namespace {
 using street::Material;
 using street::Shape;
 
-constexpr double kStraights_m[] = {70.0, 40.0, 70.0, 40.0}, kRadius_m = 10.0;   // left turns between them
+constexpr double kStraights_m[] = {70.0, 40.0, 70.0, 40.0}, kRadius_m = 10.0;  // left turns between them
 constexpr double kBeyond_m = 12.0, kStop_s = 2.0;
 
 double length_of_loop() { return 220.0 + 2.0 * kPi * kRadius_m; }
@@ -46,7 +46,8 @@ Place lane(double s_m) {
 /// A shape beside the lane, its x along the lane.
 Shape beside(Shape shape, double s_m, double left_m) {
     const Place p = lane(s_m);
-    shape.centre = {p.at_m.x - left_m * std::sin(p.yaw_rad), p.at_m.y + left_m * std::cos(p.yaw_rad), shape.half.z};
+    shape.centre = {p.at_m.x - left_m * std::sin(p.yaw_rad), p.at_m.y + left_m * std::cos(p.yaw_rad),
+                    shape.half.z};
     shape.yaw_rad += p.yaw_rad;
     return shape;
 }
@@ -55,30 +56,40 @@ street::Street make_town() {
     street::Street town;
     Random random(7);
     for (const double side : {1.0, -1.0}) {
-        for (double s = 0.0; s < length_of_loop() - 8.0;) {   // facades
-            const double width = random.uniform(7.0, 14.0), depth = random.uniform(5.0, 9.0), height = random.uniform(5.0, 14.0);
+        for (double s = 0.0; s < length_of_loop() - 8.0;) {  // facades
+            const double width = random.uniform(7.0, 14.0), depth = random.uniform(5.0, 9.0),
+                         height = random.uniform(5.0, 14.0);
             if (side < 0.0 || !(lane(s).in_curve || lane(s + width).in_curve)) {
-                const Shape wall{Shape::Kind::box,        {}, 0.5 * glm::dvec3(width, depth, height), 0.0, Material::wall,
-                                 random.uniform(0.3, 0.8)};
-                town.shapes.push_back(beside(wall, s + 0.5 * width, side * (random.uniform(7.0, 9.0) + 0.5 * depth)));
+                const Shape wall{
+                    Shape::Kind::box,        {}, 0.5 * glm::dvec3(width, depth, height), 0.0, Material::wall,
+                    random.uniform(0.3, 0.8)};
+                town.shapes.push_back(
+                    beside(wall, s + 0.5 * width, side * (random.uniform(7.0, 9.0) + 0.5 * depth)));
             }
             s += width + (random.uniform() < 0.3 ? random.uniform(2.0, 5.0) : 0.0);
         }
-        for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(8.0, 15.0))   // poles
-            town.shapes.push_back(
-                beside({Shape::Kind::cylinder, {}, {0.1, 0.1, random.uniform(2.0, 3.5)}, 0.0, Material::metal, 0.5}, s, 5.0 * side));
-        for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(7.0, 20.0))   // parked cars
-            town.shapes.push_back(
-                beside({Shape::Kind::box, {}, {2.1, 0.9, 0.7}, random.uniform(-0.04, 0.04), Material::paint, 0.5}, s, 3.5 * side));
+        // poles
+        for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(8.0, 15.0))
+            town.shapes.push_back(beside(
+                {Shape::Kind::cylinder, {}, {0.1, 0.1, random.uniform(2.0, 3.5)}, 0.0, Material::metal, 0.5},
+                s, 5.0 * side));
+        // parked cars
+        for (double s = random.uniform(2.0, 8.0); s < length_of_loop(); s += random.uniform(7.0, 20.0))
+            town.shapes.push_back(beside(
+                {Shape::Kind::box, {}, {2.1, 0.9, 0.7}, random.uniform(-0.04, 0.04), Material::paint, 0.5}, s,
+                3.5 * side));
     }
     return town;
 }
 
-/// Metres driven at a time: steady but for the stop half-way, softened so that no acceleration is absurd.
+/// Metres driven at a time: steady but for the stop half-way, softened so that no
+/// acceleration is absurd.
 double driven_m(double t_s, double duration_s) {
-    const double speed = (length_of_loop() + kBeyond_m) / (duration_s - kStop_s), middle = 0.5 * (duration_s - kStop_s);
+    const double speed = (length_of_loop() + kBeyond_m) / (duration_s - kStop_s),
+                 middle = 0.5 * (duration_s - kStop_s);
     const double after = std::clamp((t_s - middle) / kStop_s, 0.0, 1.0);
-    const double lost_s = kStop_s * after * after * (3.0 - 2.0 * after);   // its slope is 1.5 at most: a car that rolls back a little
+    // its slope is 1.5 at most: a car that rolls back a little
+    const double lost_s = kStop_s * after * after * (3.0 - 2.0 * after);
     return speed * (t_s - std::min(lost_s, std::max(0.0, t_s - middle)));
 }
 
@@ -93,7 +104,8 @@ Pose sensor_at(double s_m) {
 SpinningSensor sensor() {
     SpinningSensor sensor;
     for (int i = 0; i < 32; ++i)
-        sensor.beams.push_back({.elevation_rad = (3.0 - 28.0 / 31.0 * (i + 0.2 * std::sin(2.1 * i))) * kPi / 180.0});
+        sensor.beams.push_back(
+            {.elevation_rad = (3.0 - 28.0 / 31.0 * (i + 0.2 * std::sin(2.1 * i))) * kPi / 180.0});
     sensor.columns = 256;
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
@@ -110,14 +122,17 @@ Sequence drive_around_block(int n_frames) {
         drive.world_from_vehicle.time_s.push_back(0.1 * k);
         drive.world_from_vehicle.pose.push_back(sensor_at(driven_m(0.1 * k, 0.1 * n_frames)));
         drive.frames.push_back(
-            {.index = k, .time_s = 0.1 * k, .scan = {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)}});
+            {.index = k,
+             .time_s = 0.1 * k,
+             .scan = {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)}});
     }
     const street::StreetCaster town(make_town());
     run_parallel(n_frames, [&](int k) {
         Frame& frame = drive.frames[std::size_t(k)];
         Random random(hash64(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-            const auto hit = town.cast(world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
+            const auto hit = town.cast(world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true),
+                                       frame.time_s, 80.0);
             const double noise_m = 0.01 * random.normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }

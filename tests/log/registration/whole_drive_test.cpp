@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whole drives with known truth: around a block with a stop, from poses that drift and jump, and from none. 300 sweeps are followed in one
-// piece, 400 in two stretches.
+// Whole drives with known truth: around a block with a stop, from poses that drift and
+// jump, and from none. 300 sweeps are followed in one piece, 400 in two stretches.
 #include <map>
 
 #include <gtest/gtest.h>
@@ -30,11 +30,13 @@ protected:
         return register_scans(wrong, split, options);
     }
 
-    /// 2 cm and 0.05 degrees over the whole drive, the held-out scans too, and nothing lost.
+    /// 2 cm and 0.05 degrees over the whole drive, the held-out scans too, and nothing
+    /// lost.
     static void expect_found(const Registration& found, const char* what) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
-        const test::PoseError error = test::error_of(found.world_from_vehicle, drive().world_from_vehicle, all);
+        const test::PoseError error =
+            test::error_of(found.world_from_vehicle, drive().world_from_vehicle, all);
         EXPECT_LT(error.rms_m, 0.02) << what;
         EXPECT_LT(error.worst_m, 0.05) << what;
         EXPECT_LT(error.median_deg, 0.02) << what;
@@ -47,13 +49,18 @@ protected:
 TEST_P(WholeDrive, FindsPosesBackFromDriftAndJumps) {
     const PoseTrack given = test::with_drift_and_jumps(drive().world_from_vehicle);
     const int last = GetParam() - 1;
-    EXPECT_GT(test::error_of(given, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m, 1.0) << "the start is far off";
+    EXPECT_GT(test::error_of(given, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
+              1.0)
+        << "the start is far off";
     expect_found(registered(given, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
-class WholeDriveExact : public WholeDrive {};   // RegisterScans.LongStreetStaysWhereItIs has several stretches
+// RegisterScans.LongStreetStaysWhereItIs has several stretches
+class WholeDriveExact : public WholeDrive {};
 
-TEST_P(WholeDriveExact, Stays) { expect_found(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact"); }
+TEST_P(WholeDriveExact, Stays) {
+    expect_found(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
+}
 
 TEST_P(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
@@ -61,7 +68,8 @@ TEST_P(WholeDrive, NeedsNoPoses) {
     const Registration found = registered(none, false, split_frames(drive(), 10));
     expect_found(found, "no poses");
     const Split split = split_frames(drive(), 10);
-    EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation, glm::dvec3(0.0))
+    EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,
+              glm::dvec3(0.0))
         << "the middle pose stays";
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The list of channels: names, what is wrong with a caller's own, and that the guide says what the list says.
+// The list of channels: names, what is wrong with a caller's own, and that the guide says
+// what the list says.
 #include <relidar/log/channels.hpp>
 
 #include <cstring>
@@ -31,16 +32,20 @@ TEST(ChannelList, IsAskedForByNames) {
     EXPECT_EQ(wanted[0].name, "seen");
     EXPECT_EQ(wanted[1].name, "normal");
     EXPECT_TRUE(wanted_channels("").empty());
-    EXPECT_THAT(refusal("normal,sean"), HasSubstr("found \"sean\", did you mean seen?, expected some of normal, incidence, spread, seen"));
+    EXPECT_THAT(
+        refusal("normal,sean"),
+        HasSubstr("found \"sean\", did you mean seen?, expected some of normal, incidence, spread, seen"));
 }
 
 TEST(ChannelList, NumbersAndRowsAgree) {
-    const std::vector<ScanChannel> channels{{{.name = "way"}, std::vector<glm::vec3>{{1.0f, 2.0f, 3.0f}, {4.0f, 5.0f, 6.0f}}},
-                                            {{.name = "label"}, std::vector<std::int32_t>{7, -8}},
-                                            {{.name = "share"}, std::vector<float>{0.5f, 0.25f}}};
+    const std::vector<ScanChannel> channels{
+        {{.name = "way"}, std::vector<glm::vec3>{{1.0f, 2.0f, 3.0f}, {4.0f, 5.0f, 6.0f}}},
+        {{.name = "label"}, std::vector<std::int32_t>{7, -8}},
+        {{.name = "share"}, std::vector<float>{0.5f, 0.25f}}};
     std::vector<std::string> names;
     std::vector<bool> integers;
-    for (const auto& [name, is_integer] : numbers_of(channels, ".")) names.push_back(name), integers.push_back(is_integer);
+    for (const auto& [name, is_integer] : numbers_of(channels, "."))
+        names.push_back(name), integers.push_back(is_integer);
     EXPECT_THAT(names, ElementsAre("way.x", "way.y", "way.z", "label", "share"));
     EXPECT_THAT(integers, ElementsAre(false, false, false, true, false));
     std::string bytes;
@@ -56,7 +61,9 @@ TEST(ChannelList, NumbersAndRowsAgree) {
 
 TEST(ChannelList, WhatACallerAddsIsChecked) {
     const auto check = [](const std::string& name, std::size_t n) {
-        check_channels({{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(n)}}, 3, "a scan");
+        check_channels(
+            {{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(n)}}, 3,
+            "a scan");
     };
     EXPECT_NO_THROW(check("label_2", 3));
     EXPECT_THROW(check("label", 2), DataError);
@@ -66,7 +73,8 @@ TEST(ChannelList, WhatACallerAddsIsChecked) {
 
 /// A row of a table in Markdown: | `name` | unit | meaning |
 std::string row_of(const ChannelInfo& channel) {
-    return "\n| `" + channel.name + "` | " + channel.unit + (channel.unit.empty() ? "" : " ") + "| " + channel.meaning + " |";
+    return "\n| `" + channel.name + "` | " + channel.unit + (channel.unit.empty() ? "" : " ") + "| " +
+           channel.meaning + " |";
 }
 
 TEST(ChannelList, IsWhatTheGuideSays) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors whose scatter is known in closed form: what is drawn from their tree has the same distribution, beside the same things.
+// Sensors whose scatter is known in closed form: what is drawn from their tree has the
+// same distribution, beside the same things.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -20,10 +21,16 @@ namespace {
 constexpr int kRows = 16, kColumns = 256;
 constexpr std::size_t kRays = std::size_t(kRows) * kColumns;
 
-/// A street of panels, 16 columns each, of which a scene knows the brightness: 0.2, 0.4, 0.6 or 0.8.
+/// A street of panels, 16 columns each, of which a scene knows the brightness: 0.2, 0.4,
+/// 0.6 or 0.8.
 RenderedIntensities panels() {
-    RenderedIntensities image{kRows, kColumns, {}, std::vector<float>(kRays, 10.0f), std::vector<float>(kRays, 0.0f),
-                              std::vector<float>(kRays, 1.0f), {}};
+    RenderedIntensities image{kRows,
+                              kColumns,
+                              {},
+                              std::vector<float>(kRays, 10.0f),
+                              std::vector<float>(kRays, 0.0f),
+                              std::vector<float>(kRays, 1.0f),
+                              {}};
     for (int row = 0; row < kRows; ++row)
         for (int column = 0; column < kColumns; ++column) {
             image.intensity.push_back(0.2f * float(1 + (column / 16 + 3 * row) % 4));
@@ -39,7 +46,8 @@ MeasuredIntensities measured(std::uint64_t seed, const Measure& measure) {
     Random random(seed);
     double before = 0.0;
     for (std::size_t i = 0; i < kRays; ++i) {
-        const double rendered = double(result.rendered.intensity[i]), value = measure(rendered, i % kColumns == 0 ? 0.0 : before, random);
+        const double rendered = double(result.rendered.intensity[i]),
+                     value = measure(rendered, i % kColumns == 0 ? 0.0 : before, random);
         before = value - rendered;
         result.measured.push_back(random.uniform() < 0.1 ? kNoIntensity : static_cast<float>(value));
     }
@@ -55,7 +63,8 @@ std::vector<MeasuredIntensities> scans_of(int n, const Measure& measure) {
 
 const std::vector<std::uint8_t> kAll(kRays, 1);
 
-/// Of a hundred steps: four fair coins about what is rendered, shifted by two; the bright panels have sixteen.
+/// Of a hundred steps: four fair coins about what is rendered, shifted by two; the bright
+/// panels have sixteen.
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;
@@ -64,7 +73,8 @@ double coins(double rendered, double, Random& random) {
 }
 
 double binomial(int n, int k) {
-    return std::exp(std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0)) * std::pow(0.5, n);
+    return std::exp(std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0)) *
+           std::pow(0.5, n);
 }
 
 TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
@@ -93,12 +103,16 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
             chi_square += std::pow(counts[std::size_t(k)] - expected, 2) / expected;
             degrees += 1.0;
         }
-        EXPECT_LT(chi_square, degrees + 4.0 * std::sqrt(2.0 * degrees)) << "panel " << panel << ", " << degrees << " degrees of freedom";
+        EXPECT_LT(chi_square, degrees + 4.0 * std::sqrt(2.0 * degrees))
+            << "panel " << panel << ", " << degrees << " degrees of freedom";
     }
 }
 
-/// e(i) = 0.8 e(i-1) + 0.03 n: of variance 0.0025, and correlation 0.8^k between rays k columns apart.
-double grain(double rendered, double before, Random& random) { return rendered + 0.8 * before + 0.03 * random.normal(); }
+/// e(i) = 0.8 e(i-1) + 0.03 n: of variance 0.0025, and correlation 0.8^k between rays k
+/// columns apart.
+double grain(double rendered, double before, Random& random) {
+    return rendered + 0.8 * before + 0.03 * random.normal();
+}
 
 TEST(Scatter, IsCorrelatedAlongABeam) {
     const IntensityScatter scatter = fit_scatter(scans_of(100, grain));
@@ -110,9 +124,10 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
     for (std::uint64_t seed = 1; seed <= 8; ++seed) {
         const std::vector<float> drawn = draw_intensities(scatter, image, kAll, seed);
         for (std::size_t i = 0; i < kRays; ++i) {
-            if (i % kColumns < 32) continue;   // the process begins at 0
+            if (i % kColumns < 32) continue;  // the process begins at 0
             for (std::size_t lag = 0; lag < products.size(); ++lag)
-                products[lag] += double(drawn[i] - image.intensity[i]) * double(drawn[i - lag] - image.intensity[i - lag]);
+                products[lag] +=
+                    double(drawn[i] - image.intensity[i]) * double(drawn[i - lag] - image.intensity[i - lag]);
             n += 1.0;
         }
     }
@@ -130,19 +145,23 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
     const RenderedIntensities image = panels();
     const std::vector<float> drawn = draw_intensities(scatter, image, kAll, 5);
     for (const int panel : {1, 2, 3, 4}) {
-        std::vector<double> shares;   // of the way from half to one and a half
+        std::vector<double> shares;  // of the way from half to one and a half
         for (std::size_t i = 0; i < kRays; ++i)
-            if (std::abs(image.intensity[i] - 0.2f * float(panel)) < 0.01f) shares.push_back(double(drawn[i] / image.intensity[i]) - 0.5);
+            if (std::abs(image.intensity[i] - 0.2f * float(panel)) < 0.01f)
+                shares.push_back(double(drawn[i] / image.intensity[i]) - 0.5);
         std::sort(shares.begin(), shares.end());
         double farthest = 0.0;
         for (std::size_t k = 0; k < shares.size(); ++k)
             farthest = std::max(farthest, std::abs(shares[k] - (double(k) + 0.5) / double(shares.size())));
-        EXPECT_LT(farthest, 1.95 / std::sqrt(double(shares.size()))) << "Kolmogorov and Smirnov, panel " << panel;   // one in 1000
+        // one in 1000
+        EXPECT_LT(farthest, 1.95 / std::sqrt(double(shares.size())))
+            << "Kolmogorov and Smirnov, panel " << panel;
     }
 }
 
 TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
-    const IntensityScatter scatter = fit_scatter(scans_of(10, coins)), again = fit_scatter(scans_of(10, coins));
+    const IntensityScatter scatter = fit_scatter(scans_of(10, coins)),
+                           again = fit_scatter(scans_of(10, coins));
     EXPECT_EQ(scatter.values, again.values);
     std::vector<std::uint8_t> returns(kRays);
     for (std::size_t i = 0; i < kRays; ++i) returns[i] = i % 3 != 0;
@@ -152,7 +171,8 @@ TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
 }
 
-/// Rows are drawn at the same time, and asked about each other all the same as one after the other.
+/// Rows are drawn at the same time, and asked about each other all the same as one after
+/// the other.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     const IntensityScatter scatter = fit_scatter(scans_of(40, grain));
     const RenderedIntensities image = panels();
@@ -162,10 +182,13 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
         const scatter_detail::Features asked = context.of(int(i / kColumns), int(i % kColumns));
         const IntensityScatter::Node* node = &scatter.nodes[0];
         while (node->feature >= 0)
-            node = &scatter.nodes[std::size_t(node->child) + (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
-        expected[i] = scatter.values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
+            node = &scatter.nodes[std::size_t(node->child) +
+                                  (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
+        expected[i] =
+            scatter.values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
     }
-    for (int repetition = 0; repetition < 20; ++repetition) ASSERT_EQ(draw_intensities(scatter, image, kAll, 11), expected);
+    for (int repetition = 0; repetition < 20; ++repetition)
+        ASSERT_EQ(draw_intensities(scatter, image, kAll, 11), expected);
 }
 
 TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
@@ -180,13 +203,15 @@ TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
 TEST(Scatter, FindsTheStepOfALog) {
     const auto multiples = [](double step, int n) {
         std::vector<float> values;
-        for (int k = 0; k < n; ++k) values.push_back(static_cast<float>(step * double(7 * k % n)));   // in no order
+        // in no order
+        for (int k = 0; k < n; ++k) values.push_back(static_cast<float>(step * double(7 * k % n)));
         return values;
     };
     EXPECT_NEAR(find_step(multiples(0.01, 100)), 0.01, 1e-8);
     EXPECT_NEAR(find_step(multiples(1.0 / 255.0, 256)), 1.0 / 255.0, 1e-8);
     EXPECT_NEAR(find_step(multiples(1.0 / 65535.0, 65536)), 1.0 / 65535.0, 1e-10);
-    EXPECT_NEAR(find_step({0.06f, 0.1f, 0.14f, 0.22f, 0.3f, 0.42f, 0.6f, 0.66f}), 0.02, 1e-8) << "their divisor, though none lies so near";
+    EXPECT_NEAR(find_step({0.06f, 0.1f, 0.14f, 0.22f, 0.3f, 0.42f, 0.6f, 0.66f}), 0.02, 1e-8)
+        << "their divisor, though none lies so near";
     EXPECT_EQ(find_step({0.0f, 0.5f, 1.0f}), 0.0) << "too few to tell";
     EXPECT_EQ(find_step({}), 0.0);
     std::vector<float> almost = multiples(0.01, 100);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a beam measures, and what it makes of that: each direction undoes the other, and a head found from a point is the one that fired.
+// What a beam measures, and what it makes of that: each direction undoes the other, and a
+// head found from a point is the one that fired.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -16,9 +17,10 @@ TEST(Beam, MeasuringAndItsInverseArePairs) {
     Random random(11);
     for (int i = 0; i < 1000; ++i) {
         const Beam beam{.intensity_gain = 0.5 + random.uniform(),
-                         .intensity_offset = 0.1 * random.uniform(),
-                         .range_offset_m = 0.2 * random.uniform() - 0.1};
-        const double range = 1.0 + 80.0 * random.uniform(), fall = 0.3 + 0.5 * random.uniform(), albedo = 0.6 * random.uniform();
+                        .intensity_offset = 0.1 * random.uniform(),
+                        .range_offset_m = 0.2 * random.uniform() - 0.1};
+        const double range = 1.0 + 80.0 * random.uniform(), fall = 0.3 + 0.5 * random.uniform(),
+                     albedo = 0.6 * random.uniform();
         EXPECT_NEAR(beam.surface_range(beam.measured_range(range)), range, 1e-12);
         EXPECT_NEAR(beam.measured_range(beam.surface_range(range)), range, 1e-12);
         EXPECT_NEAR(beam.surface_intensity(beam.measured_intensity(albedo, fall), fall), albedo, 1e-12);
@@ -46,7 +48,9 @@ TEST(HeadAzimuth, IsTheHeadThatFired) {
                         .origin_left_m = 0.1 * random.uniform() - 0.05};
         const double head = 2.0 * kPi * (random.uniform() - 0.5), range = 1.0 + 60.0 * random.uniform();
         const BeamRay ray = beam_ray(beam, head);
-        EXPECT_NEAR(std::remainder(head_azimuth(beam, ray.origin_m + range * ray.direction) - head, 2.0 * kPi), 0.0, 1e-12);
+        EXPECT_NEAR(
+            std::remainder(head_azimuth(beam, ray.origin_m + range * ray.direction) - head, 2.0 * kPi), 0.0,
+            1e-12);
     }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors by name and from CSV tables, and the messages for names and tables that are wrong.
+// Sensors by name and from CSV tables, and the messages for names and tables that are
+// wrong.
 #include <relidar/log/sensor_files.hpp>
 
 #include <filesystem>
@@ -31,7 +32,9 @@ std::string message(const std::string& sensor) {
     return "";
 }
 
-SpinningSensor spinning(const std::string& name) { return std::get<SpinningSensor>(find_sensor(name).pattern); }
+SpinningSensor spinning(const std::string& name) {
+    return std::get<SpinningSensor>(find_sensor(name).pattern);
+}
 
 TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
     for (const std::string& name : sensor_names()) {
@@ -54,12 +57,15 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
 TEST(KnownSensors, Pandar128LooksAsItsDataSheetSays) {
     const SpinningSensor sensor = spinning("Pandar128");
     ASSERT_EQ(sensor.beams.size(), 128u);
-    EXPECT_NEAR((sensor.beams.front().elevation_rad - sensor.beams.back().elevation_rad) * 180 / kPi, 40.0, 0.6);
-    int fine = 0;   // beams 26 to 90 lie an eighth of a degree apart
+    EXPECT_NEAR((sensor.beams.front().elevation_rad - sensor.beams.back().elevation_rad) * 180 / kPi, 40.0,
+                0.6);
+    int fine = 0;  // beams 26 to 90 lie an eighth of a degree apart
     for (std::size_t b = 1; b < 128; ++b)
-        fine += std::abs((sensor.beams[b - 1].elevation_rad - sensor.beams[b].elevation_rad) * 180 / kPi - 0.125) < 0.015;
+        fine += std::abs((sensor.beams[b - 1].elevation_rad - sensor.beams[b].elevation_rad) * 180 / kPi -
+                         0.125) < 0.015;
     EXPECT_EQ(fine, 64);
-    EXPECT_LT(sensor.beams[0].azimuth_offset_rad, 0.0) << "the maker counts azimuths clockwise: 3.257 is to the right";
+    EXPECT_LT(sensor.beams[0].azimuth_offset_rad, 0.0)
+        << "the maker counts azimuths clockwise: 3.257 is to the right";
 }
 
 TEST(KnownSensors, At128SweepsAWindowFromLeftToRight) {
@@ -67,7 +73,9 @@ TEST(KnownSensors, At128SweepsAWindowFromLeftToRight) {
     const RayTable rays = make_rays(model);
     ASSERT_EQ(rays.rows, 128);
     ASSERT_EQ(rays.columns, 1200);
-    const auto azimuth_deg = [&](std::size_t ray) { return std::atan2(rays.direction[ray].y, rays.direction[ray].x) * 180 / kPi; };
+    const auto azimuth_deg = [&](std::size_t ray) {
+        return std::atan2(rays.direction[ray].y, rays.direction[ray].x) * 180 / kPi;
+    };
     const auto elevation_deg = [&](std::size_t ray) { return std::asin(rays.direction[ray].z) * 180 / kPi; };
     EXPECT_NEAR(elevation_deg(0) - elevation_deg(127 * 1200), 25.4, 1e-4);
     for (const std::size_t row : {0u, 1u, 16u, 17u, 127u}) {
@@ -76,7 +84,8 @@ TEST(KnownSensors, At128SweepsAWindowFromLeftToRight) {
         EXPECT_NEAR(azimuth_deg(first) - azimuth_deg(first + 1), 0.1, 1e-4) << row;
         EXPECT_NEAR(rays.time_offset_s[last] - rays.time_offset_s[first], 0.1 * 1199 / 1200, 1e-7) << row;
     }
-    EXPECT_NEAR(azimuth_deg(0), 59.95 - 2.4, 1e-4) << "the maker counts azimuths clockwise: 2.4 is to the right";
+    EXPECT_NEAR(azimuth_deg(0), 59.95 - 2.4, 1e-4)
+        << "the maker counts azimuths clockwise: 2.4 is to the right";
     EXPECT_NEAR(azimuth_deg(1200), 59.95 + 0.65, 1e-4);
     EXPECT_THROW(find_sensor("AT128:600x10"), UsageError);
 }
@@ -89,7 +98,8 @@ TEST(KnownSensors, UnknownNameNamesTheNearestAndTheCsvWay) {
 }
 
 TEST(KnownSensors, CsvTableByHeaderName) {
-    const std::string path = write("beams.csv", "channel,azimuth_offset_deg,elevation_deg,origin_up_m\n0,1.5,10,0.2\n1,-1.5,-10,0.1\n");
+    const std::string path = write(
+        "beams.csv", "channel,azimuth_offset_deg,elevation_deg,origin_up_m\n0,1.5,10,0.2\n1,-1.5,-10,0.1\n");
     const SpinningSensor sensor = spinning(path + ":512x20");
     ASSERT_EQ(sensor.beams.size(), 2u);
     EXPECT_EQ(sensor.columns, 512);
@@ -102,27 +112,33 @@ TEST(KnownSensors, CsvTableByHeaderName) {
 }
 
 TEST(KnownSensors, CsvTableHoldsRangeLimits) {
-    const SpinningSensor limited = spinning(write("near.csv", "elevation_deg,max_range_m,min_range_m\n5,30,0.5\n-5,30,0.5\n"));
+    const SpinningSensor limited =
+        spinning(write("near.csv", "elevation_deg,max_range_m,min_range_m\n5,30,0.5\n-5,30,0.5\n"));
     EXPECT_DOUBLE_EQ(limited.min_range_m, 0.5);
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
     EXPECT_DOUBLE_EQ(spinning(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
     EXPECT_THAT(message(write("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n")),
                 HasSubstr("line 3: found ranges of 0 to 40 m, expected 0 to 30 m"));
-    EXPECT_THAT(message(write("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n")), HasSubstr("min_range_m below max_range_m"));
+    EXPECT_THAT(message(write("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n")),
+                HasSubstr("min_range_m below max_range_m"));
     EXPECT_THAT(message(write("i.csv", "elevation_deg,max_range_m\n5,-1\n")),
                 HasSubstr("max_range_m is '-1', expected a number in [0, 10000]"));
 }
 
 TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
-    EXPECT_THAT(message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
-                HasSubstr("j.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'?"));
-    EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")), HasSubstr("'elevation_deg' is there twice"));
+    EXPECT_THAT(
+        message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
+        HasSubstr(
+            "j.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'?"));
+    EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")),
+                HasSubstr("'elevation_deg' is there twice"));
 }
 
 TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
     const std::string path = write("l.csv", "elevation_deg\n1\n");
     EXPECT_THAT(message(path + ":99999999x10"),
-                HasSubstr("99999999 columns at 10 Hz, expected a whole number from 1 to 1000000 and a rate above 0, at most 10000"));
+                HasSubstr("99999999 columns at 10 Hz, expected a whole number from 1 to 1000000 and a rate "
+                          "above 0, at most 10000"));
     std::string many = "elevation_deg\n";
     for (int i = 0; i < 17; ++i) many += "1\n";
     const SpinningSensor large = spinning(write("m.csv", many) + ":1000000x10");
@@ -132,7 +148,8 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
 TEST(KnownSensors, WrongTablesAreNamed) {
     EXPECT_THAT(message("/nowhere/beams.csv"), HasSubstr("/nowhere/beams.csv: no such file"));
     EXPECT_THAT(message(write("a.csv", "channel\n1\n")), HasSubstr("a.csv: no column 'elevation_deg'"));
-    EXPECT_THAT(message(write("b.csv", "elevation_deg\n1\nabc\n")), HasSubstr("b.csv line 3: elevation_deg is 'abc'"));
+    EXPECT_THAT(message(write("b.csv", "elevation_deg\n1\nabc\n")),
+                HasSubstr("b.csv line 3: elevation_deg is 'abc'"));
     EXPECT_THAT(message(write("c.csv", "elevation_deg\nnan\n")), HasSubstr("'nan'"));
     EXPECT_THAT(message(write("d.csv", "elevation_deg\n1\n2\n")), HasSubstr("highest beam down"));
     EXPECT_THAT(message(write("e.csv", "elevation_deg,channel\n1\n")), HasSubstr("1 values, expected 2"));

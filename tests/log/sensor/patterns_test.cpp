@@ -12,9 +12,15 @@
 namespace relidar {
 namespace {
 
-const Rosette kRosette{.name = "r", .deflection_rad = 0.15, .first_hz = 110.0, .second_hz = -70.0, .n_rays = 5000, .period_s = 0.1};
+const Rosette kRosette{.name = "r",
+                       .deflection_rad = 0.15,
+                       .first_hz = 110.0,
+                       .second_hz = -70.0,
+                       .n_rays = 5000,
+                       .period_s = 0.1};
 
-/// The sum of two turning deflections of one size is 2 |cos| of half their angle, turned by the mean of the two.
+/// The sum of two turning deflections of one size is 2 |cos| of half their angle, turned
+/// by the mean of the two.
 TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
     const double time_s = 12.34;
     const RayTable rays = make_rays(kRosette, time_s);
@@ -23,7 +29,8 @@ TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
         const double t = time_s + ((double(i) + 0.5) / 5000.0 - 0.5) * 0.1;
         const double half_difference = kPi * (110.0 + 70.0) * t, mean = kPi * (110.0 - 70.0) * t;
         const double bent = 2.0 * 0.15 * std::cos(half_difference);
-        const glm::dvec3 expected(std::cos(bent), std::sin(bent) * std::cos(mean), std::sin(bent) * std::sin(mean));
+        const glm::dvec3 expected(std::cos(bent), std::sin(bent) * std::cos(mean),
+                                  std::sin(bent) * std::sin(mean));
         ASSERT_LT(glm::length(glm::dvec3(rays.direction[i]) - expected), 1e-6) << i;
         ASSERT_NEAR(rays.time_offset_s[i], t - time_s, 1e-7);
         widest = std::max(widest, std::acos(double(rays.direction[i].x)));
@@ -37,8 +44,14 @@ TEST(Patterns, RosettesOfTwoScansDiffer) {
 }
 
 TEST(Patterns, WindowsHaveTheirCornersAndTimes) {
-    const ScanningWindow window{
-        .name = "w", .rows = 3, .columns = 5, .left_rad = 1.0, .right_rad = -0.5, .top_rad = 0.2, .bottom_rad = -0.4, .period_s = 0.05};
+    const ScanningWindow window{.name = "w",
+                                .rows = 3,
+                                .columns = 5,
+                                .left_rad = 1.0,
+                                .right_rad = -0.5,
+                                .top_rad = 0.2,
+                                .bottom_rad = -0.4,
+                                .period_s = 0.05};
     const RayTable rays = make_rays(window);
     ASSERT_EQ(rays.size(), 15u);
     const auto expect = [&](std::size_t at, double azimuth, double elevation, double time_s) {
@@ -60,7 +73,8 @@ TEST(Patterns, SizesThatNoSensorHasAreRefused) {
     EXPECT_THROW(make_rays(kRosette, std::nan("")), UsageError);
     EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 70'000, .columns = 1}), UsageError);
     EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 100'000, .columns = 100'000}), UsageError);
-    EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 1, .columns = 1, .period_s = 0.0}), UsageError);
+    EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 1, .columns = 1, .period_s = 0.0}),
+                 UsageError);
 }
 
 }  // namespace

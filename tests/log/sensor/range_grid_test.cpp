@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range grid: rays and projection are inverse to each other (Eq. 6-7); the nearest point wins a pixel.
+// Range grid: rays and projection are inverse to each other (Eq. 6-7); the nearest point
+// wins a pixel.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -28,7 +29,8 @@ TEST(RangeGrid, EveryPixelRayProjectsToItsOwnPixel) {
 TEST(RangeGrid, BinsAreCentredOnTheRays) {
     const RangeGrid grid = kitti360_grid();
     const auto point = [](double row, double column) {
-        const double el = (2.0 - row * 26.9 / 66) * kPi / 180, az = (180.0 - column * 360.0 / 1030) * kPi / 180;
+        const double el = (2.0 - row * 26.9 / 66) * kPi / 180,
+                     az = (180.0 - column * 360.0 / 1030) * kPi / 180;
         return 10.0 * glm::dvec3(std::cos(el) * std::cos(az), std::cos(el) * std::sin(az), std::sin(el));
     };
     EXPECT_EQ(project(grid, point(3.49, 7.49)), 3 * 1030 + 7);
@@ -42,7 +44,8 @@ TEST(RangeGrid, BinsAreCentredOnTheRays) {
 
 TEST(RangeGrid, NearestPointWinsAPixel) {
     const RangeGrid grid = kitti360_grid();
-    const GridImage image = project_points(grid, {{20, 0, 0}, {10, 0, 0}, {15, 0, 0}, {0, 0, 5}}, {0.1f, 0.2f, 0.3f, 0.4f});
+    const GridImage image =
+        project_points(grid, {{20, 0, 0}, {10, 0, 0}, {15, 0, 0}, {0, 0, 5}}, {0.1f, 0.2f, 0.3f, 0.4f});
     const auto at = static_cast<std::size_t>(*project(grid, {10, 0, 0}));
     EXPECT_EQ(image.source[at], 1);
     EXPECT_FLOAT_EQ(image.range_m[at], 10.0f);

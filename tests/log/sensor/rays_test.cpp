@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Spinning ray tables against closed forms: directions, beam origins, firing times, whole-column moves of offset beams.
+// Spinning ray tables against closed forms: directions, beam origins, firing times,
+// whole-column moves of offset beams.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -22,9 +23,7 @@ SpinningSensor two_beams() {
     return sensor;
 }
 
-double azimuth(const glm::vec3& d) {
-    return std::atan2(d.y, d.x);
-}
+double azimuth(const glm::vec3& d) { return std::atan2(d.y, d.x); }
 
 TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
     const RayTable rays = make_rays(two_beams());
@@ -42,8 +41,10 @@ TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
 }
 
 TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {
-    // theta = 0: origin (n, 0, 0), direction at the azimuth offset (Ouster's xyz formula with r = n).
-    const BeamRay ray = beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
+    // theta = 0: origin (n, 0, 0), direction at the azimuth offset (Ouster's xyz formula
+    // with r = n).
+    const BeamRay ray =
+        beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
     EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.015, 0, 0)), 0.0, 1e-12);
     EXPECT_NEAR(std::atan2(ray.direction.y, ray.direction.x), 0.05, 1e-12);
 }
@@ -51,8 +52,10 @@ TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {
 TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
     const double el = -0.2, up = 0.12;
     for (const double head : {0.0, 1.0, -2.5}) {
-        const BeamRay ray = beam_ray({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
-        const double t = -(ray.origin_m.x * ray.direction.x + ray.origin_m.y * ray.direction.y) / std::pow(std::cos(el), 2);
+        const BeamRay ray =
+            beam_ray({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
+        const double t = -(ray.origin_m.x * ray.direction.x + ray.origin_m.y * ray.direction.y) /
+                         std::pow(std::cos(el), 2);
         const glm::dvec3 p = ray.origin_m + t * ray.direction;
         EXPECT_NEAR(std::hypot(p.x, p.y), 0.0, 1e-12);
         EXPECT_NEAR(p.z, up / std::cos(el), 1e-12);

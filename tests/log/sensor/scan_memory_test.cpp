@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of scans that lie in memory and in a file: what is written is read back, room that is given back is given out again, and a folder
-// that cannot take them is named. The file ends with the process, so that each test is a process of its own.
+// Arrays of scans that lie in memory and in a file: what is written is read back, room
+// that is given back is given out again, and a folder that cannot take them is named. The
+// file ends with the process, so that each test is a process of its own.
 #include <relidar/log/sensor.hpp>
 
 #include <csignal>
@@ -25,7 +26,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Runs checks in a process of its own: the limit, and the folder of the file, are the process's.
+/// Runs checks in a process of its own: the limit, and the folder of the file, are the
+/// process's.
 template <class Checks>
 void in_own_process(const Checks& checks) {
     EXPECT_EXIT(
@@ -57,7 +59,7 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
         EXPECT_EQ(scan_memory_use().in_file, 0u);
-        share_scan_memory(10'000'000);   // each may take some kilobytes
+        share_scan_memory(10'000'000);  // each may take some kilobytes
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
         EXPECT_EQ(scan_memory_use().in_file, 1u << 20);
@@ -73,10 +75,11 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
         std::vector<std::uint32_t> first;
-        for (int turn = 0; turn < 2000; ++turn) {   // arrays come and go, of all sizes: 40 MB at the end
+        for (int turn = 0; turn < 2000; ++turn) {  // arrays come and go, of all sizes: 40 MB at the end
             if (arrays.size() > 20 && random() % 2) {
                 const std::size_t which = random() % arrays.size();
-                for (std::size_t i = 0; i < arrays[which].size(); ++i) ASSERT_EQ(arrays[which][i], first[which] + i);
+                for (std::size_t i = 0; i < arrays[which].size(); ++i)
+                    ASSERT_EQ(arrays[which][i], first[which] + i);
                 std::swap(arrays[which], arrays.back()), arrays.pop_back();
                 std::swap(first[which], first.back()), first.pop_back();
             } else {
@@ -116,11 +119,12 @@ TEST(ScanMemory, ServesSeveralThreads) {
     });
 }
 
-/// The whole point: a log that does not fit leaves the process's own memory as it is, and is the same log.
+/// The whole point: a log that does not fit leaves the process's own memory as it is, and
+/// is the same log.
 TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
     in_own_process([] {
         const SyntheticOptions street{.n_frames = 40, .rows = 32, .columns = 512};
-        const Sequence whole = make_synthetic_street(street);   // 29 MB
+        const Sequence whole = make_synthetic_street(street);  // 29 MB
         const std::uint64_t of_scans = scan_memory_use().in_memory, before = anonymous_bytes();
         EXPECT_GT(of_scans, 20u << 20);
         limit_scan_memory(1 << 20, fs::temp_directory_path());
@@ -129,8 +133,9 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
         EXPECT_LT(anonymous_bytes(), before + of_scans / 2);
         for (std::size_t k = 0; k < log.frames.size(); ++k) {
             const Scan &a = whole.frames[k].scan, &b = log.frames[k].scan;
-            EXPECT_TRUE(a.range_m == b.range_m && a.intensity == b.intensity && a.rays.direction == b.rays.direction &&
-                        a.rays.origin == b.rays.origin && a.rays.time_offset_s == b.rays.time_offset_s && a.rays.channel == b.rays.channel)
+            EXPECT_TRUE(a.range_m == b.range_m && a.intensity == b.intensity &&
+                        a.rays.direction == b.rays.direction && a.rays.origin == b.rays.origin &&
+                        a.rays.time_offset_s == b.rays.time_offset_s && a.rays.channel == b.rays.channel)
                 << "frame " << k;
         }
     });
@@ -139,8 +144,10 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
 TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
     in_own_process([] {
         limit_scan_memory(1, "/proc/nowhere");
-        EXPECT_THAT(error_message<DataError>([] { ScanArray<float>(1 << 20); }),
-                    testing::HasSubstr("making room for scans in '/proc/nowhere', which do not fit into memory: No such file"));
+        EXPECT_THAT(
+            error_message<DataError>([] { ScanArray<float>(1 << 20); }),
+            testing::HasSubstr(
+                "making room for scans in '/proc/nowhere', which do not fit into memory: No such file"));
     });
     in_own_process([] {
         const rlimit small{8 << 20, 8 << 20};
@@ -149,9 +156,11 @@ TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
         limit_scan_memory(1, fs::temp_directory_path());
         std::vector<ScanArray<float>> arrays;
         arrays.emplace_back(1 << 20, 1.0f);
-        EXPECT_THAT(error_message<DataError>([&] { arrays.emplace_back(3 << 20, 2.0f); }), testing::HasSubstr("File too large"));
+        EXPECT_THAT(error_message<DataError>([&] { arrays.emplace_back(3 << 20, 2.0f); }),
+                    testing::HasSubstr("File too large"));
         EXPECT_EQ(arrays.size(), 1u);
-        EXPECT_EQ(scan_memory_use().in_file, 4u << 20) << "what was there stays, what did not fit takes nothing";
+        EXPECT_EQ(scan_memory_use().in_file, 4u << 20)
+            << "what was there stays, what did not fit takes nothing";
         EXPECT_EQ(arrays[0].back(), 1.0f);
     });
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors from files: ray tables in three formats against the rays they were written from, Ouster's metadata against Ouster's own equation
-// for its points, and the messages for files that are wrong.
+// Sensors from files: ray tables in three formats against the rays they were written
+// from, Ouster's metadata against Ouster's own equation for its points, and the messages
+// for files that are wrong.
 #include <relidar/log/sensor_files.hpp>
 
 #include <cmath>
@@ -20,7 +21,9 @@ namespace {
 
 using testing::HasSubstr;
 
-std::string path_of(const std::string& name) { return (std::filesystem::path(testing::TempDir()) / name).string(); }
+std::string path_of(const std::string& name) {
+    return (std::filesystem::path(testing::TempDir()) / name).string();
+}
 
 std::string write(const std::string& name, const std::string& text) {
     std::ofstream(path_of(name)) << text;
@@ -36,7 +39,8 @@ std::string message(const std::string& sensor) {
     return "";
 }
 
-void expect_rays(const RayTable& rays, const std::vector<glm::dvec3>& directions, const std::vector<glm::dvec3>& origins) {
+void expect_rays(const RayTable& rays, const std::vector<glm::dvec3>& directions,
+                 const std::vector<glm::dvec3>& origins) {
     ASSERT_EQ(rays.size(), directions.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
         EXPECT_LT(glm::length(glm::dvec3(rays.direction[i]) - directions[i]), 1e-6) << i;
@@ -45,13 +49,17 @@ void expect_rays(const RayTable& rays, const std::vector<glm::dvec3>& directions
 }
 
 TEST(SensorFiles, RayTablesSayTheSameInEveryFormat) {
-    const std::vector<glm::dvec3> directions{{1, 0, 0}, {0, 1, 0}, {std::sqrt(0.5), 0, std::sqrt(0.5)}, {0, -1, 0}};
+    const std::vector<glm::dvec3> directions{
+        {1, 0, 0}, {0, 1, 0}, {std::sqrt(0.5), 0, std::sqrt(0.5)}, {0, -1, 0}};
     const std::vector<glm::dvec3> origins{{0, 0, 0}, {0, 0.1, 0}, {0, 0, 0.2}, {0.3, 0, 0}};
     const std::string csv = write("rays.csv",
-                                  "azimuth_deg,elevation_deg,origin_x_m,origin_y_m,origin_z_m,time_s,channel,divergence_mrad,max_range_m\n"
-                                  "0,0,0,0,0,-0.01,3,2,50\n90,0,0,0.1,0,0,2,2,50\n0,45,0,0,0.2,0.01,1,2,50\n-90,0,0.3,0,0,0.02,0,2,50\n");
-    const std::string json = write("rays.json",
-                                   R"({"directions": [[[1,0,0],[0,1,0]],[[0.70710678118,0,0.70710678118],[0,-1,0]]],
+                                  "azimuth_deg,elevation_deg,origin_x_m,origin_y_m,origin_z_m,time_s,channel,"
+                                  "divergence_mrad,max_range_m\n"
+                                  "0,0,0,0,0,-0.01,3,2,50\n90,0,0,0.1,0,0,2,2,50\n0,45,0,0,0.2,0.01,1,2,50\n-"
+                                  "90,0,0.3,0,0,0.02,0,2,50\n");
+    const std::string json =
+        write("rays.json",
+              R"({"directions": [[[1,0,0],[0,1,0]],[[0.70710678118,0,0.70710678118],[0,-1,0]]],
                                        "origin": [[0,0,0],[0,0.1,0],[0,0,0.2],[0.3,0,0]], "time": [-0.01,0,0.01,0.02], "ring": [3,2,1,0],
                                        "divergence_mrad": 2, "max_range_m": 50})");
     std::vector<float> d, o;
@@ -59,10 +67,12 @@ TEST(SensorFiles, RayTablesSayTheSameInEveryFormat) {
     for (const glm::dvec3& v : origins) o.insert(o.end(), {float(v.x), float(v.y), float(v.z)});
     const std::vector<float> time{-0.01f, 0.0f, 0.01f, 0.02f}, divergence{2.0f}, farthest{50.0f};
     const std::vector<std::uint16_t> ring{3, 2, 1, 0};
-    write_npz(path_of("rays.npz"),
-              {make_array("directions", {2, 2, 3}, d.data(), d.size()), make_array("origin", {2, 2, 3}, o.data(), o.size()),
-               make_array("time", {2, 2}, time.data(), 4), make_array("ring", {2, 2}, ring.data(), 4),
-               make_array("divergence_mrad", {1}, divergence.data(), 1), make_array("max_range_m", {1}, farthest.data(), 1)});
+    write_npz(
+        path_of("rays.npz"),
+        {make_array("directions", {2, 2, 3}, d.data(), d.size()),
+         make_array("origin", {2, 2, 3}, o.data(), o.size()), make_array("time", {2, 2}, time.data(), 4),
+         make_array("ring", {2, 2}, ring.data(), 4), make_array("divergence_mrad", {1}, divergence.data(), 1),
+         make_array("max_range_m", {1}, farthest.data(), 1)});
     for (const std::string& file : {csv, json, path_of("rays.npz")}) {
         const SensorModel sensor = find_sensor(file);
         const RayTable rays = make_rays(sensor);
@@ -76,12 +86,16 @@ TEST(SensorFiles, RayTablesSayTheSameInEveryFormat) {
 }
 
 TEST(SensorFiles, BeamsMayDivergeEachByItself) {
-    const std::string csv = write("cones.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,0\n0,90,0.5\n");
-    const std::string json = write("cones.json", R"({"directions": [[1,0,0],[0,1,0],[0,0,1]], "divergence": [0.002, 0, 0.0005]})");
-    const std::vector<float> d{1, 0, 0, 0, 1, 0, 0, 0, 1}, divergence{2e-3f, 0.0f, 5e-4f}, same{2e-3f, 2e-3f, 2e-3f};
+    const std::string csv =
+        write("cones.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,0\n0,90,0.5\n");
+    const std::string json =
+        write("cones.json", R"({"directions": [[1,0,0],[0,1,0],[0,0,1]], "divergence": [0.002, 0, 0.0005]})");
+    const std::vector<float> d{1, 0, 0, 0, 1, 0, 0, 0, 1}, divergence{2e-3f, 0.0f, 5e-4f},
+        same{2e-3f, 2e-3f, 2e-3f};
     const auto npz = [&](const char* name, const std::vector<float>& angles) {
-        write_npz(path_of(name), {make_array("directions", {1, 3, 3}, d.data(), d.size()),
-                                  make_array("divergence", {1, angles.size()}, angles.data(), angles.size())});
+        write_npz(path_of(name),
+                  {make_array("directions", {1, 3, 3}, d.data(), d.size()),
+                   make_array("divergence", {1, angles.size()}, angles.data(), angles.size())});
         return path_of(name);
     };
     for (const std::string& file : {csv, json, npz("cones.npz", divergence)}) {
@@ -97,33 +111,46 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
     EXPECT_TRUE(alike.ray_divergence_rad.empty()) << "one number where all have the same";
     EXPECT_EQ(alike.divergence_rad, 2e-3f);
 
-    const auto bad = [](const std::string& file, const std::string& why) { EXPECT_THAT(message(file), HasSubstr(why)); };
-    bad(write("a.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,-1\n"), "divergence in radians, number 1 is -0.001");
-    bad(write("b.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,nan\n"), "line 3: divergence_mrad is 'nan'");
+    const auto bad = [](const std::string& file, const std::string& why) {
+        EXPECT_THAT(message(file), HasSubstr(why));
+    };
+    bad(write("a.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,-1\n"),
+        "divergence in radians, number 1 is -0.001");
+    bad(write("b.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,nan\n"),
+        "line 3: divergence_mrad is 'nan'");
     bad(npz("c.npz", {2e-3f, std::nanf(""), 0.0f}), "divergence in radians, number 1 is nan");
     bad(npz("d.npz", {2e-3f, -1e-3f, 0.0f}), "divergence in radians, number 1 is -0.001");
     bad(npz("e.npz", {2e-3f, 1e-3f}), "divergence has 2 numbers, expected 3");
-    bad(write("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})"), "found both");
+    bad(write("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})"),
+        "found both");
 }
 
-/// A point as Ouster's manual computes it, in the sensor's frame but for its height. @param m column of w, range from the axis
-glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m, int w) {
-    const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0, altitude = altitude_deg * kPi / 180.0;
+/// A point as Ouster's manual computes it, in the sensor's frame but for its height.
+/// @param m column of w, range from the axis
+glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m,
+                        int w) {
+    const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0,
+                 altitude = altitude_deg * kPi / 180.0;
     const double r = range_m - offset_m;
-    const glm::dvec3 lidar(r * std::cos(encoder + azimuth) * std::cos(altitude) + offset_m * std::cos(encoder),
-                           r * std::sin(encoder + azimuth) * std::cos(altitude) + offset_m * std::sin(encoder), r * std::sin(altitude));
+    const glm::dvec3 lidar(
+        r * std::cos(encoder + azimuth) * std::cos(altitude) + offset_m * std::cos(encoder),
+        r * std::sin(encoder + azimuth) * std::cos(altitude) + offset_m * std::sin(encoder),
+        r * std::sin(altitude));
     return {-lidar.x, -lidar.y, lidar.z};
 }
 
 TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
     const double altitude[] = {20.5, 0.25, -19.0}, azimuth[] = {-4.2, 1.4, 3.9}, offset_m = 0.015806;
-    const std::string angles = R"("beam_altitude_angles": [20.5, 0.25, -19.0], "beam_azimuth_angles": [-4.2, 1.4, 3.9],
+    const std::string angles =
+        R"("beam_altitude_angles": [20.5, 0.25, -19.0], "beam_azimuth_angles": [-4.2, 1.4, 3.9],
                                   "lidar_origin_to_beam_origin_mm": 15.806)";
-    const std::string old = write("old.json", "{\"lidar_mode\": \"512x20\", \"prod_line\": \"OS-1-128\", " + angles + "}");
-    const std::string nested = write("new.json",
-                                     "{\"config_params\": {\"lidar_mode\": \"512x20\"}, \"sensor_info\": {\"prod_line\": \"OS-1-128\"},"
-                                     "\"beam_intrinsics\": {" +
-                                         angles + "}}");
+    const std::string old =
+        write("old.json", "{\"lidar_mode\": \"512x20\", \"prod_line\": \"OS-1-128\", " + angles + "}");
+    const std::string nested = write(
+        "new.json",
+        "{\"config_params\": {\"lidar_mode\": \"512x20\"}, \"sensor_info\": {\"prod_line\": \"OS-1-128\"},"
+        "\"beam_intrinsics\": {" +
+            angles + "}}");
     for (const std::string& file : {old, nested}) {
         const auto spinning = std::get<SpinningSensor>(find_sensor(file).pattern);
         ASSERT_EQ(spinning.columns, 512);
@@ -133,8 +160,10 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
             for (const int m : {0, 1, 100, 511}) {
                 const double head = spinning.first_azimuth_rad - 2.0 * kPi * m / 512.0;
                 const BeamRay ray = beam_ray(spinning.beams[std::size_t(beam)], head);
-                const glm::dvec3 expected = ouster_point(30.0, offset_m, altitude[beam], azimuth[beam], m, 512);
-                EXPECT_LT(glm::length(ray.origin_m + (30.0 - offset_m) * ray.direction - expected), 1e-9) << beam << " " << m;
+                const glm::dvec3 expected =
+                    ouster_point(30.0, offset_m, altitude[beam], azimuth[beam], m, 512);
+                EXPECT_LT(glm::length(ray.origin_m + (30.0 - offset_m) * ray.direction - expected), 1e-9)
+                    << beam << " " << m;
             }
         }
     }
@@ -143,10 +172,16 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
 
 TEST(SensorFiles, ByteOrderMarksAreAccepted) {
     const std::string mark = "\xEF\xBB\xBF";
-    EXPECT_EQ(make_rays(find_sensor(write("mark.csv", mark + "azimuth_deg,elevation_deg\r\n0,0\r\n"))).size(), 1u);
-    EXPECT_EQ(make_rays(find_sensor(write("mark_beams.csv", mark + "elevation_deg\n5\n-5\n") + ":360x10")).size(), 720u);
+    EXPECT_EQ(make_rays(find_sensor(write("mark.csv", mark + "azimuth_deg,elevation_deg\r\n0,0\r\n"))).size(),
+              1u);
+    EXPECT_EQ(
+        make_rays(find_sensor(write("mark_beams.csv", mark + "elevation_deg\n5\n-5\n") + ":360x10")).size(),
+        720u);
     EXPECT_EQ(make_rays(find_sensor(write("mark.json", mark + R"({"directions": [[1,0,0]]})"))).size(), 1u);
-    EXPECT_EQ(find_rig(write("mark_rig.json", mark + R"({"sensors": [{"name": "a", "sensor": "VLP-16"}]})")).value().size(), 1u);
+    EXPECT_EQ(find_rig(write("mark_rig.json", mark + R"({"sensors": [{"name": "a", "sensor": "VLP-16"}]})"))
+                  .value()
+                  .size(),
+              1u);
 }
 
 TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
@@ -154,7 +189,8 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
                fast = std::get<SpinningSensor>(find_sensor("vlp-16:904x20").pattern);
     EXPECT_EQ(fast.columns, 904);
     EXPECT_DOUBLE_EQ(fast.period_s, 0.05);
-    // The top beam fires 34.56 us after the head was at its azimuth: twice as far at 20 Hz.
+    // The top beam fires 34.56 us after the head was at its azimuth: twice as far at 20
+    // Hz.
     EXPECT_NEAR(usual.beams[0].azimuth_offset_rad, -2.0 * kPi * 10.0 * 34.56e-6, 1e-9);
     EXPECT_NEAR(fast.beams[0].azimuth_offset_rad, -2.0 * kPi * 20.0 * 34.56e-6, 1e-9);
     EXPECT_THAT(message("rosette:100x10"), HasSubstr("does not spin"));
@@ -162,55 +198,81 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
 
 TEST(SensorFiles, WrongFilesAreNamed) {
     EXPECT_THAT(message(path_of("missing.npz")), HasSubstr("missing.npz"));
-    EXPECT_THAT(message(write("a.csv", "azimuth_deg,elevation_deg\n0,nan\n")), HasSubstr("a.csv line 2: elevation_deg is 'nan'"));
+    EXPECT_THAT(message(write("a.csv", "azimuth_deg,elevation_deg\n0,nan\n")),
+                HasSubstr("a.csv line 2: elevation_deg is 'nan'"));
     EXPECT_THAT(message(write("b.csv", "azimuth_deg,elevation_deg\n")), HasSubstr("b.csv: found 0 rays"));
-    EXPECT_THAT(message(write("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n")), HasSubstr("column 'wavelength' is not known"));
+    EXPECT_THAT(message(write("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n")),
+                HasSubstr("column 'wavelength' is not known"));
     EXPECT_THAT(message(write("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n")),
                 HasSubstr("d.csv line 3: max_range_m is 60, expected 50 as in the first line"));
-    EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")), HasSubstr("no azimuth_deg or no elevation_deg"));
-    EXPECT_THAT(message(write("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}")), HasSubstr("directions number 1 has length 2, expected 1"));
+    EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")),
+                HasSubstr("no azimuth_deg or no elevation_deg"));
+    EXPECT_THAT(message(write("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}")),
+                HasSubstr("directions number 1 has length 2, expected 1"));
     EXPECT_THAT(message(write("n.json", R"({"directions": [[1,0,0]], "times": [0]})")),
                 HasSubstr("found the unknown member 'times', expected only directions, origin, time, ring"));
     EXPECT_THAT(message(write("o.json", R"({"window": {}, "max_range_m": 50})")),
                 HasSubstr("found the unknown member 'max_range_m', expected only window"));
-    EXPECT_THAT(message(write("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}")), HasSubstr("time has 2 numbers, expected 1"));
-    EXPECT_THAT(message(write("c.json", "{\"directions\": [[1,0,\"x\"]]}")), HasSubstr("directions: found string, expected numbers"));
-    EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') + std::string(50'000, ']') + "}")),
+    EXPECT_THAT(message(write("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}")),
+                HasSubstr("time has 2 numbers, expected 1"));
+    EXPECT_THAT(message(write("c.json", "{\"directions\": [[1,0,\"x\"]]}")),
+                HasSubstr("directions: found string, expected numbers"));
+    EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') +
+                                            std::string(50'000, ']') + "}")),
                 HasSubstr("nested too deep"));
     EXPECT_THAT(message(write("e.json", "[1,")), HasSubstr("e.json: no valid JSON"));
-    EXPECT_THAT(message(write("f.json", "{}")),
-                HasSubstr("found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\""));
-    EXPECT_THAT(message(write("g.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
-                HasSubstr("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
-    EXPECT_THAT(message(write("h.json", R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
-                HasSubstr("lidar_mode is \"fast\""));
-    EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")), HasSubstr("time number 0 is 1e+300"));
+    EXPECT_THAT(
+        message(write("f.json", "{}")),
+        HasSubstr("found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\""));
+    EXPECT_THAT(
+        message(
+            write("g.json",
+                  R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
+        HasSubstr("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
+    EXPECT_THAT(
+        message(write("h.json",
+                      R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
+        HasSubstr("lidar_mode is \"fast\""));
+    EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")),
+                HasSubstr("time number 0 is 1e+300"));
     write_npz(path_of("a.npz"), {make_text("name", "x")});
     EXPECT_THAT(message(path_of("a.npz")), HasSubstr("found no array \"directions\""));
 }
 
 TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
-    const SensorModel front = find_sensor(write("front.json", R"({"window": {"rows": 3, "columns": 5, "left_deg": 40, "right_deg": -40,
+    const SensorModel front = find_sensor(
+        write("front.json", R"({"window": {"rows": 3, "columns": 5, "left_deg": 40, "right_deg": -40,
         "top_deg": 10, "bottom_deg": -10, "period_s": 0.05, "divergence_mrad": 2, "min_range_m": 1, "max_range_m": 90}})"));
     const RayTable window = make_rays(front);
     EXPECT_EQ(std::pair(window.rows, window.columns), std::pair(3, 5));
     EXPECT_EQ(front.limits.max_m, 90.0);
     EXPECT_FLOAT_EQ(window.divergence_rad, 2e-3f);
     const double d = kPi / 180.0;
-    EXPECT_LT(glm::length(glm::dvec3(window.direction[0]) -
-                          glm::dvec3(std::cos(10 * d) * std::cos(40 * d), std::cos(10 * d) * std::sin(40 * d), std::sin(10 * d))), 1e-7);
+    EXPECT_LT(glm::length(glm::dvec3(window.direction[0]) - glm::dvec3(std::cos(10 * d) * std::cos(40 * d),
+                                                                       std::cos(10 * d) * std::sin(40 * d),
+                                                                       std::sin(10 * d))),
+              1e-7);
     EXPECT_NEAR(window.time_offset_s[0], -0.02, 1e-7) << "the middle of the first of five steps of 10 ms";
-    const SensorModel flower = find_sensor(write("flower.json", R"({"rosette": {"rays": 100, "deflection_deg": 9, "first_hz": 3,
+    const SensorModel flower =
+        find_sensor(write("flower.json", R"({"rosette": {"rays": 100, "deflection_deg": 9, "first_hz": 3,
         "second_hz": -2}})"));
     EXPECT_EQ(make_rays(flower).size(), 100u);
     EXPECT_NE(make_rays(flower, 0.0).direction, make_rays(flower, 0.1).direction);
     EXPECT_EQ(flower.limits.max_m, 80.0);
-    EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")), HasSubstr("window.columns: missing, expected it"));
-    EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")), HasSubstr("unknown member 'petals'"));
-    EXPECT_THAT(message(write("l.json", R"({"window": {"rows": 60000, "columns": 60000, "left_deg": 1, "right_deg": 0, "top_deg": 1,
-        "bottom_deg": 0}})")), HasSubstr("found 60000 rows x 60000 columns, expected at most"));
-    EXPECT_THAT(message(write("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
-        "min_range_m": 90}})")), HasSubstr("expected min_range_m < max_range_m"));
+    EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")),
+                HasSubstr("window.columns: missing, expected it"));
+    EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")),
+                HasSubstr("unknown member 'petals'"));
+    EXPECT_THAT(
+        message(
+            write("l.json",
+                  R"({"window": {"rows": 60000, "columns": 60000, "left_deg": 1, "right_deg": 0, "top_deg": 1,
+        "bottom_deg": 0}})")),
+        HasSubstr("found 60000 rows x 60000 columns, expected at most"));
+    EXPECT_THAT(
+        message(write("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
+        "min_range_m": 90}})")),
+        HasSubstr("expected min_range_m < max_range_m"));
 }
 
 TEST(Rigs, SensorsAreMountedAsTheFileSays) {
@@ -234,10 +296,12 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
 TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
     const std::vector<float> ahead{1.0f, 0.0f, 0.0f};
     write_npz(path_of("endless.npz"), {make_array("directions", {1, 3}, ahead.data(), ahead.size())});
-    for (const std::string& file : {
-             write("endless_beams.csv", "elevation_deg\n5\n-5\n"), write("endless_rays.csv", "azimuth_deg,elevation_deg\n0,0\n"),
-             write("endless_rays.json", R"({"directions": [[1, 0, 0]]})"), path_of("endless.npz"),
-             write("endless_window.json", R"({"window": {"rows": 2, "columns": 2, "left_deg": 40, "right_deg": -40, "top_deg": 10,
+    for (const std::string& file :
+         {write("endless_beams.csv", "elevation_deg\n5\n-5\n"),
+          write("endless_rays.csv", "azimuth_deg,elevation_deg\n0,0\n"),
+          write("endless_rays.json", R"({"directions": [[1, 0, 0]]})"), path_of("endless.npz"),
+          write("endless_window.json",
+                R"({"window": {"rows": 2, "columns": 2, "left_deg": 40, "right_deg": -40, "top_deg": 10,
                                                          "bottom_deg": -10}})")}) {
         EXPECT_EQ(find_sensor(file).limits.max_m, kDefaultMaxRange_m) << file;
         const SensorModel sensor = find_sensor(file, {}, 250.0);
@@ -245,8 +309,10 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
         EXPECT_TRUE(!spinning || spinning->max_range_m == 250.0) << file;
     }
-    EXPECT_THAT(message(write("beyond.csv", "elevation_deg,min_range_m\n5,90\n")), HasSubstr("expected min_range_m < max_range_m"));
-    EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m) << "a data sheet gives a limit";
+    EXPECT_THAT(message(write("beyond.csv", "elevation_deg,min_range_m\n5,90\n")),
+                HasSubstr("expected min_range_m < max_range_m"));
+    EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m)
+        << "a data sheet gives a limit";
 }
 
 TEST(Rigs, WrongRigsAreNamed) {
@@ -259,16 +325,20 @@ TEST(Rigs, WrongRigsAreNamed) {
         return std::string();
     };
     EXPECT_THAT(complaint("{\"sensors\": []}"), HasSubstr("expected a list \"sensors\" of 1 to 64"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"), HasSubstr("sensor 0: name: expected a text"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "../x", "sensor": "VLP-16"}]})"), HasSubstr("name: found \"../x\""));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
-                HasSubstr("sensor 1: name: \"a\" is there twice"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"),
+                HasSubstr("sensor 0: name: expected a text"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "../x", "sensor": "VLP-16"}]})"),
+                HasSubstr("name: found \"../x\""));
+    EXPECT_THAT(
+        complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
+        HasSubstr("sensor 1: name: \"a\" is there twice"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
                 HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
                 HasSubstr("sensor 0: unknown key 'translation', did you mean 'translation_m'?"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
-                HasSubstr("unknown key 'yaw_pitch_roll_deg' (known: sensors)"));
+    EXPECT_THAT(
+        complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
+        HasSubstr("unknown key 'yaw_pitch_roll_deg' (known: sensors)"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
                 HasSubstr("sensor 0: returns: expected 1 or 2"));

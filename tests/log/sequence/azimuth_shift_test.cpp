@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the head pointed at each firing of a sweep: found from the rays of a scan made with a known unevenness, and put back on.
+// Where the head pointed at each firing of a sweep: found from the rays of a scan made
+// with a known unevenness, and put back on.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -26,7 +27,8 @@ SpinningSensor sensor() {
     return result;
 }
 
-/// Head off by 3 mrad at the first firing, -5 mrad at the last, along a parabola; firings in packets of seven.
+/// Head off by 3 mrad at the first firing, -5 mrad at the last, along a parabola; firings
+/// in packets of seven.
 double unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);
@@ -42,26 +44,31 @@ int firing_of(const SpinningSensor& sensor, std::size_t ray) {
     return (column + column_shift(sensor.beams[std::size_t(row)], kColumns) + kColumns) % kColumns;
 }
 
-/// A sweep whose head turns unevenly, each ray up to 0.02 mrad beside it, of which a share returns.
+/// A sweep whose head turns unevenly, each ray up to 0.02 mrad beside it, of which a
+/// share returns.
 Scan uneven_scan(double share, unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Scan scan;
     scan.rays = make_rays(sensor());
     for (std::size_t i = 0; i < scan.rays.size(); ++i) {
-        scan.rays.direction[i] = turned(scan.rays.direction[i], unevenness(firing_of(sensor(), i)) + 2e-5 * (2.0 * unit(random) - 1.0));
+        scan.rays.direction[i] = turned(
+            scan.rays.direction[i], unevenness(firing_of(sensor(), i)) + 2e-5 * (2.0 * unit(random) - 1.0));
         scan.range_m.push_back(unit(random) < share ? 20.0f : 0.0f);
         scan.intensity.push_back(0.0f);
     }
     return scan;
 }
 
-std::vector<float> shift_of(const Scan& scan) { return find_azimuth_shift(scan, sensor(), make_rays(sensor())); }
+std::vector<float> shift_of(const Scan& scan) {
+    return find_azimuth_shift(scan, sensor(), make_rays(sensor()));
+}
 
 /// Largest angle between the rays of two tables.
 double worst_angle(const RayTable& a, const RayTable& b) {
     double worst = 0.0;
-    for (std::size_t i = 0; i < a.size(); ++i) worst = std::max(worst, double(glm::length(a.direction[i] - b.direction[i])));
+    for (std::size_t i = 0; i < a.size(); ++i)
+        worst = std::max(worst, double(glm::length(a.direction[i] - b.direction[i])));
     return worst;
 }
 
@@ -72,7 +79,8 @@ TEST(AzimuthShift, IsFoundAndPutBackOn) {
         const std::vector<float> shift_rad = shift_of(scan);
         ASSERT_EQ(shift_rad.size(), std::size_t(kColumns));
         EXPECT_GT(worst_angle(nominal, scan.rays), 5e-3);
-        EXPECT_LT(worst_angle(shifted_azimuths(nominal, sensor(), shift_rad), scan.rays), 5e-5) << "each ray's own 0.02 mrad, twice";
+        EXPECT_LT(worst_angle(shifted_azimuths(nominal, sensor(), shift_rad), scan.rays), 5e-5)
+            << "each ray's own 0.02 mrad, twice";
     }
 }
 
@@ -86,7 +94,8 @@ TEST(AzimuthShift, TurnsOriginsAlong) {
     }
 }
 
-/// A pane of glass swallows half of the beams in some columns: what the others say of where the head was does not tell.
+/// A pane of glass swallows half of the beams in some columns: what the others say of
+/// where the head was does not tell.
 TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
     Scan scan = uneven_scan(1.0, 5);
     const std::vector<float> before = shift_of(scan);
@@ -94,14 +103,16 @@ TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
         if (i / kColumns < 8 && i % kColumns > 500 && i % kColumns < 540) scan.range_m[i] = 0.0f;
     const std::vector<float> after = shift_of(scan);
     ASSERT_EQ(after.size(), before.size());
-    for (std::size_t f = 0; f < after.size(); ++f) ASSERT_NEAR(after[f], before[f], 4e-5) << "the spread within a firing";
+    for (std::size_t f = 0; f < after.size(); ++f)
+        ASSERT_NEAR(after[f], before[f], 4e-5) << "the spread within a firing";
 }
 
 TEST(AzimuthShift, FiringsWithoutReturnsAreBetweenTheirNeighbours) {
     Scan scan = uneven_scan(1.0, 7);
     const auto hide = [&](int first, int end) {
         for (std::size_t i = 0; i < scan.rays.size(); ++i)
-            if (const int firing = firing_of(sensor(), i); firing >= first && firing < end) scan.range_m[i] = 0.0f;
+            if (const int firing = firing_of(sensor(), i); firing >= first && firing < end)
+                scan.range_m[i] = 0.0f;
     };
     hide(0, 10), hide(300, 321), hide(1000, kColumns);
     const std::vector<float> shift_rad = shift_of(scan);
@@ -126,7 +137,8 @@ TEST(AzimuthShift, IsNotThereWhereNothingSaysIt) {
     EXPECT_TRUE(shift_of(other).empty()) << "another order";
     Scan apart = uneven_scan(1.0, 1);
     for (std::size_t i = 0; i < apart.rays.size(); ++i)
-        apart.rays.direction[i] = turned(apart.rays.direction[i], double(i / kColumns % 5) * 0.4 * kColumn_rad);
+        apart.rays.direction[i] =
+            turned(apart.rays.direction[i], double(i / kColumns % 5) * 0.4 * kColumn_rad);
     EXPECT_TRUE(shift_of(apart).empty()) << "beams that do not turn together";
     EXPECT_EQ(worst_angle(shifted_azimuths(nominal, sensor(), {}), nominal), 0.0);
 }

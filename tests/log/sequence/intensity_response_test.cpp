@@ -14,9 +14,12 @@ namespace {
 double noise(std::uint64_t k) { return std::fmod(std::sin(double(k) * 12.9898) * 43758.5453, 1.0); }
 
 /// Brightness of the ground: a checkerboard of 0.5 m tiles.
-double brightness(const glm::dvec3& p) { return (int(std::floor(p.x * 2.0)) + int(std::floor(p.y * 2.0))) % 2 == 0 ? 0.3 : 0.6; }
+double brightness(const glm::dvec3& p) {
+    return (int(std::floor(p.x * 2.0)) + int(std::floor(p.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
+}
 
-/// A sensor of n beams 2 m above a plane that it looks down on while it drives forward, so that every beam comes to see the same tiles.
+/// A sensor of n beams 2 m above a plane that it looks down on while it drives forward,
+/// so that every beam comes to see the same tiles.
 Sequence drive(const std::vector<Beam>& beams, double noise_size) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = beams;
@@ -31,8 +34,8 @@ Sequence drive(const std::vector<Beam>& beams, double noise_size) {
             const glm::dvec3 d(frame.scan.rays.direction[i]);
             const double range = -2.0 / d.z;
             const Beam& beam = beams[frame.scan.rays.channel[i]];
-            const double value =
-                beam.intensity_gain * brightness(pose.translation + range * d) + beam.intensity_offset + noise_size * noise(++k);
+            const double value = beam.intensity_gain * brightness(pose.translation + range * d) +
+                                 beam.intensity_offset + noise_size * noise(++k);
             frame.scan.range_m.push_back(float(range));
             frame.scan.intensity.push_back(float(value));
         }
@@ -55,7 +58,7 @@ std::vector<Beam> unequal_beams() {
         gain += beams[b].intensity_gain / 8.0;
         offset += beams[b].intensity_offset / 8.0;
     }
-    for (Beam& beam : beams) {   // as the mean beam is defined
+    for (Beam& beam : beams) {  // as the mean beam is defined
         beam.intensity_gain /= gain;
         beam.intensity_offset -= beam.intensity_gain * offset;
     }
@@ -68,19 +71,22 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const IntensityCalibration found = calibrate_intensity(sequence, kAll);
     ASSERT_GT(found.returns, 2000u);
     EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
-    // Up to the common scale and shift, which no data tell: what two beams report of the same surface is compared.
+    // Up to the common scale and shift, which no data tell: what two beams report of the
+    // same surface is compared.
     for (const double surface : {0.3, 0.6}) {
         const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
-        const double common = (a.intensity_gain * surface + a.intensity_offset - b.intensity_offset) / b.intensity_gain;
+        const double common =
+            (a.intensity_gain * surface + a.intensity_offset - b.intensity_offset) / b.intensity_gain;
         for (std::size_t k = 1; k < truth.size(); ++k) {
             const Beam& beam = sequence.lidars[0].sensor.beams[k];
-            EXPECT_NEAR(beam.intensity_gain * common + beam.intensity_offset, truth[k].intensity_gain * surface + truth[k].intensity_offset,
-                        0.02)
+            EXPECT_NEAR(beam.intensity_gain * common + beam.intensity_offset,
+                        truth[k].intensity_gain * surface + truth[k].intensity_offset, 0.02)
                 << k << " at " << surface;
         }
     }
     double gain = 0.0, offset = 0.0;
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) gain += beam.intensity_gain, offset += beam.intensity_offset;
+    for (const Beam& beam : sequence.lidars[0].sensor.beams)
+        gain += beam.intensity_gain, offset += beam.intensity_offset;
     EXPECT_NEAR(gain / 8.0, 1.0, 0.05);
     EXPECT_NEAR(offset / 8.0, 0.0, 0.03);
 }
@@ -91,13 +97,15 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
     Sequence sequence = drive(beams, 0.02);
     calibrate_intensity(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
-        for (const double surface : {0.3, 0.6}) EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
+        for (const double surface : {0.3, 0.6})
+            EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
-/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), its beams equal (src/dataset/synthetic.cpp).
+/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), its
+/// beams equal (src/dataset/synthetic.cpp).
 Sequence street() {
     SyntheticOptions options;
-    options.n_frames = 40;   // 32 m: near and far views of the same places
+    options.n_frames = 40;  // 32 m: near and far views of the same places
     return make_synthetic_street(options);
 }
 
@@ -122,16 +130,19 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     std::vector<double> gains;
     double mean = 0.0;
     for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b)
-        gains.push_back(1.0 + 0.25 * noise(b + 5)), mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
+        gains.push_back(1.0 + 0.25 * noise(b + 5)),
+            mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
     for (Frame& frame : sequence.frames)
-        for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i) frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
+        for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
+            frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
     const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(found.shared && found.beams);
-    expect_the_streets_fall(sequence.intensity_response, 0.06);   // what a beam sees on the ground, it sees at one range
-    double ratio = 0.0;   // the mean beam is one by returns
+    // what a beam sees on the ground, it sees at one range
+    expect_the_streets_fall(sequence.intensity_response, 0.06);
+    double ratio = 0.0;  // the mean beam is one by returns
     for (std::size_t b = 0; b < gains.size(); ++b)
         ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
-    for (std::size_t b = 4; b < gains.size(); ++b)   // the first beams look into the sky and see little
+    for (std::size_t b = 4; b < gains.size(); ++b)  // the first beams look into the sky and see little
         EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }
 
@@ -142,8 +153,10 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
     calibrate_intensity(whole, without);
     calibrate_intensity(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
-        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_gain, changed.lidars[0].sensor.beams[b].intensity_gain);
-        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_offset, changed.lidars[0].sensor.beams[b].intensity_offset);
+        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_gain,
+                  changed.lidars[0].sensor.beams[b].intensity_gain);
+        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_offset,
+                  changed.lidars[0].sensor.beams[b].intensity_offset);
     }
 }
 
@@ -161,11 +174,13 @@ TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
         const WorldReturn w = world_return(sequence, frame, i);
         EXPECT_NEAR(w.intensity, surface_return(sequence, frame, i).intensity, 0.0);
         const Beam& beam = sequence.lidars[0].sensor.beams[frame.scan.rays.channel[i]];
-        EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset, double(frame.scan.intensity[i]), 1e-6);
+        EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset,
+                    double(frame.scan.intensity[i]), 1e-6);
     }
     const float near_by = surface_return(sequence, frame, 3).intensity;
     sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
-    EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * near_by, 1e-6f) << "what falls to half was twice as bright";
+    EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * near_by, 1e-6f)
+        << "what falls to half was twice as bright";
 }
 
 }  // namespace

@@ -12,7 +12,8 @@ namespace {
 
 TEST(RangeNoise, ComesBackFromASmoothStreet) {
     SyntheticOptions options;
-    options.n_frames = 24, options.rows = 64, options.columns = 1024, options.range_noise_m = 0.0, options.moving_cars = false;
+    options.n_frames = 24, options.rows = 64, options.columns = 1024, options.range_noise_m = 0.0,
+    options.moving_cars = false;
     Sequence street = make_synthetic_street(options);
     const auto sigma = [](float range_m) { return range_m < 20.0f ? 0.01 : 0.04; };
     Random random(5);
@@ -27,18 +28,20 @@ TEST(RangeNoise, ComesBackFromASmoothStreet) {
         EXPECT_NEAR(street.lidars[0].range_noise.at(25.0, cosine), 0.04, cosine < 0.6 ? 0.004 : 0.012)
             << cosine << ": so far away little is met squarely, and much of it is edges";
     }
-    EXPECT_EQ(street.lidars[0].range_noise.at(500.0, 1.0), street.lidars[0].range_noise.at(79.0, 1.0)) << "the last bin goes on";
+    EXPECT_EQ(street.lidars[0].range_noise.at(500.0, 1.0), street.lidars[0].range_noise.at(79.0, 1.0))
+        << "the last bin goes on";
 }
 
 TEST(RangeNoise, EachLidarHasItsOwn) {
     const auto street_of = [](double noise_m) {
         SyntheticOptions options;
-        options.n_frames = 8, options.rows = 32, options.columns = 512, options.range_noise_m = noise_m, options.moving_cars = false;
+        options.n_frames = 8, options.rows = 32, options.columns = 512, options.range_noise_m = noise_m,
+        options.moving_cars = false;
         return make_synthetic_street(options);
     };
     Sequence both = street_of(0.005);
     both.lidars.push_back(both.lidars[0]);
-    both.lidars.push_back(both.lidars[0]);   // which never swept
+    both.lidars.push_back(both.lidars[0]);  // which never swept
     for (Frame& frame : street_of(0.03).frames) {
         frame.lidar = 1;
         both.frames.push_back(std::move(frame));

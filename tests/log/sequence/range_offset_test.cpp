@@ -10,9 +10,10 @@
 namespace relidar {
 namespace {
 
-const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};   // sum 0
+const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};  // sum 0
 
-/// Distance along a ray to a street: ground, a wall on each side, and posts of a square section that give it cross walls.
+/// Distance along a ray to a street: ground, a wall on each side, and posts of a square
+/// section that give it cross walls.
 double cast(const glm::dvec3& o, const glm::dvec3& d) {
     double nearest = 1e9;
     const auto plane = [&](int axis, double at, auto&& on) {
@@ -21,11 +22,13 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
     };
     plane(2, 0.0, [](const glm::dvec3&) { return true; });
     for (const double side : {-4.0, 5.0}) plane(1, side, [](const glm::dvec3& p) { return p.z < 6.0; });
-    for (int k = -4; k < 8; ++k) plane(0, 5.0 * k, [](const glm::dvec3& p) { return p.y > 3.0 || p.y < -2.5; });
+    for (int k = -4; k < 8; ++k)
+        plane(0, 5.0 * k, [](const glm::dvec3& p) { return p.y > 3.0 || p.y < -2.5; });
     return nearest;
 }
 
-/// A drive along the street; each beam adds its offset, and 5 mm of a deterministic noise.
+/// A drive along the street; each beam adds its offset, and 5 mm of a deterministic
+/// noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
@@ -40,7 +43,8 @@ Sequence drive(bool held_out_is_garbage = false) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const double noise = 0.005 * std::fmod(std::sin(double(++k) * 12.9898) * 43758.5453, 1.0);
             const double range = cast(pose.translation, glm::dvec3(frame.scan.rays.direction[i]));
-            frame.scan.range_m.push_back(range > 60.0 ? 0.0f : float(range + kOffsets_m[frame.scan.rays.channel[i]] + noise));
+            frame.scan.range_m.push_back(
+                range > 60.0 ? 0.0f : float(range + kOffsets_m[frame.scan.rays.channel[i]] + noise));
             if (held_out_is_garbage && f == 5) frame.scan.range_m.back() = 3.0f;
             frame.scan.intensity.push_back(0.5f);
         }
@@ -58,9 +62,10 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
     const LaserCalibration found = calibrate_ranges(sequence, kTrain);
     ASSERT_GT(found.returns, 20000u);
     EXPECT_GT(found.rms_before, 2.0 * found.rms_after);
-    double mean = 0.0;   // all longer by the same is hardly seen: differences are compared
+    double mean = 0.0;  // all longer by the same is hardly seen: differences are compared
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
-        mean += (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
+        mean +=
+            (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
     EXPECT_NEAR(mean, 0.0, 0.02);
@@ -71,17 +76,20 @@ TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
     calibrate_ranges(clean, kTrain);
     calibrate_ranges(garbage, kTrain);
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
-        EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m, garbage.lidars[0].sensor.beams[b].range_offset_m);
+        EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m,
+                  garbage.lidars[0].sensor.beams[b].range_offset_m);
 }
 
 TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
     Sequence sequence = drive();
-    for (std::size_t b = 0; b < kOffsets_m.size(); ++b) sequence.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
+    for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
+        sequence.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
     const Frame& frame = sequence.frames[2];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 13) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
         const WorldRay ray = world_ray(sequence.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
-        EXPECT_NEAR(glm::distance(world_return(sequence, frame, i).point_m, ray.origin_m), cast(ray.origin_m, ray.direction), 0.006);
+        EXPECT_NEAR(glm::distance(world_return(sequence, frame, i).point_m, ray.origin_m),
+                    cast(ray.origin_m, ray.direction), 0.006);
     }
 }
 
@@ -89,7 +97,8 @@ TEST(RangeOffset, EqualLasersHaveNone) {
     Sequence sequence = drive();
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (frame.scan.range_m[i] > 0.0f) frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
+            if (frame.scan.range_m[i] > 0.0f)
+                frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
     EXPECT_GT(calibrate_ranges(sequence, kTrain).returns, 20000u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses between observations, rays in the world, moving boxes and the split, against hand-computed numbers.
+// Poses between observations, rays in the world, moving boxes and the split, against
+// hand-computed numbers.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -13,9 +14,7 @@
 namespace relidar {
 namespace {
 
-Pose turned(double yaw, const glm::dvec3& t) {
-    return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t};
-}
+Pose turned(double yaw, const glm::dvec3& t) { return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t}; }
 
 double yaw_of(const Pose& pose) {
     const glm::dvec3 x = pose.rotation * glm::dvec3(1, 0, 0);
@@ -23,7 +22,8 @@ double yaw_of(const Pose& pose) {
 }
 
 TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
-    const PoseTrack track{{0.0, 1.0, 3.0}, {turned(0.0, {0, 0, 0}), turned(0.2, {1, 0, 0}), turned(0.2, {1, 4, 0})}};
+    const PoseTrack track{{0.0, 1.0, 3.0},
+                          {turned(0.0, {0, 0, 0}), turned(0.2, {1, 0, 0}), turned(0.2, {1, 4, 0})}};
     EXPECT_NEAR(track.at(0.5).translation.x, 0.5, 1e-12);
     EXPECT_NEAR(yaw_of(track.at(0.5)), 0.1, 1e-9);
     EXPECT_NEAR(track.at(2.0).translation.y, 2.0, 1e-12);
@@ -36,14 +36,16 @@ TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
 }
 
 TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
-    const PoseTrack track{{0.0, 1.0, 1.5, 3.0},
-                          {turned(0.0, {0, 0, 0}), turned(0.8, {1, 0, 0}), turned(0.8, {2, 0, 1}), turned(-0.4, {1, 4, 0})}};
+    const PoseTrack track{
+        {0.0, 1.0, 1.5, 3.0},
+        {turned(0.0, {0, 0, 0}), turned(0.8, {1, 0, 0}), turned(0.8, {2, 0, 1}), turned(-0.4, {1, 4, 0})}};
     const PoseTrack fine = with_fine_turns(track);
     const Pose mounted = turned(0.3, {2, 1, 0.5});
     const PoseTrack coarse_ride = moved_track(track, mounted), ride = moved_track(fine, mounted);
     double largest_m = 0.0, coarse_m = 0.0;
     for (double t = 0.0; t <= 3.0; t += 0.01) {
-        EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12) << "the same path at " << t;
+        EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12)
+            << "the same path at " << t;
         EXPECT_NEAR(yaw_of(fine.at(t)), yaw_of(track.at(t)), 1e-9);
         const glm::dvec3 truth = (track.at(t) * mounted).translation;
         largest_m = std::max(largest_m, glm::distance(ride.at(t).translation, truth));
@@ -53,7 +55,8 @@ TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
     EXPECT_GT(coarse_m, 0.1) << "along chords";
     EXPECT_EQ(fine.time_s.size(), fine.pose.size());
     EXPECT_TRUE(with_fine_turns({}).pose.empty());
-    EXPECT_EQ(with_fine_turns({{0.0, 1.0}, {turned(0.2, {0, 0, 0}), turned(0.2, {9, 0, 0})}}).pose.size(), 2u) << "straight on needs none";
+    EXPECT_EQ(with_fine_turns({{0.0, 1.0}, {turned(0.2, {0, 0, 0}), turned(0.2, {9, 0, 0})}}).pose.size(), 2u)
+        << "straight on needs none";
 }
 
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
@@ -62,7 +65,8 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     };
     Sequence log;
     log.world_from_vehicle = {{0.0, 1.0}, {turned(0.1, {0, 0, 0}), turned(0.3, {8, 1, 0})}};
-    log.boxes.push_back({"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
+    log.boxes.push_back(
+        {"0", "Car", {4, 2, 1.5}, {{0.25, 1.0}, {turned(0.7, {10, 3, 0}), turned(0.9, {15, 3, 1})}}});
     const Sequence before = log;
     const PoseTrack track{{0.0, 1.0}, {turned(0.2, {0.3, -0.2, 0.1}), turned(0.25, {8.1, 1.4, 0.2})}};
     set_vehicle_poses(log, track);
@@ -73,7 +77,9 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
                    sees = inverse(log.world_from_vehicle.at(t_s)) * log.boxes[0].world_from_box.pose[k];
         EXPECT_LT(glm::length(seen.translation - sees.translation), 1e-12);
         EXPECT_NEAR(std::abs(glm::dot(seen.rotation, sees.rotation)), 1.0, 1e-12);
-        EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation - log.boxes[0].world_from_box.pose[k].translation), 0.1);
+        EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation -
+                              log.boxes[0].world_from_box.pose[k].translation),
+                  0.1);
     }
 }
 
@@ -83,7 +89,8 @@ TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
     rays.origin = {{0, 0, 0.2f}};
     rays.direction = {{0, 1, 0}};
     rays.time_offset_s = {0.05f};
-    const WorldRay rolling = world_ray(track, 0.5, rays, 0, true), global = world_ray(track, 0.5, rays, 0, false);
+    const WorldRay rolling = world_ray(track, 0.5, rays, 0, true),
+                   global = world_ray(track, 0.5, rays, 0, false);
     EXPECT_NEAR(rolling.origin_m.x, 5.5, 1e-6);
     EXPECT_NEAR(global.origin_m.x, 5.0, 1e-12);
     EXPECT_NEAR(rolling.origin_m.z, 0.2, 1e-6);
@@ -98,7 +105,8 @@ TEST(Scan, PointsAndReturns) {
     EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
 }
 
-/// A car observed n times, step_s apart, at a speed, its labels jittering by 9 cm from one to the next, as KITTI's do.
+/// A car observed n times, step_s apart, at a speed, its labels jittering by 9 cm from
+/// one to the next, as KITTI's do.
 BoxTrack driven(int n, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
     box.size_m = {4.4, 1.8, 1.6};
@@ -116,8 +124,9 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(driven(95, 0.3).moves()) << "2.5 m are more than drift";
     EXPECT_TRUE(driven(30, 8.0).moves());
     EXPECT_TRUE(driven(2, 8.0).moves()) << "seen twice";
-    BoxTrack starts = driven(95, 0.0);   // a car that waits, then goes 1.6 m in the last second
-    for (std::size_t i = 85; i < 95; ++i) starts.world_from_box.pose[i].translation.x += 0.02 * double((i - 85) * (i - 85));
+    BoxTrack starts = driven(95, 0.0);  // a car that waits, then goes 1.6 m in the last second
+    for (std::size_t i = 85; i < 95; ++i)
+        starts.world_from_box.pose[i].translation.x += 0.02 * double((i - 85) * (i - 85));
     EXPECT_TRUE(starts.moves());
     BoxTrack walker = driven(95, 0.1), hurried = driven(6, 1.2);
     walker.size_m = hurried.size_m = {0.7, 0.6, 1.8};
@@ -125,7 +134,8 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(hurried.moves()) << "for half a second";
 }
 
-/// Labels of two a second that are off by up to a decimetre each, interpolated to sweeps of twenty a second, as those of nuScenes.
+/// Labels of two a second that are off by up to a decimetre each, interpolated to sweeps
+/// of twenty a second, as those of nuScenes.
 TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
     std::mt19937 random(3);
     std::uniform_real_distribution<double> off(-0.1, 0.1);
@@ -152,8 +162,11 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
 TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     BoxTrack car;
     car.size_m = {4, 2, 1.5};
-    car.world_from_box = {{0.0, 0.1, 0.2}, {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
-    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));  // length lies along y: centre 0.5, half 2
+    car.world_from_box = {
+        {0.0, 0.1, 0.2},
+        {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
+    // length lies along y: centre 0.5, half 2
+    EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));
     EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.0));
     EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.2));
     BoxTrack parked = car;
@@ -186,9 +199,12 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const RayTable rays = turning_rays(sensor, from_rad, from_s, 500);
                 const auto start = find_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
-                for (std::size_t i = 1; i < 500; i += 7) {   // the first is as near to the end of the turn as to its beginning
-                    const double facing_s = facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
-                    ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6) << from_rad << " " << from_s << " " << i;
+                // the first is as near to the end of the turn as to its beginning
+                for (std::size_t i = 1; i < 500; i += 7) {
+                    const double facing_s =
+                        facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
+                    ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6)
+                        << from_rad << " " << from_s << " " << i;
                 }
             }
         }
@@ -196,25 +212,35 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
 }
 
 TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
-    const ScanningWindow window{.name = "w", .rows = 2, .columns = 40, .left_rad = 1.0, .right_rad = -0.8, .top_rad = 0.1,
-                                .bottom_rad = 0.0, .period_s = 0.08};
+    const ScanningWindow window{.name = "w",
+                                .rows = 2,
+                                .columns = 40,
+                                .left_rad = 1.0,
+                                .right_rad = -0.8,
+                                .top_rad = 0.1,
+                                .bottom_rad = 0.0,
+                                .period_s = 0.08};
     Sequence sequence;
     sequence.lidars[0].sensor.period_s = 0.0;
     sequence.lidars[0].pattern = window;
-    for (const float later_s : {0.0f, 0.04f, -0.1f}) {   // the frame's time in the middle of the scan, at its beginning, after its end
+    // the frame's time in the middle of the scan, at its beginning, after its end
+    for (const float later_s : {0.0f, 0.04f, -0.1f}) {
         RayTable rays = make_rays(window);
         for (float& t : rays.time_offset_s) t += later_s;
         const auto start = find_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}), 7.0 + double(rays.time_offset_s[i]),
-                        1.1e-3) << "half a column: " << later_s << " " << i;
+            ASSERT_NEAR(facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
+                        7.0 + double(rays.time_offset_s[i]), 1.1e-3)
+                << "half a column: " << later_s << " " << i;
     }
     EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
-    const Rosette rosette{.name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
+    const Rosette rosette{
+        .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
     sequence.lidars[0].pattern = rosette;
     EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05) << "half of 0.1 s after its beginning";
+    EXPECT_EQ(facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
+        << "half of 0.1 s after its beginning";
     EXPECT_EQ(nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
 
@@ -242,7 +268,7 @@ TEST(Split, EveryTenthOfFiftyButTheFirst) {
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
     Sequence sequence;
     for (int i = 2351; i <= 2400; ++i)
-        if (i != 2355) sequence.frames.emplace_back().index = i;   // one without a pose shifts nothing
+        if (i != 2355) sequence.frames.emplace_back().index = i;  // one without a pose shifts nothing
     sequence.test_frames = {2360, 2370, 2380, 2390};
     const auto indices = [&](const Split& split) {
         std::vector<int> all;
@@ -250,7 +276,8 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
         return all;
     };
     EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
-    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400})) << "named ones go first";
+    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400}))
+        << "named ones go first";
     EXPECT_TRUE(split_frames(sequence, 0).test.empty());
     EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
 }
@@ -276,7 +303,8 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
         std::vector<int> all = split.train;
         all.insert(all.end(), split.test.begin(), split.test.end());
         std::sort(all.begin(), all.end());
-        for (std::size_t i = 0; i < all.size(); ++i) EXPECT_EQ(all[i], int(i)) << list << ": every frame is in one part";
+        for (std::size_t i = 0; i < all.size(); ++i)
+            EXPECT_EQ(all[i], int(i)) << list << ": every frame is in one part";
         EXPECT_EQ(all.size(), sequence.frames.size());
         return split.test;
     };
@@ -304,13 +332,16 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
             EXPECT_EQ(message.find('\n'), std::string::npos) << message;
         }
     };
-    refused("104", "found 104, expected frames that are read of the log: 100, 103, 106, 109, 112, ... 121 (8 in all)");
+    refused(
+        "104",
+        "found 104, expected frames that are read of the log: 100, 103, 106, 109, 112, ... 121 (8 in all)");
     refused("100:104", "found 101,");
     refused("100:99999999", "found 101,");
     refused("103,103", "found 103 twice");
     refused("100:101,100", "found 100 twice");
     refused("100,103,106,109,112,115,118,121", "found all frames");
-    for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103", "1:2:3", "123456789"})
+    for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103",
+                            "1:2:3", "123456789"})
         refused(bad, "expected a frame's number");
     refused("100,ten", "found \"ten\"");
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs of blocks joined to one: what it holds, what it renders against the same surfels in one piece, and what is wrong with its files.
+// Runs of blocks joined to one: what it holds, what it renders against the same surfels
+// in one piece, and what is wrong with its files.
 #include <algorithm>
 #include <set>
 
@@ -22,7 +23,8 @@ using testing::SizeIs;
 
 constexpr int kFrames = 80;
 
-/// 790 m in four blocks, a wall each 7 m beside the way, and a car that two blocks have learnt.
+/// 790 m in four blocks, a wall each 7 m beside the way, and a car that two blocks have
+/// learnt.
 class JoinedBlocks : public test::DeviceTest {
 protected:
     void SetUp() override {
@@ -35,13 +37,18 @@ protected:
         log.lidars[0].sensor.beams = {{0.02}, {-0.05}};
         log.lidars[0].sensor.columns = 64;
         log.lidars[0].sensor.first_azimuth_rad = kPi;
-        log.boxes.push_back({"car", "Car", {4, 2, 2}, {{0.0, 7.9}, {Pose{{1, 0, 0, 0}, {30, 5, 0}}, Pose{{1, 0, 0, 0}, {260, 5, 0}}}}});
+        log.boxes.push_back(
+            {"car",
+             "Car",
+             {4, 2, 2},
+             {{0.0, 7.9}, {Pose{{1, 0, 0, 0}, {30, 5, 0}}, Pose{{1, 0, 0, 0}, {260, 5, 0}}}}});
         run = {folder / "run", make_preset("quick"), log, split_frames(log, 10), {}};
         run.config.refine.enabled = false;
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
         whole = make_background_scene(test::walls_at(xs));
-        for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;   // none across the way
+        // none across the way
+        for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;
         blocks = plan_blocks(log, run.split, {200.0, 40.0});
         ASSERT_THAT(blocks, SizeIs(4));
         for (std::size_t k = 0; k < blocks.size(); ++k) save_block(k);
@@ -53,18 +60,21 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// As training leaves it. Blocks 0 and 1 have learnt the car; the first saw it near in more frames.
+    /// As training leaves it. Blocks 0 and 1 have learnt the car; the first saw it near
+    /// in more frames.
     void save_block(std::size_t k) {
         const BlockLog part = block_log(log, run.split, blocks[k], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
         relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
         keep_own_surfels(block.scene, log, blocks, k);
         block.scene.sensor_drop = {1, 2, {0.25f * float(k), 0.5f}};
-        for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(k);   // as refined
+        // as refined
+        for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(k);
         block.refined_poses = "sensor";
         if (k < 2) {
             const Surfels car = test::walls_at({0.1f * float(k)});
-            block.scene.models.push_back({"car", std::uint32_t(block.scene.surfels.size()), std::uint32_t(car.size())});
+            block.scene.models.push_back(
+                {"car", std::uint32_t(block.scene.surfels.size()), std::uint32_t(car.size())});
             block.scene.instances.push_back({1, "car"});
             block.scene.surfels.append(car);
         }
@@ -119,7 +129,8 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
 TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
     for (std::size_t k = 0; k < blocks.size(); ++k)
         for (const int position : blocks[k].own)
-            EXPECT_DOUBLE_EQ(run.sequence.world_from_vehicle.pose[std::size_t(position)].translation.z, 0.001 * double(k));
+            EXPECT_DOUBLE_EQ(run.sequence.world_from_vehicle.pose[std::size_t(position)].translation.z,
+                             0.001 * double(k));
     EXPECT_EQ(run.refined_poses, "sensor");
     double frames = 0.0, sum = 0.0;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
@@ -150,7 +161,8 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     EXPECT_EQ(device().allocated_bytes(), before);
     ScanRenderer all(device(), one, config, log);
     all.render(sensor, 0.0);
-    EXPECT_LT(double(most), 0.8 * double(device().allocated_bytes() - before)) << "blocks that are far away are on the device";
+    EXPECT_LT(double(most), 0.8 * double(device().allocated_bytes() - before))
+        << "blocks that are far away are on the device";
 }
 
 TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {
@@ -168,11 +180,13 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
                 HasSubstr("blocks/002/model.safetensors: no such file, expected it in a run of 4 blocks"));
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
-    EXPECT_THAT(data_error([&] { whole_scene(load_run(run.folder).scene); }), HasSubstr("blocks/002/model.safetensors: found "));
+    EXPECT_THAT(data_error([&] { whole_scene(load_run(run.folder).scene); }),
+                HasSubstr("blocks/002/model.safetensors: found "));
     Scene scene = run.scene;
-    scene.blocks[1].file = folder / "aside" / kModelFile;   // not below the run
+    scene.blocks[1].file = folder / "aside" / kModelFile;  // not below the run
     save_model(run.folder / kModelFile, scene);
-    EXPECT_THAT(data_error([&] { load_run(run.folder); }), HasSubstr("expected a file in the folder of the model"));
+    EXPECT_THAT(data_error([&] { load_run(run.folder); }),
+                HasSubstr("expected a file in the folder of the model"));
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocks of known ways: which sweeps they have, what of the log they are trained on, which surfels they keep. Judged by brute force.
+// Blocks of known ways: which sweeps they have, what of the log they are trained on,
+// which surfels they keep. Judged by brute force.
 #include <algorithm>
 #include <numeric>
 
@@ -20,9 +21,12 @@ using testing::HasSubstr;
 using testing::Le;
 using testing::SizeIs;
 
-glm::dvec3 place(const Sequence& log, int position) { return log.world_from_vehicle.pose[std::size_t(position)].translation; }
+glm::dvec3 place(const Sequence& log, int position) {
+    return log.world_from_vehicle.pose[std::size_t(position)].translation;
+}
 
-/// Every frame is in one block, in order; training frames are those within the halo and no others.
+/// Every frame is in one block, in order; training frames are those within the halo and
+/// no others.
 void expect_sound(const Sequence& log, const Split& split, const std::vector<Block>& blocks, double halo_m) {
     std::vector<int> own;
     for (const Block& block : blocks) {
@@ -30,11 +34,16 @@ void expect_sound(const Sequence& log, const Split& split, const std::vector<Blo
         own.insert(own.end(), block.own.begin(), block.own.end());
         for (const int position : split.train) {
             double nearest_m = 1e30;
-            for (const int other : block.own) nearest_m = std::min(nearest_m, glm::distance(place(log, position), place(log, other)));
-            EXPECT_EQ(std::count(block.train.begin(), block.train.end(), position), nearest_m <= halo_m) << "frame " << position;
+            for (const int other : block.own)
+                nearest_m = std::min(nearest_m, glm::distance(place(log, position), place(log, other)));
+            EXPECT_EQ(std::count(block.train.begin(), block.train.end(), position), nearest_m <= halo_m)
+                << "frame " << position;
         }
         EXPECT_EQ(std::count_if(block.train.begin(), block.train.end(),
-                                [&](int p) { return std::find(split.test.begin(), split.test.end(), p) != split.test.end(); }),
+                                [&](int p) {
+                                    return std::find(split.test.begin(), split.test.end(), p) !=
+                                           split.test.end();
+                                }),
                   0)
             << "held-out frames train";
     }
@@ -47,22 +56,24 @@ TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
     const Sequence log = log_along(201, [](int i) { return glm::dvec3(1.0 * i, 0.0, 0.0); });
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {60.0, 25.0});
-    ASSERT_THAT(blocks, SizeIs(4));   // three of 60 m are 180 m
+    ASSERT_THAT(blocks, SizeIs(4));  // three of 60 m are 180 m
     for (const Block& block : blocks) EXPECT_NEAR(block.end_m - block.begin_m, 50.0, 1e-9);
-    EXPECT_THAT(blocks[1].own, ElementsAre(50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63, 64, 65, 66, 67, 68, 69, 70, 71, 72, 73,
-                                           74, 75, 76, 77, 78, 79, 80, 81, 82, 83, 84, 85, 86, 87, 88, 89, 90, 91, 92, 93, 94, 95, 96, 97,
-                                           98, 99));
+    EXPECT_THAT(blocks[1].own, ElementsAre(50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63, 64, 65, 66,
+                                           67, 68, 69, 70, 71, 72, 73, 74, 75, 76, 77, 78, 79, 80, 81, 82, 83,
+                                           84, 85, 86, 87, 88, 89, 90, 91, 92, 93, 94, 95, 96, 97, 98, 99));
     EXPECT_THAT(blocks[1].train, Each(testing::AllOf(Ge(25), Le(124))));
     expect_sound(log, split, blocks, 25.0);
 }
 
 TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
     // 150 m there, 150 m back on the other lane
-    const Sequence log = log_along(301, [](int i) { return i <= 150 ? glm::dvec3(i, 0.0, 0.0) : glm::dvec3(300 - i, 3.0, 0.0); });
+    const Sequence log = log_along(
+        301, [](int i) { return i <= 150 ? glm::dvec3(i, 0.0, 0.0) : glm::dvec3(300 - i, 3.0, 0.0); });
     const Split split = split_frames(log, 0);
     const std::vector<Block> blocks = plan_blocks(log, split, {50.0, 10.0});
     expect_sound(log, split, blocks, 10.0);
-    EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1) << "the sweeps of the way back see it too";
+    EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1)
+        << "the sweeps of the way back see it too";
     EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 150), 0);
 }
 
@@ -87,12 +98,14 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
         plan_blocks(log, split, {100.0, 40.0});
         ADD_FAILURE() << "made a block of one held-out frame";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), HasSubstr("no training frame within 40 m of metres 300 to 400 of its trajectory"));
+        EXPECT_THAT(error.what(),
+                    HasSubstr("no training frame within 40 m of metres 300 to 400 of its trajectory"));
     }
 }
 
 TEST(BlockLog, MovesAsTheLogDoes) {
-    // there and back with a long way round between, so that a block has frames with a gap of time between them
+    // there and back with a long way round between, so that a block has frames with a gap
+    // of time between them
     const Sequence log = log_along(300, [](int i) {
         if (i < 100) return glm::dvec3(0.8 * i, 0.0, 0.0);
         return i < 200 ? glm::dvec3(80.0, 5.0 * (i - 100), 0.0) : glm::dvec3(0.8 * (299 - i), 2.0, 0.0);
@@ -103,41 +116,52 @@ TEST(BlockLog, MovesAsTheLogDoes) {
     EXPECT_EQ(part.config.blocks.length_m, 0.0);
     EXPECT_EQ(part.split.train.size(), blocks[0].train.size());
     for (std::size_t i = 0; i < part.split.train.size(); ++i)
-        EXPECT_EQ(part.sequence.frames[std::size_t(part.split.train[i])].index, log.frames[std::size_t(blocks[0].train[i])].index);
+        EXPECT_EQ(part.sequence.frames[std::size_t(part.split.train[i])].index,
+                  log.frames[std::size_t(blocks[0].train[i])].index);
     for (const Frame& frame : part.sequence.frames)
         for (const double s : {-0.05, 0.0, 0.05}) {
             const double t = std::clamp(frame.time_s + s, 0.0, 29.9);
-            EXPECT_LT(glm::distance(part.sequence.world_from_vehicle.at(t).translation, log.world_from_vehicle.at(t).translation), 1e-9)
+            EXPECT_LT(glm::distance(part.sequence.world_from_vehicle.at(t).translation,
+                                    log.world_from_vehicle.at(t).translation),
+                      1e-9)
                 << "at " << t << " s of frame " << frame.index;
         }
     int held_out = 0;
-    for (const int position : blocks[0].own) held_out += std::find(split.test.begin(), split.test.end(), position) != split.test.end();
+    for (const int position : blocks[0].own)
+        held_out += std::find(split.test.begin(), split.test.end(), position) != split.test.end();
     EXPECT_EQ(part.split.test.size(), std::size_t(held_out)) << "its own, and none of the halo";
 }
 
 TEST(BlockLog, HasTheBoxesThatComeNear) {
     Sequence log = log_along(400, [](int i) { return glm::dvec3(1.0 * i, 0.0, 0.0); });
     const auto box_at = [&](const char* id, double x, double from_s, double to_s) {
-        log.boxes.push_back({id, "Car", {4, 2, 2}, {{from_s, to_s}, {Pose{{1, 0, 0, 0}, {x, 5, 0}}, Pose{{1, 0, 0, 0}, {x + 9, 5, 0}}}}});
+        log.boxes.push_back(
+            {id,
+             "Car",
+             {4, 2, 2},
+             {{from_s, to_s}, {Pose{{1, 0, 0, 0}, {x, 5, 0}}, Pose{{1, 0, 0, 0}, {x + 9, 5, 0}}}}});
     };
     box_at("near", 30.0, 2.0, 5.0);
-    box_at("far", 350.0, 2.0, 5.0);      // while the sensor is at 20 to 50 m
-    box_at("later", 30.0, 38.0, 39.0);   // when it has gone
+    box_at("far", 350.0, 2.0, 5.0);     // while the sensor is at 20 to 50 m
+    box_at("later", 30.0, 38.0, 39.0);  // when it has gone
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {100.0, 40.0});
     Config config = make_preset("quick");
     config.init.actor_tracks = "far,near";
-    const BlockLog first = block_log(log, split, blocks[0], config), third = block_log(log, split, blocks[2], config);
+    const BlockLog first = block_log(log, split, blocks[0], config),
+                   third = block_log(log, split, blocks[2], config);
     ASSERT_THAT(first.sequence.boxes, SizeIs(1));
     EXPECT_EQ(first.sequence.boxes[0].id, "near");
     EXPECT_EQ(first.config.init.actor_tracks, "near");
     EXPECT_THAT(third.sequence.boxes, SizeIs(0));
     EXPECT_EQ(third.config.init.actor_tracks, "");
-    EXPECT_EQ(third.config.init.actor_classes, "") << "only tracks by name were wanted, and none of them is here";
+    EXPECT_EQ(third.config.init.actor_classes, "")
+        << "only tracks by name were wanted, and none of them is here";
 }
 
 TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
-    const Sequence log = log_along(120, [](int i) { return glm::dvec3(2.0 * i, 10.0 * std::sin(0.05 * i), 0.0); });
+    const Sequence log =
+        log_along(120, [](int i) { return glm::dvec3(2.0 * i, 10.0 * std::sin(0.05 * i), 0.0); });
     const std::vector<Block> blocks = plan_blocks(log, split_frames(log, 10), {70.0, 40.0});
     std::vector<float> xs;
     for (float x = -60.0f; x < 300.0f; x += 1.7f) xs.push_back(x);
@@ -161,7 +185,8 @@ TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
         }
         ASSERT_EQ(scene.models[1].first, scene.models[0].count);
         ASSERT_EQ(scene.surfels.size(), scene.models[0].count + actor.size());
-        EXPECT_EQ(scene.surfels.slice(scene.models[1].first, actor.size()).mean, actor.mean) << "actors are as they were";
+        EXPECT_EQ(scene.surfels.slice(scene.models[1].first, actor.size()).mean, actor.mean)
+            << "actors are as they were";
     }
     EXPECT_EQ(kept, all.models[0].count) << "each surfel in one block";
 }

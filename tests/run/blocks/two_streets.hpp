@@ -21,7 +21,8 @@ inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
     return log;
 }
 
-/// Surfels that return, of 1 m standard deviation, facing along x, 10 m apart along y at each x.
+/// Surfels that return, of 1 m standard deviation, facing along x, 10 m apart along y at
+/// each x.
 inline Surfels walls_at(const std::vector<float>& xs) {
     Surfels surfels;
     surfels.resize(3 * xs.size());
@@ -31,8 +32,8 @@ inline Surfels walls_at(const std::vector<float>& xs) {
         surfels.log_scale[i] = glm::vec2(0.0f);
         surfels.opacity_logit[i] = 6.0f;
         for (std::size_t k = 0; k < kShFloats; ++k) surfels.sh[i * kShFloats + k] = 0.0f;
-        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;               // hit logit
-        surfels.sh[i * kShFloats] = 0.01f * (xs[i / 3] - 100.0f) / 3.0f;   // another brightness each
+        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;              // hit logit
+        surfels.sh[i * kShFloats] = 0.01f * (xs[i / 3] - 100.0f) / 3.0f;  // another brightness each
     }
     return surfels;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoint files: whatever is wrong with one is noticed and said in one line, the one before it is taken, and the last good one is
-// never lost. Python reads them with what the face says about the format.
+// Checkpoint files: whatever is wrong with one is noticed and said in one line, the one
+// before it is taken, and the last good one is never lost. Python reads them with what
+// the face says about the format.
 #include <cstdlib>
 #include <limits>
 #include <random>
@@ -45,7 +46,8 @@ struct Loaded {
 };
 Loaded load(const fs::path& folder) {
     Loaded loaded;
-    loaded.checkpoint = load_newest_checkpoint(folder, [&](const std::string& note) { loaded.notes.push_back(note); });
+    loaded.checkpoint =
+        load_newest_checkpoint(folder, [&](const std::string& note) { loaded.notes.push_back(note); });
     return loaded;
 }
 
@@ -78,7 +80,10 @@ assert meta['setting/loss.depth'] == '0.1', meta
 assert values['steps'] == (1, 2, 2**64 - 1) and values['extent'] == (1 / 3,) and values['nothing'] == (), values
 assert '%08x' % crc == meta['crc32'], (hex(crc), meta['crc32'])
 )");
-    EXPECT_EQ(std::system(("python3 '" + (folder / "read.py").string() + "' '" + (folder / "a").string() + "'").c_str()), 0);
+    EXPECT_EQ(
+        std::system(
+            ("python3 '" + (folder / "read.py").string() + "' '" + (folder / "a").string() + "'").c_str()),
+        0);
 }
 
 TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
@@ -98,7 +103,7 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
         EXPECT_EQ(loaded.checkpoint->iteration, 100);
         EXPECT_EQ(loaded.notes.size(), 1u);
     }
-    put(newest, whole.substr(0, whole.size() - 1));   // and the last byte
+    put(newest, whole.substr(0, whole.size() - 1));  // and the last byte
     EXPECT_EQ(load(folder).checkpoint->iteration, 100);
 }
 
@@ -113,9 +118,9 @@ TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
         flipped[bit / 8] = static_cast<char>(flipped[bit / 8] ^ (1 << bit % 8));
         put(folder / "a", flipped);
         try {
-            expect_equal(read_checkpoint(folder / "a"), example(400));   // one blank of the header's padding for another, at most
-        } catch (const DataError&) {
-        }
+            // one blank of the header's padding for another, at most
+            expect_equal(read_checkpoint(folder / "a"), example(400));
+        } catch (const DataError&) {}
     }
 }
 
@@ -129,7 +134,8 @@ TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
         write_safetensors(folder / "a", arrays, texts);
         return data_error([&] { read_checkpoint(folder / "a"); });
     };
-    EXPECT_NE(message("version", "2").find("metadata version: found \"2\", expected \"1\""), std::string::npos);
+    EXPECT_NE(message("version", "2").find("metadata version: found \"2\", expected \"1\""),
+              std::string::npos);
     EXPECT_NE(message("format", "relidar model").find("expected \"relidar checkpoint\""), std::string::npos);
     EXPECT_NE(message("crc32", "").find("crc32: missing"), std::string::npos);
     EXPECT_NE(message("setting/loss.depth", "0.2").find("checksum"), std::string::npos);
@@ -137,14 +143,16 @@ TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
 }
 
 TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
-    for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+    for (const float bad :
+         {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
         Checkpoint checkpoint = example(400);
         StateWriter write(checkpoint);
         write("moments", std::vector<float>{1.0f, 2.0f, bad});
         const std::string before = data_error([&] { check_finite(checkpoint); });
         EXPECT_NE(before.find("array moments: row 2 holds"), std::string::npos) << before;
         write_checkpoint(folder / "a", checkpoint);
-        EXPECT_NE(data_error([&] { read_checkpoint(folder / "a"); }).find("array moments: row 2"), std::string::npos);
+        EXPECT_NE(data_error([&] { read_checkpoint(folder / "a"); }).find("array moments: row 2"),
+                  std::string::npos);
     }
 }
 
@@ -153,13 +161,13 @@ TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
     put(folder / "c" / "notes.txt", "somebody's");
     ASSERT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
-    put(list_checkpoints(folder / "c").back(), "damaged");   // training goes on from 30 ...
+    put(list_checkpoints(folder / "c").back(), "damaged");  // training goes on from 30 ...
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
-    save_checkpoint(folder / "c", example(35), 2);           // ... and the damaged future of 40 must not outlive 30
+    save_checkpoint(folder / "c", example(35), 2);  // ... and the damaged future of 40 must not outlive 30
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);
     EXPECT_TRUE(load(folder / "c").notes.empty());
-    save_checkpoint(folder / "c", example(100'000'000), 1);   // more digits than the name pads to
+    save_checkpoint(folder / "c", example(100'000'000), 1);  // more digits than the name pads to
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 1u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 100'000'000);
     remove_checkpoints(folder / "c");
@@ -179,7 +187,8 @@ TEST_F(CheckpointFile, AFullDiskLosesNothing) {
     save_checkpoint(folder, example(10), 1);
     {
         const test::FileSizeLimit limit(256);
-        EXPECT_NE(data_error([&] { save_checkpoint(folder, example(20), 1); }).find("File too large"), std::string::npos);
+        EXPECT_NE(data_error([&] { save_checkpoint(folder, example(20), 1); }).find("File too large"),
+                  std::string::npos);
     }
     EXPECT_EQ(files().size(), 1u);
     EXPECT_EQ(load(folder).checkpoint->iteration, 10);

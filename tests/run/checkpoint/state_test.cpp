@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// State through StateWriter and StateReader: host and device come back bit by bit, and what does not fit is named.
+// State through StateWriter and StateReader: host and device come back bit by bit, and
+// what does not fit is named.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
-#include "../files/example_run.hpp"
 #include "../../support/device.hpp"
+#include "../files/example_run.hpp"
 
 namespace relidar {
 namespace {
@@ -43,16 +44,20 @@ TEST(State, WhatDoesNotFitIsNamed) {
     const StateReader read(checkpoint);
     double number = 0.0;
     std::vector<double> wrong_type;
-    EXPECT_NE(data_error([&] { read("y", number); }).find("checkpoint of iteration 7: array y: missing"), std::string::npos);
-    EXPECT_NE(data_error([&] { read("x", number); }).find("array x: found f4 [2], expected f8 []"), std::string::npos);
-    EXPECT_NE(data_error([&] { read("x", wrong_type); }).find("array x: found f4 [2], expected f8 [2]"), std::string::npos);
+    EXPECT_NE(data_error([&] { read("y", number); }).find("checkpoint of iteration 7: array y: missing"),
+              std::string::npos);
+    EXPECT_NE(data_error([&] { read("x", number); }).find("array x: found f4 [2], expected f8 []"),
+              std::string::npos);
+    EXPECT_NE(data_error([&] { read("x", wrong_type); }).find("array x: found f4 [2], expected f8 [2]"),
+              std::string::npos);
     EXPECT_NE(data_error([&] { checkpoint.text("layout"); }).find("text layout: missing"), std::string::npos);
 }
 
 TEST_F(DeviceState, SurfelsAndArraysComeBack) {
     constexpr std::uint32_t n = 5;
     const Surfels surfels = example_surfels(n);
-    SurfelArrays arrays(device(), n, "state"), back(device(), n, "state read back"), smaller(device(), n - 1, "too small");
+    SurfelArrays arrays(device(), n, "state"), back(device(), n, "state read back"),
+        smaller(device(), n - 1, "too small");
     arrays.upload(surfels);
     Array<float> statistics(device(), std::vector<float>{3.0f, 1.0f, 4.0f}, "statistics"),
         statistics_back(device(), 3, "statistics read back");
@@ -73,18 +78,21 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
         EXPECT_EQ(s->sh, surfels.sh);
     }
     EXPECT_EQ(statistics_back.download(), statistics.download());
-    EXPECT_NE(data_error([&] { read("parameters", smaller); }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"),
+    EXPECT_NE(data_error([&] {
+                  read("parameters", smaller);
+              }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"),
               std::string::npos);
     std::erase_if(checkpoint.arrays, [](const NamedArray& a) { return a.name == "parameters/rotation"; });
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/rotation: missing"), std::string::npos);
+    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/rotation: missing"),
+              std::string::npos);
 }
 
 TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     constexpr std::uint32_t n = 5;
     Surfels gaussians = example_surfels(n);
     make_primitive(gaussians, Primitive::gaussian, 0.3);
-    SurfelArrays arrays(device(), n, "state", Primitive::gaussian), back(device(), n, "state read back", Primitive::gaussian),
-        of_surfels(device(), n, "surfels");
+    SurfelArrays arrays(device(), n, "state", Primitive::gaussian),
+        back(device(), n, "state read back", Primitive::gaussian), of_surfels(device(), n, "surfels");
     arrays.upload(gaussians);
     Checkpoint checkpoint;
     StateWriter{checkpoint}("parameters", arrays);
@@ -95,12 +103,17 @@ TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     data_error([&] { read("parameters", of_surfels); });
     EXPECT_EQ(checkpoint.text("parameters/primitive"), "gaussian");
     checkpoint.texts.clear();
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("parameters/primitive: missing"), std::string::npos);
+    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("parameters/primitive: missing"),
+              std::string::npos);
     checkpoint.arrays.pop_back();
     checkpoint.texts["parameters/primitive"] = "gaussian";
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/log_scale_w: missing"), std::string::npos);
+    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("array parameters/log_scale_w: missing"),
+              std::string::npos);
     checkpoint.texts["parameters/primitive"] = "cube";
-    EXPECT_NE(data_error([&] { read.surfels("parameters"); }).find("found \"cube\", expected one of surfel, gaussian"), std::string::npos);
+    EXPECT_NE(data_error([&] {
+                  read.surfels("parameters");
+              }).find("found \"cube\", expected one of surfel, gaussian"),
+              std::string::npos);
 }
 
 }  // namespace

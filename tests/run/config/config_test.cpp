@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings: every key survives TOML, wrong keys and values get one clear line, presets are what docs/method.md says.
+// Settings: every key survives TOML, wrong keys and values get one clear line, presets
+// are what docs/method.md says.
 #include <relidar/run/stage_options.hpp>
 
 #include <map>
@@ -19,7 +20,9 @@ namespace {
 using ConfigFile = TemporaryFolder;
 
 template <class Call>
-std::string usage_error(const Call& call) { return error_message<UsageError>(call); }
+std::string usage_error(const Call& call) {
+    return error_message<UsageError>(call);
+}
 
 std::string set_error(const std::string& key, const std::string& value) {
     return usage_error([&] {
@@ -51,15 +54,16 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
 /// Gives a key another value that it accepts.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
-    for (const char* value : {"0.12345678", "seen", "0.6000001", "0.25", "2", "7", "123456", "true", "false", "kitti360", "cast", "ray",
-                              "surfel", "median", "expected", "gaussian", "adaptive", "pixel", "direction", "grid", "sensor", "none",
-                              "removed", "range", "clamp", "a \"b\" \\c"}) {
+    for (const char* value :
+         {"0.12345678", "seen",     "0.6000001", "0.25",  "2",          "7",      "123456",
+          "true",       "false",    "kitti360",  "cast",  "ray",        "surfel", "median",
+          "expected",   "gaussian", "adaptive",  "pixel", "direction",  "grid",   "sensor",
+          "none",       "removed",  "range",     "clamp", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
             set_key(config, key, value);
             return true;
-        } catch (const UsageError&) {
-        }
+        } catch (const UsageError&) {}
     }
     return false;
 }
@@ -108,12 +112,14 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
     const std::string file = (folder / "config.toml").string() + ": setting ";
     const std::string advice = "; a run of another version of relidar must be trained again";
-    EXPECT_EQ(error(whole + "[mars]\ncolour = \"red\"\n"),
-              file + "mars.colour: unknown key, expected one that `relidar list settings --all` lists" + advice);
+    EXPECT_EQ(
+        error(whole + "[mars]\ncolour = \"red\"\n"),
+        file + "mars.colour: unknown key, expected one that `relidar list settings --all` lists" + advice);
     const std::string line = "alpha_min = 0.04\n";
     std::string less = whole;
     ASSERT_NE(less.find(line), std::string::npos);
-    EXPECT_EQ(error(less.erase(less.find(line), line.size())), file + "image.alpha_min: missing, expected every setting" + advice);
+    EXPECT_EQ(error(less.erase(less.find(line), line.size())),
+              file + "image.alpha_min: missing, expected every setting" + advice);
     EXPECT_EQ(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
               file + "preset: missing, expected every setting" + advice);
     std::string changed = whole;
@@ -123,7 +129,8 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
               file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
-/// What nobody needs to know is left out, unless it was chosen; what is shown reads back to the same settings.
+/// What nobody needs to know is left out, unless it was chosen; what is shown reads back
+/// to the same settings.
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
         Config config = make_preset(name);
@@ -143,7 +150,9 @@ TEST(Config, ChannelsAreAList) {
     set_key(config, "render.channels", "normal, seen");
     EXPECT_EQ(wanted_channels(config.render.channels).size(), 2u);
     set_key(config, "render.channels", "");
-    EXPECT_NE(set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "), std::string::npos);
+    EXPECT_NE(
+        set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "),
+        std::string::npos);
 }
 
 TEST(Config, KeysAreUniqueAndExplained) {
@@ -153,19 +162,24 @@ TEST(Config, KeysAreUniqueAndExplained) {
         EXPECT_GT(entry.help.size(), 10u) << entry.key;
         if (entry.key == "preset") continue;
         Config config;
-        EXPECT_NO_THROW(set_key(config, entry.key, entry.value)) << entry.key << ": the default is not accepted";
+        EXPECT_NO_THROW(set_key(config, entry.key, entry.value))
+            << entry.key << ": the default is not accepted";
     }
     EXPECT_GT(seen.size(), 45u);
-    EXPECT_LE(seen.size(), 80u) << "each costs its reader a minute: one that nobody turns is a constant of the code";
+    EXPECT_LE(seen.size(), 80u)
+        << "each costs its reader a minute: one that nobody turns is a constant of the code";
 }
 
 TEST(Config, UnknownKeyNamesTheNearest) {
     EXPECT_EQ(set_error("loss.dept", "1"), "setting loss.dept: unknown key, did you mean loss.depth?");
-    EXPECT_EQ(set_error("train.iteration", "1"), "setting train.iteration: unknown key, did you mean train.iterations?");
+    EXPECT_EQ(set_error("train.iteration", "1"),
+              "setting train.iteration: unknown key, did you mean train.iterations?");
     EXPECT_NE(set_error("", "1").find("unknown key"), std::string::npos);
     // constants of the presets are no settings
     for (const char* key : {"train.mean_rate", "init.flatness", "densify.from", "refine.batch"})
-        EXPECT_NE(set_error(key, "1").find(std::string("setting ") + key + ": unknown key"), std::string::npos) << key;
+        EXPECT_NE(set_error(key, "1").find(std::string("setting ") + key + ": unknown key"),
+                  std::string::npos)
+            << key;
 }
 
 TEST(Config, BadValuesGetOneClearLine) {
@@ -176,12 +190,17 @@ TEST(Config, BadValuesGetOneClearLine) {
     EXPECT_EQ(set_error("loss.depth", "1e99"), "setting loss.depth: found \"1e99\", expected a number >= 0");
     EXPECT_EQ(set_error("loss.depth", ""), "setting loss.depth: found \"\", expected a number >= 0");
     EXPECT_EQ(set_error("loss.depth", "0.1 "), "setting loss.depth: found \"0.1 \", expected a number >= 0");
-    EXPECT_EQ(set_error("train.iterations", "1.5"), "setting train.iterations: found \"1.5\", expected an integer >= 0");
-    EXPECT_EQ(set_error("train.iterations", "99999999999"), "setting train.iterations: found \"99999999999\", expected an integer >= 0");
-    EXPECT_EQ(set_error("trace.chunk", "65"), "setting trace.chunk: found \"65\", expected an integer in 1..64");
+    EXPECT_EQ(set_error("train.iterations", "1.5"),
+              "setting train.iterations: found \"1.5\", expected an integer >= 0");
+    EXPECT_EQ(set_error("train.iterations", "99999999999"),
+              "setting train.iterations: found \"99999999999\", expected an integer >= 0");
+    EXPECT_EQ(set_error("trace.chunk", "65"),
+              "setting trace.chunk: found \"65\", expected an integer in 1..64");
     EXPECT_EQ(set_error("init.voxel_m", "0"), "setting init.voxel_m: found \"0\", expected a number > 0");
-    EXPECT_EQ(set_error("init.normals", "yes"), "setting init.normals: found \"yes\", expected true or false");
-    EXPECT_EQ(set_error("image.sh_direction", "hit"), "setting image.sh_direction: found \"hit\", expected one of ray, surfel");
+    EXPECT_EQ(set_error("init.normals", "yes"),
+              "setting init.normals: found \"yes\", expected true or false");
+    EXPECT_EQ(set_error("image.sh_direction", "hit"),
+              "setting image.sh_direction: found \"hit\", expected one of ray, surfel");
     EXPECT_EQ(set_error("train.seed", "-1"), "setting train.seed: found \"-1\", expected an integer >= 0");
     EXPECT_NE(set_error("dataset.poses", "a\nb").find("expected text"), std::string::npos);
 }
@@ -238,7 +257,8 @@ TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
     EXPECT_EQ(c.train.rays_per_iteration, 0) << "structural similarity is of images";
     const Config paper = make_preset("paper");
     c.preset = paper.preset;
-    c.loss.intensity_ssim = paper.loss.intensity_ssim, c.loss.chamfer = paper.loss.chamfer, c.loss.box = paper.loss.box;
+    c.loss.intensity_ssim = paper.loss.intensity_ssim, c.loss.chamfer = paper.loss.chamfer,
+    c.loss.box = paper.loss.box;
     expect_equal(c, paper);
 }
 
@@ -251,7 +271,8 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
 
-/// Rendering casts rays without what losses want of them, except for the normals of surfels; training with it.
+/// Rendering casts rays without what losses want of them, except for the normals of
+/// surfels; training with it.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
     EXPECT_FALSE(training_trace_options(config).wants_geometry());
@@ -284,10 +305,14 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
     };
     const std::string file = (folder / "c.toml").string() + ": ";
     EXPECT_EQ(error("[loss]\ndpth = 1\n"), file + "setting loss.dpth: unknown key, did you mean loss.depth?");
-    EXPECT_EQ(error("[loss]\ndepth = nan\n"), file + "setting loss.depth: found \"nan\", expected a number >= 0");
-    EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"), file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
-    EXPECT_EQ(error("[sensor]\ngrid = 360\n"), file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
-    EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"), file + "setting loss.depth: found a TOML array, expected a single value");
+    EXPECT_EQ(error("[loss]\ndepth = nan\n"),
+              file + "setting loss.depth: found \"nan\", expected a number >= 0");
+    EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"),
+              file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
+    EXPECT_EQ(error("[sensor]\ngrid = 360\n"),
+              file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
+    EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"),
+              file + "setting loss.depth: found a TOML array, expected a single value");
     EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean loss.box?");
     EXPECT_NE(error("[\"lo\\nss\"]\ndepth = 1\n").find("unknown key"), std::string::npos);
 }
@@ -300,14 +325,20 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_NE(data_error([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: a key of more than 8 parts"), std::string::npos);
-    EXPECT_NE(data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"), std::string::npos);
+    EXPECT_NE(data_error([&] {
+                  load_config(config, folder / "c.toml");
+              }).find("c.toml:1: a key of more than 8 parts"),
+              std::string::npos);
+    EXPECT_NE(
+        data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"),
+        std::string::npos);
     EXPECT_NE(data_error([&] { load_config(config, folder); }).find(folder.string()), std::string::npos);
 }
 
 TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     Config config;
-    put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");   // no preset: what is not named stays
+    // no preset: what is not named stays
+    put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
     set_key(config, "train.seed", "42");
     load_config(config, folder / "c.toml");
     EXPECT_EQ(config.train.iterations, 5);

@@ -11,7 +11,8 @@
 namespace relidar {
 namespace {
 
-/// A LiDAR at the origin with 200 beams from 30 degrees down to 30 up and 3600 columns; a cube of 2 m that drives by at 10 m on the left.
+/// A LiDAR at the origin with 200 beams from 30 degrees down to 30 up and 3600 columns; a
+/// cube of 2 m that drives by at 10 m on the left.
 DrivingScene passing_cube(std::uint32_t n_surfels) {
     DrivingScene d;
     d.scene.surfels.resize(n_surfels);
@@ -37,19 +38,24 @@ TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_NEAR(detail.time_s, 0.5, 1e-12);
     EXPECT_EQ(detail.surfels, 500u);
-    // the near face of 2 x 2 m at 9 m hides the rest: rays in steps of azimuth and elevation
+    // the near face of 2 x 2 m at 9 m hides the rest: rays in steps of azimuth and
+    // elevation
     double expected = 0.0;
     for (int column = 0; column < 3600; ++column) {
         const double azimuth = (column + 0.5) * 2.0 * kPi / 3600.0 - kPi;
-        if (std::abs(azimuth) < std::atan(1.0 / 9.0)) expected += 2.0 * std::atan(std::cos(azimuth) / 9.0) / (60.0 * kPi / 180.0 / 200.0);
+        if (std::abs(azimuth) < std::atan(1.0 / 9.0))
+            expected += 2.0 * std::atan(std::cos(azimuth) / 9.0) / (60.0 * kPi / 180.0 / 200.0);
     }
     EXPECT_NEAR(double(detail.rays), expected, 0.02 * expected);
 }
 
 TEST(ActorDetail, OfGivenRaysThoseAreCountedWhoseLinesMeetTheBox) {
     const glm::vec3 ahead(1.0f, 0.0f, 0.0f), across(0.0f, 1.0f, 0.0f);
-    const std::vector<glm::vec3> direction{ahead, ahead, ahead, -ahead, across}, origin{
-        {0.0f, 0.0f, 0.0f}, {0.0f, 0.9f, 0.0f}, {0.0f, 1.1f, 0.0f}, {0.0f, 0.0f, 0.0f}, {10.0f, -3.0f, 0.0f}};
+    const std::vector<glm::vec3> direction{ahead, ahead, ahead, -ahead, across}, origin{{0.0f, 0.0f, 0.0f},
+                                                                                        {0.0f, 0.9f, 0.0f},
+                                                                                        {0.0f, 1.1f, 0.0f},
+                                                                                        {0.0f, 0.0f, 0.0f},
+                                                                                        {10.0f, -3.0f, 0.0f}};
     const Pose box_from_sensor = inverse(Pose{rotation_of(0.5 * kPi, 0.0, 0.0), {10.0, 0.0, 0.0}});
     const ActorDetail detail = actor_detail(origin, direction, box_from_sensor, {2.0, 2.0, 1.0}, 7);
     EXPECT_EQ(detail.rays, 3u) << "two ahead and one from the side; one passes by, one goes the other way";

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectory files: header or none, three or six degrees of freedom, and every way to get one wrong.
+// Trajectory files: header or none, three or six degrees of freedom, and every way to get
+// one wrong.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -26,7 +27,8 @@ protected:
 };
 
 TEST_F(TrajectoryFile, IsReadWithAndWithoutHeader) {
-    for (const char* header : {"", "time_s,x,y,z,yaw_deg\r\n", " time_s, x, y, z, yaw_deg\n", "\xEF\xBB\xBFtime_s,x,y,z,yaw_deg\r\n"}) {
+    for (const char* header : {"", "time_s,x,y,z,yaw_deg\r\n", " time_s, x, y, z, yaw_deg\n",
+                               "\xEF\xBB\xBFtime_s,x,y,z,yaw_deg\r\n"}) {
         const PoseTrack track = read(std::string(header) + "0, 1, 2, 3, 0\n0.5,4,5,6,90\n\n");
         ASSERT_EQ(track.pose.size(), 2u);
         EXPECT_EQ(track.time_s[1], 0.5);
@@ -37,41 +39,52 @@ TEST_F(TrajectoryFile, IsReadWithAndWithoutHeader) {
 
 TEST_F(TrajectoryFile, PitchAndRollComeAfterYaw) {
     const PoseTrack track = read("0,0,0,0,0\n1,0,0,0,90,30,20\n");
-    const double degree = kPi / 180.0;   // R = Rz(90) Ry(30) Rx(20): columns by hand
+    const double degree = kPi / 180.0;  // R = Rz(90) Ry(30) Rx(20): columns by hand
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
-    EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - forward), 1e-12) << "a positive pitch lowers the nose";
-    EXPECT_NEAR((track.pose[1].rotation * glm::dvec3(0, 1, 0)).z, std::cos(30 * degree) * std::sin(20 * degree), 1e-12)
+    EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - forward), 1e-12)
+        << "a positive pitch lowers the nose";
+    EXPECT_NEAR((track.pose[1].rotation * glm::dvec3(0, 1, 0)).z,
+                std::cos(30 * degree) * std::sin(20 * degree), 1e-12)
         << "a positive roll raises the left side";
 }
 
 TEST_F(TrajectoryFile, ColumnsAreReadByName) {
     const double degree = kPi / 180.0;
-    const std::string same[] = {"time_s,x,y,z,roll_deg,pitch_deg,yaw_deg\n0,4,5,6,20,30,90\n1,4,5,6,20,30,90\n",
-                                "yaw_deg,z,y,x,time_s,pitch_deg,roll_deg\n90,6,5,4,0,30,20\n90,6,5,4,1,30,20\n",
-                                fmt::format("time_s,x,y,z,yaw_rad,pitch_rad,roll_deg\n0,4,5,6,{0},{1},20\n1,4,5,6,{0},{1},20\n",
-                                            90 * degree, 30 * degree)};
-    // R = Rz(90) Ry(30) Rx(20) by hand: forward is turned to the left, then its nose goes down
+    const std::string same[] = {
+        "time_s,x,y,z,roll_deg,pitch_deg,yaw_deg\n0,4,5,6,20,30,90\n1,4,5,6,20,30,90\n",
+        "yaw_deg,z,y,x,time_s,pitch_deg,roll_deg\n90,6,5,4,0,30,20\n90,6,5,4,1,30,20\n",
+        fmt::format("time_s,x,y,z,yaw_rad,pitch_rad,roll_deg\n0,4,5,6,{0},{1},20\n1,4,5,6,{0},{1},20\n",
+                    90 * degree, 30 * degree)};
+    // R = Rz(90) Ry(30) Rx(20) by hand: forward is turned to the left, then its nose goes
+    // down
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     for (const std::string& text : same) {
         const Pose pose = read(text).pose[1];
         EXPECT_EQ(pose.translation, glm::dvec3(4, 5, 6)) << text;
         EXPECT_LT(glm::length(pose.rotation * glm::dvec3(1, 0, 0) - forward), 1e-12) << text;
-        EXPECT_NEAR((pose.rotation * glm::dvec3(0, 1, 0)).z, std::cos(30 * degree) * std::sin(20 * degree), 1e-12) << text;
+        EXPECT_NEAR((pose.rotation * glm::dvec3(0, 1, 0)).z, std::cos(30 * degree) * std::sin(20 * degree),
+                    1e-12)
+            << text;
     }
-    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is not known, did you mean 'yaw_"), std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is not known, did you mean 'yaw_"),
+              std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,yaw\n").find("known: time_s, x, y, z, yaw_deg"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("found no column 'yaw_deg' or 'yaw_rad'"), std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("found no column 'yaw_deg' or 'yaw_rad'"),
+              std::string::npos);
     EXPECT_NE(error("time_s,x,z,yaw_deg\n").find("found no column 'y'"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both 'yaw_deg' and 'yaw_rad'"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3\n").find("line 2: found 4 columns, expected 5"), std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both 'yaw_deg' and 'yaw_rad'"),
+              std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3\n").find("line 2: found 4 columns, expected 5"),
+              std::string::npos);
 }
 
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
     for (int i = 0; i < 50; ++i) {
-        track.time_s.push_back(1317042272.25 + 0.1 * i);   // seconds since 1970, metres of a large world
-        track.pose.push_back({glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
-                              {455000.123 + i, 5428000.5 - i, 113.0}});
+        track.time_s.push_back(1317042272.25 + 0.1 * i);  // seconds since 1970, metres of a large world
+        track.pose.push_back(
+            {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
+             {455000.123 + i, 5428000.5 - i, 113.0}});
     }
     write_trajectory(folder / "t.csv", track);
     const PoseTrack again = read_trajectory(folder / "t.csv");
@@ -83,13 +96,18 @@ TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
 }
 
 TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
-    EXPECT_NE(error("0,1,2,3,0\n1,nan,2,3,0\n").find("t.csv: line 2: x: found \"nan\", expected a finite number"), std::string::npos);
+    EXPECT_NE(
+        error("0,1,2,3,0\n1,nan,2,3,0\n").find("t.csv: line 2: x: found \"nan\", expected a finite number"),
+        std::string::npos);
     EXPECT_NE(error("0,1,2,3,0\n1,1,2,3,\n").find("line 2: yaw_deg: found \"\""), std::string::npos);
-    EXPECT_NE(error("0,1,2,3,0\n0,1,2,3,0\n").find("line 2: time_s: found 0 after 0, expected times that rise"), std::string::npos);
+    EXPECT_NE(
+        error("0,1,2,3,0\n0,1,2,3,0\n").find("line 2: time_s: found 0 after 0, expected times that rise"),
+        std::string::npos);
     EXPECT_NE(error("2,1,2,3,0\n1,1,2,3,0\n").find("expected times that rise"), std::string::npos);
     EXPECT_NE(error("0,1,2,3\n").find("line 1: found 4 columns"), std::string::npos);
     EXPECT_NE(error("0,1,2,3,4,5,6,7\n").find("found 8 columns"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n").find("found 1 poses, expected at least two"), std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n").find("found 1 poses, expected at least two"),
+              std::string::npos);
     EXPECT_NE(error("").find("found 0 poses"), std::string::npos);
     EXPECT_NE(data_error([&] { read_trajectory(folder / "none.csv"); }).find("none.csv"), std::string::npos);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits change tracks and instances as their equations say and leave everything else, surfels included, bit by bit; an edited scene
-// renders what was edited.
+// Edits change tracks and instances as their equations say and leave everything else,
+// surfels included, bit by bit; an edited scene renders what was edited.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -21,20 +21,25 @@ Surfels numbered(std::size_t n, float first) {
     return surfels;
 }
 
-Pose at(double x, double y, double yaw_rad = 0.0) { return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), {x, y, 0.5}}; }
+Pose at(double x, double y, double yaw_rad = 0.0) {
+    return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), {x, y, 0.5}};
+}
 
-/// Ten frames, a background of 3 surfels, a van of 2 that drives a bend, a car of 4, a pedestrian without a model.
+/// Ten frames, a background of 3 surfels, a van of 2 that drives a bend, a car of 4, a
+/// pedestrian without a model.
 DrivingScene example() {
     DrivingScene d;
     d.scene.surfels = numbered(3, 0.0f);
     d.scene.surfels.append(numbered(2, 100.0f));
     d.scene.surfels.append(numbered(4, 200.0f));
-    d.scene.models = {{"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
+    d.scene.models = {
+        {"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
     d.scene.instances = {{0, ""}, {1, "van"}, {2, "car"}};
     d.scene.sensor_drop = {1, 1, {0.25f}};
     d.sequence.lidars[0].sensor.period_s = 0.1;
     d.sequence.world_offset_m = {1000.0, -50.0, 2.0};
-    BoxTrack van{"van", "Van", {5, 2, 2}, {}}, car{"car", "Car", {4, 2, 1.5}, {}}, walker{"walker", "Pedestrian", {1, 1, 2}, {}};
+    BoxTrack van{"van", "Van", {5, 2, 2}, {}}, car{"car", "Car", {4, 2, 1.5}, {}},
+        walker{"walker", "Pedestrian", {1, 1, 2}, {}};
     for (int i = 0; i < 10; ++i) {
         d.sequence.frames.push_back({i, 0.1 * i, {}});
         for (BoxTrack* box : {&van, &car, &walker}) box->world_from_box.time_s.push_back(0.1 * i);
@@ -47,7 +52,8 @@ DrivingScene example() {
 }
 
 const BoxTrack& box(const DrivingScene& d, std::string_view id) {
-    return *std::find_if(d.sequence.boxes.begin(), d.sequence.boxes.end(), [&](const BoxTrack& b) { return b.id == id; });
+    return *std::find_if(d.sequence.boxes.begin(), d.sequence.boxes.end(),
+                         [&](const BoxTrack& b) { return b.id == id; });
 }
 
 std::vector<std::string> tracks(const DrivingScene& d) {
@@ -64,7 +70,8 @@ std::pair<float, std::uint32_t> model_of(const DrivingScene& d, std::size_t inst
 
 void expect_near(const Pose& a, const Pose& b, double tolerance = 1e-12) {
     EXPECT_LT(glm::length(a.translation - b.translation), tolerance);
-    EXPECT_LT(std::min(glm::length(a.rotation - b.rotation), glm::length(a.rotation + b.rotation)), tolerance);
+    EXPECT_LT(std::min(glm::length(a.rotation - b.rotation), glm::length(a.rotation + b.rotation)),
+              tolerance);
 }
 
 TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
@@ -77,29 +84,34 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     EXPECT_EQ(d.scene.sensor_drop.probability, std::vector<float>{0.25f}) << "the sensor has not changed";
 }
 
-/// Its labels are at 0 to 0.9 s: 0.4 s later, frames 0 to 3 have lost it (half a step before the first one allowed), and with another path
-/// from 0.2 to 0.5 s frames 0, 1, 6, 7, 8 and 9.
+/// Its labels are at 0 to 0.9 s: 0.4 s later, frames 0 to 3 have lost it (half a step
+/// before the first one allowed), and with another path from 0.2 to 0.5 s frames 0, 1, 6,
+/// 7, 8 and 9.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const DrivingScene before = example();
     const BoxTrack van = box(before, "van");
     EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.4).sequence),
-              "track van is absent from 4 frames in which it was present, of 0 to 3: it is there from 0.40 to 1.30 s now");
+              "track van is absent from 4 frames in which it was present, of 0 to 3: it is there from 0.40 "
+              "to 1.30 s now");
     const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
     EXPECT_EQ(lost_frames_note(van, replace_trajectory(before, "van", path).sequence),
-              "track van is absent from 6 frames in which it was present, of 0 to 9: it is there from 0.20 to 0.50 s now");
+              "track van is absent from 6 frames in which it was present, of 0 to 9: it is there from 0.20 "
+              "to 0.50 s now");
     EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.02).sequence), "");
     EXPECT_EQ(lost_frames_note(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
 TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
     const DrivingScene before = example(),
-                       after = move_track(example(), "van", {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});
+                       after = move_track(example(), "van",
+                                          {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});
     for (std::size_t i = 0; i < 10; ++i) {
         const Pose& from = box(before, "van").world_from_box.pose[i];
-        const double yaw = 0.1 * double(i);   // the bend
+        const double yaw = 0.1 * double(i);  // the bend
         const glm::dvec3 forward(std::cos(yaw), std::sin(yaw), 0.0), left(-std::sin(yaw), std::cos(yaw), 0.0);
         const glm::dvec3 expected = from.translation + forward + 3.5 * left + glm::dvec3(0, 0, 0.25);
-        expect_near(box(after, "van").world_from_box.pose[i], {glm::angleAxis(yaw + 0.2, glm::dvec3(0, 0, 1)), expected});
+        expect_near(box(after, "van").world_from_box.pose[i],
+                    {glm::angleAxis(yaw + 0.2, glm::dvec3(0, 0, 1)), expected});
     }
     EXPECT_EQ(after.scene.surfels.mean, before.scene.surfels.mean);
     expect_near(box(after, "car").world_from_box.pose[3], box(before, "car").world_from_box.pose[3], 1e-300);
@@ -116,13 +128,16 @@ TEST(Edit, RetimedActorsDoTheSameLaterAndAreAbsentOutside) {
 }
 
 TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
-    PoseTrack track{{0.2, 0.7}, {{glm::dquat(1, 0, 0, 0), {1010, -50, 2}}, {glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {1020, -45, 2}}}};
+    PoseTrack track{{0.2, 0.7},
+                    {{glm::dquat(1, 0, 0, 0), {1010, -50, 2}},
+                     {glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {1020, -45, 2}}}};
     const DrivingScene d = replace_trajectory(example(), "car", track);
     const BoxTrack& car = box(d, "car");
     expect_near(car.world_from_box.at(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
     expect_near(car.world_from_box.at(0.3), {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
     EXPECT_TRUE(car.present(0.2) && car.present(0.7));
-    EXPECT_FALSE(car.present(0.1) || car.present(0.8)) << "half a sweep beside the ends, no more, however sparse the entries";
+    EXPECT_FALSE(car.present(0.1) || car.present(0.8))
+        << "half a sweep beside the ends, no more, however sparse the entries";
     track.time_s[1] = 0.2;
     EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);
     track.time_s[1] = std::nan("");
@@ -136,7 +151,8 @@ TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
     EXPECT_EQ(tracks(two), (std::vector<std::string>{"", "van", "car", "van-copy-1", "van-copy-2"}));
     EXPECT_EQ(two.scene.surfels.size(), 9u) << "a model is held once";
     EXPECT_EQ(two.scene.instances[3].model, two.scene.instances[1].model);
-    expect_near(box(one, "van-copy-1").world_from_box.at(0.5), {start.dataset_from_box.rotation, {4.0, 2.0 + 4.0, 1.0}}, 1e-9);
+    expect_near(box(one, "van-copy-1").world_from_box.at(0.5),
+                {start.dataset_from_box.rotation, {4.0, 2.0 + 4.0, 1.0}}, 1e-9);
     EXPECT_EQ(box(one, "van-copy-1").category, "Van");
     const DrivingScene left = remove_track(two, "van");
     EXPECT_EQ(left.scene.surfels.size(), 9u) << "copies still need it";
@@ -148,7 +164,8 @@ TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
 TEST(Edit, InsertedActorsBringTheirModelAndAFreeName) {
     DrivingScene other = example();
     other.scene.surfels.mean[3].x = 777.0f;
-    const DrivingScene d = insert_track(insert_track(remove_track(example(), "car"), other, "van", {}), other, "car", {});
+    const DrivingScene d =
+        insert_track(insert_track(remove_track(example(), "car"), other, "van", {}), other, "car", {});
     EXPECT_EQ(tracks(d), (std::vector<std::string>{"", "van", "van-insert-1", "car"}));
     EXPECT_EQ(model_of(d, 1), std::make_pair(100.0f, 2u));
     EXPECT_EQ(model_of(d, 2), std::make_pair(777.0f, 2u));
@@ -157,7 +174,8 @@ TEST(Edit, InsertedActorsBringTheirModelAndAFreeName) {
 }
 
 TEST(Edit, ModelsKeepTheirBox) {
-    const DrivingScene kept = remove_track(example(), "van"), inserted = insert_track(remove_track(example(), "car"), example(), "car", {});
+    const DrivingScene kept = remove_track(example(), "van"),
+                       inserted = insert_track(remove_track(example(), "car"), example(), "car", {});
     for (const DrivingScene* d : {&kept, &inserted}) {
         const Scene own = own_models(d->scene);
         for (const Scene* scene : {&d->scene, &own})
@@ -165,7 +183,8 @@ TEST(Edit, ModelsKeepTheirBox) {
     }
     Scene twice = example().scene;
     twice.instances.push_back({2, "car-copy-1"});
-    EXPECT_EQ(own_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f)) << "a model of its own for the second placement";
+    EXPECT_EQ(own_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
+        << "a model of its own for the second placement";
 }
 
 TEST(Edit, KeepsOneSide) {
@@ -182,30 +201,45 @@ TEST(Edit, KeepsOneSide) {
 }
 
 TEST(Edit, UnknownTracksNameTheNearest) {
-    const auto message = [](const std::string& track) { return error_message<UsageError>([&] { move_track(example(), track, {}); }); };
-    EXPECT_NE(message("vam").find("found no such track, did you mean \"van\"? (actors: van, car)"), std::string::npos) << message("vam");
-    EXPECT_NE(message("walker").find("the log has its box, but it has no surfels of its own"), std::string::npos);
-    EXPECT_NE(message("walker").find("train with init.actor_tracks = van,car,walker"), std::string::npos) << message("walker");
-    EXPECT_NE(message("").find("found no such track"), std::string::npos) << "the background is no track";
-    EXPECT_NE(error_message<UsageError>([] { remove_track(keep_background(example()), "van"); }).find("no actor at all"),
+    const auto message = [](const std::string& track) {
+        return error_message<UsageError>([&] { move_track(example(), track, {}); });
+    };
+    EXPECT_NE(message("vam").find("found no such track, did you mean \"van\"? (actors: van, car)"),
+              std::string::npos)
+        << message("vam");
+    EXPECT_NE(message("walker").find("the log has its box, but it has no surfels of its own"),
               std::string::npos);
-    const std::string stranger = error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); });
-    EXPECT_NE(stranger.find("no such track (actors: "), std::string::npos) << "nothing resembles it: " << stranger;
+    EXPECT_NE(message("walker").find("train with init.actor_tracks = van,car,walker"), std::string::npos)
+        << message("walker");
+    EXPECT_NE(message("").find("found no such track"), std::string::npos) << "the background is no track";
+    EXPECT_NE(error_message<UsageError>([] {
+                  remove_track(keep_background(example()), "van");
+              }).find("no actor at all"),
+              std::string::npos);
+    const std::string stranger =
+        error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); });
+    EXPECT_NE(stranger.find("no such track (actors: "), std::string::npos)
+        << "nothing resembles it: " << stranger;
     DrivingScene boxless = example();
     boxless.sequence.boxes.clear();
-    EXPECT_NE(error_message<DataError>([&] { move_track(boxless, "van", {}); }).find("the log has no box of it"), std::string::npos);
+    EXPECT_NE(
+        error_message<DataError>([&] { move_track(boxless, "van", {}); }).find("the log has no box of it"),
+        std::string::npos);
 }
 
 using EditedRun = TemporaryFolder;
 
 TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
-    for (const DrivingScene& d : {copy_track(example(), "van", {}), keep_actors(example()), keep_background(example())}) {
-        relidar::Run run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}}, d.scene, {{"/a", "--copy"}}};
+    for (const DrivingScene& d :
+         {copy_track(example(), "van", {}), keep_actors(example()), keep_background(example())}) {
+        relidar::Run run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}},
+                         d.scene,        {{"/a", "--copy"}}};
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
         run.sequence.lidars[0].sensor.beams = {{0.0}};
         run.sequence.lidars[0].sensor.columns = 4;
         for (const Frame& f : run.sequence.frames)
-            run.sequence.world_from_vehicle.time_s.push_back(f.time_s), run.sequence.world_from_vehicle.pose.push_back({});
+            run.sequence.world_from_vehicle.time_s.push_back(f.time_s),
+                run.sequence.world_from_vehicle.pose.push_back({});
         save_run(run);
         const relidar::Run read = load_run(run.folder);
         EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));

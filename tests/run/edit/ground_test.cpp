@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors put on the ground: on a slope that is known, below a roof, beside a wall, and on the street whose ground is at a known height.
+// Actors put on the ground: on a slope that is known, below a roof, beside a wall, and on
+// the street whose ground is at a known height.
 #include <cmath>
 
 #include <gmock/gmock.h>
@@ -17,7 +18,7 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr double kAlong = 0.1, kAcross = -0.05;   // slopes: z = 0.1 x - 0.05 y
+constexpr double kAlong = 0.1, kAcross = -0.05;  // slopes: z = 0.1 x - 0.05 y
 const glm::dvec3 kSlopeNormal = glm::normalize(glm::dvec3(-kAlong, -kAcross, 1.0));
 const glm::dvec3 kWorldOffset_m{1000.0, -50.0, 200.0};
 
@@ -25,7 +26,8 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
     const std::size_t i = surfels.size();
     surfels.resize(i + 1);
     const glm::dvec3 up(0.0, 0.0, 1.0), axis = glm::cross(up, normal);
-    const glm::dquat q = glm::length(axis) < 1e-9 ? glm::dquat(1, 0, 0, 0) : glm::angleAxis(std::acos(normal.z), glm::normalize(axis));
+    const glm::dquat q = glm::length(axis) < 1e-9 ? glm::dquat(1, 0, 0, 0)
+                                                  : glm::angleAxis(std::acos(normal.z), glm::normalize(axis));
     surfels.mean[i] = mean;
     surfels.rotation[i] = {q.w, q.x, q.y, q.z};
     surfels.opacity_logit[i] = 2.0f;
@@ -33,13 +35,15 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
 
 double slope_height(double x, double y) { return kAlong * x + kAcross * y; }
 
-/// Slope of 40 x 20 m about the origin in steps of 0.25 m, 2 cm of noise; a van whose box ends 0.2 m above it, driving uphill.
+/// Slope of 40 x 20 m about the origin in steps of 0.25 m, 2 cm of noise; a van whose box
+/// ends 0.2 m above it, driving uphill.
 DrivingScene slope() {
     DrivingScene d;
     int n = 0;
     for (double x = -20.0; x <= 20.0; x += 0.25)
         for (double y = -10.0; y <= 10.0; y += 0.25)
-            add_surfel(d.scene.surfels, {x, y, slope_height(x, y) + 0.02 * std::sin(12.9898 * ++n)}, kSlopeNormal);
+            add_surfel(d.scene.surfels, {x, y, slope_height(x, y) + 0.02 * std::sin(12.9898 * ++n)},
+                       kSlopeNormal);
     const auto background = static_cast<std::uint32_t>(d.scene.surfels.size());
     add_surfel(d.scene.surfels, {0, 0, 0}, {0, 0, 1});
     d.scene.models = {{"background", 0, background, {}}, {"van", background, 1, {2.0f, 1.0f, 0.8f}}};
@@ -50,9 +54,11 @@ DrivingScene slope() {
         const double time_s = 0.1 * i, x = -8.0 + i, z = slope_height(x, 0.0);
         d.sequence.frames.push_back({i, time_s, {}});
         d.sequence.world_from_vehicle.time_s.push_back(time_s);
-        d.sequence.world_from_vehicle.pose.push_back({glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {x, 0.0, z + 1.8}});
+        d.sequence.world_from_vehicle.pose.push_back(
+            {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {x, 0.0, z + 1.8}});
         van.world_from_box.time_s.push_back(time_s);
-        van.world_from_box.pose.push_back({glm::dquat(1, 0, 0, 0), glm::dvec3(x, 0.0, z) + 1.0 * kSlopeNormal});
+        van.world_from_box.pose.push_back(
+            {glm::dquat(1, 0, 0, 0), glm::dvec3(x, 0.0, z) + 1.0 * kSlopeNormal});
     }
     d.sequence.boxes = {van};
     return d;
@@ -70,12 +76,14 @@ Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw
     return start.dataset_from_box;
 }
 
-/// The van stands on the slope at x, y, as high above it as its own box is, and faces where it should.
+/// The van stands on the slope at x, y, as high above it as its own box is, and faces
+/// where it should.
 void expect_on_slope(const Pose& pose, double x, double y, double yaw_rad) {
     EXPECT_NEAR(pose.translation.x, x, 1e-9);
     EXPECT_NEAR(pose.translation.y, y, 1e-9);
     const glm::dvec3 ground(x, y, slope_height(x, y));
-    EXPECT_NEAR(glm::dot(kSlopeNormal, pose.translation - ground), 1.0, 0.02) << "half a height of 0.8 m and 0.2 m above the ground";
+    EXPECT_NEAR(glm::dot(kSlopeNormal, pose.translation - ground), 1.0, 0.02)
+        << "half a height of 0.8 m and 0.2 m above the ground";
     const glm::dvec3 up = pose.rotation * glm::dvec3(0, 0, 1), ahead = pose.rotation * glm::dvec3(1, 0, 0);
     EXPECT_GT(glm::dot(up, kSlopeNormal), std::cos(0.01)) << up.x << " " << up.y << " " << up.z;
     EXPECT_NEAR(std::remainder(std::atan2(ahead.y, ahead.x) - yaw_rad, 2.0 * kPi), 0.0, 1e-6);
@@ -85,20 +93,22 @@ TEST(Ground, GivesHeightAndTiltOfASlope) {
     const DrivingScene d = slope();
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
     expect_on_slope(placed(d, -4.0, -5.0, -1.0), -4.0, -5.0, -1.0);
-    expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);   // as the log's vehicle drives
+    expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);  // as the log's vehicle drives
 }
 
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
     const DrivingScene d = slope();
-    const DrivingScene alone = keep_actors(d);   // an asset has no ground of its own
+    const DrivingScene alone = keep_actors(d);  // an asset has no ground of its own
     EXPECT_NEAR(ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
     EXPECT_FALSE(ground_clearance({alone.scene, alone.sequence}, "van"));
     EXPECT_THROW(ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
     for (const double clearance_m : {0.0, 0.5}) {
         GroundPlace place{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
         place.clearance_m = clearance_m;
-        const Start start = start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
-        const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m - glm::dvec3(6.0, 3.0, slope_height(6.0, 3.0));
+        const Start start =
+            start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
+        const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
+                                 glm::dvec3(6.0, 3.0, slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);
     }
 }
@@ -108,9 +118,10 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
     Surfels others;
     for (double x = 2.0; x <= 10.0; x += 0.1)
         for (double y = -1.0; y <= 7.0; y += 0.1) {
-            add_surfel(others, {x, y, slope_height(x, y) + 6.0}, {0, 0, 1});                       // a bridge
-            if (y > 4.0) add_surfel(others, {x, 4.0, slope_height(x, 4.0) + (y - 4.0)}, {0, 1, 0});   // a wall along the van's side
-            add_surfel(others, {x, y, slope_height(x, y) + 0.8}, {0, 0, 1});                       // haze
+            add_surfel(others, {x, y, slope_height(x, y) + 6.0}, {0, 0, 1});  // a bridge
+            // a wall along the van's side
+            if (y > 4.0) add_surfel(others, {x, 4.0, slope_height(x, 4.0) + (y - 4.0)}, {0, 1, 0});
+            add_surfel(others, {x, y, slope_height(x, y) + 0.8}, {0, 0, 1});  // haze
             others.opacity_logit.back() = -6.0f;
         }
     const std::uint32_t n = d.scene.models[0].count;
@@ -125,7 +136,7 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
 
 TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
     DrivingScene d = slope();
-    Surfels rings;   // of a far sweep, a metre and more apart, and the side of a car that passed
+    Surfels rings;  // of a far sweep, a metre and more apart, and the side of a car that passed
     for (const double x : {-2.0, -1.0, 0.6, 1.2})
         for (const double y : {-0.9, -0.6, -0.3, 0.0}) add_surfel(rings, {x, y, 0.0}, {0, 0, 1});
     add_surfel(rings, {0.6, 0.3, 0.07}, {0, 0, 1});
@@ -135,8 +146,10 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
     d.scene.surfels = rings;
     d.scene.models[0].count = d.scene.models[1].first = n;
     const Pose pose = placed(d, 0.0, 0.0, 0.0);
-    EXPECT_NEAR(pose.translation.z, 0.8, 0.02) << "no ground where it drove itself: the box's bottom lies on the plane";
-    EXPECT_GT((pose.rotation * glm::dvec3(0, 0, 1)).z, std::cos(0.02)) << "least squares over all of them would tilt it by 0.06";
+    EXPECT_NEAR(pose.translation.z, 0.8, 0.02)
+        << "no ground where it drove itself: the box's bottom lies on the plane";
+    EXPECT_GT((pose.rotation * glm::dvec3(0, 0, 1)).z, std::cos(0.02))
+        << "least squares over all of them would tilt it by 0.06";
 }
 
 class GroundOfBlocks : public TemporaryFolder {};
@@ -160,7 +173,8 @@ std::string refusal(const DrivingScene& d, const glm::dvec2& dataset_m, const st
 
 TEST(Ground, SaysWhereThereIsNone) {
     const DrivingScene d = slope();
-    EXPECT_THAT(refusal(d, {1040.0, -50.0}), HasSubstr("placing van on the ground at 1040,-50 of the dataset's world: found no surface"));
+    EXPECT_THAT(refusal(d, {1040.0, -50.0}),
+                HasSubstr("placing van on the ground at 1040,-50 of the dataset's world: found no surface"));
     EXPECT_THAT(refusal(d, {1040.0, -50.0}), HasSubstr("20.0 m away"));
     EXPECT_NE(refusal(d, {1022.0, -50.0}), "") << "half of the van would hang over the edge";
     EXPECT_THAT(refusal(keep_actors(d), {1000.0, -50.0}), HasSubstr("it has no level surfel at all"));
@@ -170,9 +184,10 @@ TEST(Ground, SaysWhereThereIsNone) {
 TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
     DrivingScene d = slope();
     const auto n = static_cast<std::size_t>(d.scene.models[0].count);
-    Surfels seen;   // nothing within 4.5 m of where the van starts
+    Surfels seen;  // nothing within 4.5 m of where the van starts
     for (std::size_t i = 0; i < n; ++i)
-        if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f) seen.append(d.scene.surfels.slice(i, 1));
+        if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f)
+            seen.append(d.scene.surfels.slice(i, 1));
     const auto n_seen = static_cast<std::uint32_t>(seen.size());
     seen.append(d.scene.surfels.slice(n, 1));
     d.scene.surfels = seen;
@@ -180,7 +195,8 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
     const Pose there = d.sequence.boxes[0].world_from_box.pose.front();
     const Pose pose = placed(d, there.translation.x, there.translation.y, 0.0);
     EXPECT_LT(glm::distance(pose.translation, there.translation), 0.1);
-    EXPECT_NE(refusal(d, {kWorldOffset_m.x - 8.0, kWorldOffset_m.y + 1.6}), "") << "beside the van nothing is known";
+    EXPECT_NE(refusal(d, {kWorldOffset_m.x - 8.0, kWorldOffset_m.y + 1.6}), "")
+        << "beside the van nothing is known";
 }
 
 TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
@@ -197,7 +213,8 @@ TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
     d.scene = initialise_scene(d.sequence, all, options);
     ASSERT_FALSE(d.sequence.boxes.empty());
     const BoxTrack& car = d.sequence.boxes.front();
-    const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;   // the street is flat
+    // the street is flat
+    const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;
     for (const glm::dvec2 beside : {glm::dvec2(0.0, 0.0), glm::dvec2(-6.0, 3.0), glm::dvec2(8.0, 0.0)}) {
         const Pose pose = put_down(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;
         EXPECT_NEAR(pose.translation.z, there.z, 0.03) << beside.x << "," << beside.y;

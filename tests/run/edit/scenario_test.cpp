@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenSCENARIO files: who follows what when, by hand; and everything that a trajectory may not be.
+// OpenSCENARIO files: who follows what when, by hand; and everything that a trajectory
+// may not be.
 #include <relidar/run/edit.hpp>
 
 #include <gmock/gmock.h>
@@ -20,7 +21,8 @@ std::string replaced(std::string text, const std::string& what, const std::strin
     return at == std::string::npos ? text : text.replace(at, what.size(), by);
 }
 
-/// A van that turns left at 10 m/s, by Init; a car that starts 2 s after the act, which starts at 1 s; somebody who does nothing.
+/// A van that turns left at 10 m/s, by Init; a car that starts 2 s after the act, which
+/// starts at 1 s; somebody who does nothing.
 const std::string kScenario = R"(<?xml version="1.0" encoding="UTF-8"?>
 <OpenSCENARIO>
   <FileHeader revMajor="1" revMinor="2" date="2024-01-01T00:00:00" description="" author=""/>
@@ -86,26 +88,29 @@ TEST_F(Scenario, EntitiesFollowTheirPolylinesAtTheirTimes) {
     ASSERT_EQ(entities.size(), 3u);
     const ScenarioEntity &van = entities[0], &car = entities[1], &ego = entities[2];
     EXPECT_EQ(van.name, "Van");
-    EXPECT_THAT(van.world_from_reference.time_s, testing::ElementsAre(0.25, 2.25)) << "twice as slow, a quarter of a second later";
+    EXPECT_THAT(van.world_from_reference.time_s, testing::ElementsAre(0.25, 2.25))
+        << "twice as slow, a quarter of a second later";
     EXPECT_EQ(van.world_from_reference.pose[1].translation, glm::dvec3(20.0, -3.5, 0.5));
     const glm::dquat expected = rotation_of(kPi / 2, 0.1, 0.2);
     EXPECT_GT(std::abs(glm::dot(van.world_from_reference.pose[1].rotation, expected)), 1.0 - 1e-12);
     EXPECT_THAT(van.ignored, testing::ElementsAre("TeleportAction"));
     EXPECT_EQ(van.size_m, glm::dvec3(5.0, 2.0, 2.0));
-    EXPECT_THAT(car.world_from_reference.time_s, testing::ElementsAre(3.5, 7.5)) << "2 s and a delay of 1 s, and half a second of offset";
+    EXPECT_THAT(car.world_from_reference.time_s, testing::ElementsAre(3.5, 7.5))
+        << "2 s and a delay of 1 s, and half a second of offset";
     EXPECT_EQ(car.world_from_reference.pose[1].translation, glm::dvec3(8.0, 1.0, 0.0));
     EXPECT_TRUE(ego.world_from_reference.pose.empty());
     EXPECT_THAT(ego.ignored, testing::ElementsAre("LongitudinalAction"));
 }
 
-/// The reference point is below the middle of the rear axle; the actor is half a metre lower than the van, and stands where that stands.
+/// The reference point is below the middle of the rear axle; the actor is half a metre
+/// lower than the van, and stands where that stands.
 TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
     const ScenarioEntity van = read(kScenario)[0];
     const PoseTrack track = box_track(van, 100.0, {4.0, 1.8, 1.5});
     EXPECT_DOUBLE_EQ(track.time_s.front(), 100.25);
     EXPECT_DOUBLE_EQ(track.time_s.back(), 102.25);
     EXPECT_LT(glm::distance(track.pose.front().translation, glm::dvec3(11.5, -3.5, 0.5 + 0.75)), 1e-12);
-    const double half_way_s = 101.25;   // at 45 degrees, on the way of a point 1.5 m ahead of the rear axle
+    const double half_way_s = 101.25;  // at 45 degrees, on the way of a point 1.5 m ahead of the rear axle
     const Pose axle = van.world_from_reference.at(half_way_s - 100.0);
     EXPECT_LT(glm::distance(track.at(half_way_s).translation, axle * glm::dvec3(1.5, 0.0, 0.75)), 5e-3);
 }
@@ -113,26 +118,36 @@ TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
 TEST_F(Scenario, WhatATrajectoryMayNotBeIsNamed) {
     const auto says = [](const char* text) { return HasSubstr(text); };
     EXPECT_THAT(error("<Storyboard>", "<Story"), says("s.xosc: malformed XML at byte"));
-    EXPECT_THAT(data_error([&] { read("<OpenSCENARIO/>"); }), says("expected a scenario of OpenSCENARIO XML 1.x"));
-    EXPECT_THAT(error("x=\"20.0\"", "x=\"2O\""), says("entity Van: Vertex 2: x: found \"2O\", expected a finite number"));
+    EXPECT_THAT(data_error([&] { read("<OpenSCENARIO/>"); }),
+                says("expected a scenario of OpenSCENARIO XML 1.x"));
+    EXPECT_THAT(error("x=\"20.0\"", "x=\"2O\""),
+                says("entity Van: Vertex 2: x: found \"2O\", expected a finite number"));
     EXPECT_THAT(error("x=\"20.0\"", ""), says("entity Van: Vertex 2: x: found \"\""));
-    EXPECT_THAT(error("$Lane", "$Line"), says("entity Van: Vertex 1: y: found \"$Line\", expected a value, or $ and a parameter"));
-    EXPECT_THAT(error("<Vertex time=\"1.0\"", "<Vertex time=\"0.0\""), says("Vertex 2: time: found 0.25 s after 0.25 s, expected"));
+    EXPECT_THAT(error("$Lane", "$Line"),
+                says("entity Van: Vertex 1: y: found \"$Line\", expected a value, or $ and a parameter"));
+    EXPECT_THAT(error("<Vertex time=\"1.0\"", "<Vertex time=\"0.0\""),
+                says("Vertex 2: time: found 0.25 s after 0.25 s, expected"));
     EXPECT_THAT(error("<Vertex time=\"1.0\"", "<Vertex"), says("entity Van: Vertex 2: time: found \"\""));
-    EXPECT_THAT(error("<WorldPosition x=\"10.0\" y=\"$Lane\" z=\"0.5\" h=\"0.0\"/>", "<LanePosition roadId=\"1\"/>"),
-                says("entity Van: Vertex 1: found a LanePosition, expected a WorldPosition"));
+    EXPECT_THAT(
+        error("<WorldPosition x=\"10.0\" y=\"$Lane\" z=\"0.5\" h=\"0.0\"/>", "<LanePosition roadId=\"1\"/>"),
+        says("entity Van: Vertex 1: found a LanePosition, expected a WorldPosition"));
     EXPECT_THAT(error("<ParameterDeclarations/><Shape>", "<Shape><Nurbs order=\"3\"/></Shape><Shape>"),
                 says("entity Van: found a Nurbs, expected a Polyline"));
     EXPECT_THAT(error("closed=\"false\"", "closed=\"true\""), says("found a closed trajectory"));
-    EXPECT_THAT(error("<Timing domainAbsoluteRelative=\"absolute\" scale=\"2.0\" offset=\"0.25\"/>", "<None/>"),
-                says("entity Van: found no TimeReference/Timing"));
+    EXPECT_THAT(
+        error("<Timing domainAbsoluteRelative=\"absolute\" scale=\"2.0\" offset=\"0.25\"/>", "<None/>"),
+        says("entity Van: found no TimeReference/Timing"));
     EXPECT_THAT(error("scale=\"2.0\"", "scale=\"0\""), says("entity Van: scale: found 0"));
-    EXPECT_THAT(error("domainAbsoluteRelative=\"absolute\"", "domainAbsoluteRelative=\"both\""), says("expected absolute or relative"));
-    EXPECT_THAT(error("rule=\"greaterThan\"", "rule=\"lessThan\""), says("entity Car: found a trajectory that another condition starts"));
+    EXPECT_THAT(error("domainAbsoluteRelative=\"absolute\"", "domainAbsoluteRelative=\"both\""),
+                says("expected absolute or relative"));
+    EXPECT_THAT(error("rule=\"greaterThan\"", "rule=\"lessThan\""),
+                says("entity Car: found a trajectory that another condition starts"));
     EXPECT_THAT(error("domainAbsoluteRelative=\"relative\"", "domainAbsoluteRelative=\"absolute\""),
                 says("entity Car: found a start at 3 s, after the first vertex at 0.5 s"));
-    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Cab\""), says("found actions of \"Cab\", expected a ScenarioObject of that name"));
-    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Van\""), says("entity Van: found a second trajectory"));
+    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Cab\""),
+                says("found actions of \"Cab\", expected a ScenarioObject of that name"));
+    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Van\""),
+                says("entity Van: found a second trajectory"));
     EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Ego\""), says("entity Ego: found no BoundingBox"));
 }
 

@@ -10,7 +10,8 @@
 namespace relidar {
 
 inline Pose example_pose(double s) {
-    return {glm::normalize(glm::dquat(1.0, 0.1 / 3.0 * s, -0.7 / 9.0, 0.2 * s)), {1.0 / 3.0 * s, -2e-7 / 3.0, 4.1e3 + s / 7.0}};
+    return {glm::normalize(glm::dquat(1.0, 0.1 / 3.0 * s, -0.7 / 9.0, 0.2 * s)),
+            {1.0 / 3.0 * s, -2e-7 / 3.0, 4.1e3 + s / 7.0}};
 }
 
 inline Surfels example_surfels(std::size_t n) {
@@ -22,7 +23,8 @@ inline Surfels example_surfels(std::size_t n) {
         surfels.rotation[i] = {1.0f, x, 2.0f * x, -x};
         surfels.log_scale[i] = {-x, -2.0f * x};
         surfels.opacity_logit[i] = -2.2f + x;
-        for (std::size_t k = 0; k < kShFloats; ++k) surfels.sh[i * kShFloats + k] = std::sin(x * static_cast<float>(k));
+        for (std::size_t k = 0; k < kShFloats; ++k)
+            surfels.sh[i * kShFloats + k] = std::sin(x * static_cast<float>(k));
     }
     return surfels;
 }
@@ -31,7 +33,7 @@ inline Run example_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     run.config = make_preset("quick");
-    run.config.dataset.max_range_m = 80.0;   // loading would replace 0 by the log's own limit
+    run.config.dataset.max_range_m = 80.0;  // loading would replace 0 by the log's own limit
     run.config.dataset.path = "/data/log \"one\"";
     Sequence& s = run.sequence;
     s.name = "example \xC3\xA9";
@@ -39,20 +41,27 @@ inline Run example_run(const std::filesystem::path& folder) {
     s.conventions = "none";
     s.world_offset_m = {1e6 / 3.0, -5e6 / 7.0, 0.1};
     s.rolling_shutter = false;
-    s.lidars[0].sensor = {"sensor", {{0.1, 0.0, 0.0, 0.2, 0.01, 1.1, -0.03, 0.02}, {-0.1 / 3.0, 1e-3, 0.0, 0.12, 0.0, 0.9, 0.03, -0.02}},
-                          1030,     0.1,
-                          true,     3.14,
-                          0.5,      80.0,
-                          1e-3};
+    s.lidars[0].sensor = {
+        "sensor",
+        {{0.1, 0.0, 0.0, 0.2, 0.01, 1.1, -0.03, 0.02}, {-0.1 / 3.0, 1e-3, 0.0, 0.12, 0.0, 0.9, 0.03, -0.02}},
+        1030,
+        0.1,
+        true,
+        3.14,
+        0.5,
+        80.0,
+        1e-3};
     for (int i = 0; i < 4; ++i) {
         s.frames.push_back({10 + i, 1.3e9 + i / 10.0, {}});
         s.world_from_vehicle.time_s.push_back(s.frames.back().time_s);
         s.world_from_vehicle.pose.push_back(example_pose(i));
     }
-    for (int k = 0; k < s.lidars[0].sensor.columns; ++k) s.frames[1].azimuth_shift_rad.push_back(1e-3f / 3.0f * float(k) - 2e-3f);
-    s.boxes.push_back({"7", "Car", {4.2, 1.8, 1.5}, {{1.3e9, 1.3e9 + 0.1}, {example_pose(0.5), example_pose(0.6)}}});
+    for (int k = 0; k < s.lidars[0].sensor.columns; ++k)
+        s.frames[1].azimuth_shift_rad.push_back(1e-3f / 3.0f * float(k) - 2e-3f);
+    s.boxes.push_back(
+        {"7", "Car", {4.2, 1.8, 1.5}, {{1.3e9, 1.3e9 + 0.1}, {example_pose(0.5), example_pose(0.6)}}});
     s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
-    run.split = {{0, 1}, {2}};   // frame 3 is unused
+    run.split = {{0, 1}, {2}};  // frame 3 is unused
     run.scene = make_background_scene(example_surfels(5));
     run.edits = {{"/runs/first", "--move 7:0,3.5,0"}, {"/runs/second", "--remove 9"}};
     return run;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// model.safetensors: exact round trip, and refusal of cut files, missing or misshapen arrays, values that are not finite and
-// models that do not cover the surfels.
+// model.safetensors: exact round trip, and refusal of cut files, missing or misshapen
+// arrays, values that are not finite and models that do not cover the surfels.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -35,7 +35,8 @@ protected:
         return load_error();
     }
     NamedArray& array(const std::string& name) {
-        return *std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
+        return *std::find_if(arrays.begin(), arrays.end(),
+                             [&](const NamedArray& a) { return a.name == name; });
     }
 
     std::filesystem::path path;
@@ -63,8 +64,11 @@ TEST_F(ModelFile, RoundTripsExactly) {
 }
 
 TEST_F(ModelFile, HasTheDocumentedArrays) {
-    const std::map<std::string, std::vector<std::size_t>> expected{
-        {"mean", {4, 3}}, {"rotation", {4, 4}}, {"log_scale", {4, 2}}, {"opacity_logit", {4}}, {"sh", {4, 3, 16}}};
+    const std::map<std::string, std::vector<std::size_t>> expected{{"mean", {4, 3}},
+                                                                   {"rotation", {4, 4}},
+                                                                   {"log_scale", {4, 2}},
+                                                                   {"opacity_logit", {4}},
+                                                                   {"sh", {4, 3, 16}}};
     ASSERT_EQ(arrays.size(), expected.size());
     for (const NamedArray& a : arrays) {
         EXPECT_EQ(a.shape, expected.at(a.name)) << a.name;
@@ -91,7 +95,8 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
     EXPECT_NE(load_error().find("array log_scale_w: missing"), std::string::npos);
     metadata["primitive"] = "cube";
     write_safetensors(path, arrays, metadata);
-    EXPECT_NE(load_error().find("primitive: found \"cube\", expected one of surfel, gaussian"), std::string::npos);
+    EXPECT_NE(load_error().find("primitive: found \"cube\", expected one of surfel, gaussian"),
+              std::string::npos);
 }
 
 /// A row of relidar/scene/primitives.h is all that files need to know of a primitive.
@@ -146,7 +151,8 @@ TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
     EXPECT_NE(load_error().find("array sensor_drop: holds 1.5, expected probabilities"), std::string::npos);
     arrays.back() = make_array("sensor_drop", {2}, bad, 2);
     write_safetensors(path, arrays, metadata);
-    EXPECT_NE(load_error().find("array sensor_drop: found f4 [2], expected f4 [channels, bins]"), std::string::npos);
+    EXPECT_NE(load_error().find("array sensor_drop: found f4 [2], expected f4 [channels, bins]"),
+              std::string::npos);
 }
 
 TEST_F(ModelFile, AnEmptySceneRoundTrips) {
@@ -189,7 +195,8 @@ TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("array log_scale: row 2 holds nan"), std::string::npos);
     scene.surfels.sh[1 * kShFloats + 5] = std::numeric_limits<float>::infinity();
-    EXPECT_NE(data_error([&] { save_model(path, scene); }).find("array sh: row 1 holds inf"), std::string::npos);
+    EXPECT_NE(data_error([&] { save_model(path, scene); }).find("array sh: row 1 holds inf"),
+              std::string::npos);
     scene.surfels.rotation.pop_back();
     EXPECT_THROW(save_model(path, scene), DataError);
 }
@@ -198,20 +205,28 @@ TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
     const std::string models = R"({"models":[{"name":"b","first":)", box = R"(,"half_size_m":[0,0,0]}])";
     const std::string instances = R"(,"instances":[{"model":0,"track":""}]})";
     const auto error = [&](const std::string& text) { return error_with_layout(models + text); };
-    EXPECT_NE(error(R"(0,"count":3)" + box + instances).find("models of 3 surfels, expected 4"), std::string::npos);
-    EXPECT_NE(error(R"(1,"count":3)" + box + instances).find("models[0].first: found 1, expected 0"), std::string::npos);
-    EXPECT_NE(error(R"(0,"count":4,"half_size_m":[1,-1,1]}])" + instances).find("half_size_m[1]: found -1"), std::string::npos);
-    EXPECT_NE(error(R"(0,"count":4}])" + instances).find("models[0].half_size_m: missing"), std::string::npos);
-    EXPECT_NE(error(R"(0,"count":-4)" + box + instances).find("models[0].count: found -4"), std::string::npos);
-    EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[{"model":1,"track":""}]})").find("instances[0].model: found 1"),
+    EXPECT_NE(error(R"(0,"count":3)" + box + instances).find("models of 3 surfels, expected 4"),
               std::string::npos);
-    EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[]})").find("found no model or no instance"), std::string::npos);
+    EXPECT_NE(error(R"(1,"count":3)" + box + instances).find("models[0].first: found 1, expected 0"),
+              std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4,"half_size_m":[1,-1,1]}])" + instances).find("half_size_m[1]: found -1"),
+              std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4}])" + instances).find("models[0].half_size_m: missing"),
+              std::string::npos);
+    EXPECT_NE(error(R"(0,"count":-4)" + box + instances).find("models[0].count: found -4"),
+              std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[{"model":1,"track":""}]})")
+                  .find("instances[0].model: found 1"),
+              std::string::npos);
+    EXPECT_NE(error(R"(0,"count":4)" + box + R"(,"instances":[]})").find("found no model or no instance"),
+              std::string::npos);
     EXPECT_NE(error_with_layout("{").find("metadata layout: not valid JSON"), std::string::npos);
 }
 
 TEST_F(ModelFile, OtherFilesAreRefused) {
     write_safetensors(path, arrays, {{"format", "pt"}});
-    EXPECT_NE(load_error().find("metadata format: found \"pt\", expected \"relidar model\""), std::string::npos);
+    EXPECT_NE(load_error().find("metadata format: found \"pt\", expected \"relidar model\""),
+              std::string::npos);
     metadata["version"] = "9";
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("metadata version: found \"9\""), std::string::npos);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Run folders: what was saved comes back bit by bit; anything cut, missing or changed is refused by file and field.
+// Run folders: what was saved comes back bit by bit; anything cut, missing or changed is
+// refused by file and field.
 #include <relidar/run/run.hpp>
 
 #include <relidar/base/arrays.hpp>
@@ -78,15 +79,19 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
         put(file, text);
         return load_error();
     };
-    EXPECT_THAT(replaced("drop network", "lost network"),
-                ::testing::HasSubstr("drop_network.safetensors: metadata format: found \"relidar lost network\""));
-    EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"), ::testing::HasSubstr("heads: found 3, expected a divisor of 8"));
-    EXPECT_THAT(replaced("\"running\"", "\"walking\""), ::testing::HasSubstr("array running: missing or not f4, expected it"));
+    EXPECT_THAT(
+        replaced("drop network", "lost network"),
+        ::testing::HasSubstr("drop_network.safetensors: metadata format: found \"relidar lost network\""));
+    EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"),
+                ::testing::HasSubstr("heads: found 3, expected a divisor of 8"));
+    EXPECT_THAT(replaced("\"running\"", "\"walking\""),
+                ::testing::HasSubstr("array running: missing or not f4, expected it"));
     put(file, whole.substr(0, whole.size() - 5));
     EXPECT_THAT(load_error(), ::testing::HasSubstr("drop_network.safetensors"));
     run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
     save_run(run);
-    EXPECT_THAT(load_error(), ::testing::HasSubstr("array parameters: entry 7 is nan, expected finite numbers"));
+    EXPECT_THAT(load_error(),
+                ::testing::HasSubstr("array parameters: entry 7 is nan, expected finite numbers"));
 }
 
 std::vector<IntensityScatter> example_scatter() {
@@ -134,19 +139,23 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
         return load_error();
     };
     const auto is_no_tree = ::testing::HasSubstr("intensity_scatter.safetensors: LiDAR 0: node");
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 2; }), is_no_tree) << "its second child is not there";
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 0; }), is_no_tree) << "it would never end";
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 2; }), is_no_tree)
+        << "its second child is not there";
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 0; }), is_no_tree)
+        << "it would never end";
     EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].feature = 10000; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[2].count = 4; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[1].count = 0; }), is_no_tree);
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.step = -1.0; }), ::testing::HasSubstr("array 0.step: found -1, expected 0 or more"));
+    EXPECT_THAT(error_of([](IntensityScatter& s) { s.step = -1.0; }),
+                ::testing::HasSubstr("array 0.step: found -1, expected 0 or more"));
     EXPECT_THAT(error_of([](IntensityScatter& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
                 ::testing::HasSubstr("array 0.values: found a number that is not finite"));
 }
 
 TEST_F(RunFolder, IsTheSameInEveryLocale) {
     const auto files = [&] {
-        return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") + contents(run.folder / "model.safetensors");
+        return contents(run.folder / "config.toml") + contents(run.folder / "scene.json") +
+               contents(run.folder / "model.safetensors");
     };
     const std::string before = files();
     const test::CommaLocale comma;
@@ -202,13 +211,18 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
                           {{"format", "relidar sweeps"}, {"version", "1"}});
         return load_error();
     };
-    EXPECT_NE(error_with_array("000004", std::vector<float>(1030)).find("sweeps.safetensors: array 000004: no such frame"),
+    EXPECT_NE(error_with_array("000004", std::vector<float>(1030))
+                  .find("sweeps.safetensors: array 000004: no such frame"),
               std::string::npos);
-    EXPECT_NE(error_with_array("one", std::vector<float>(1030)).find("array one: no such frame"), std::string::npos);
-    EXPECT_NE(error_with_array("000001", std::vector<float>(16)).find("array 000001: found f4 [16], expected f4 [1030]"),
+    EXPECT_NE(error_with_array("one", std::vector<float>(1030)).find("array one: no such frame"),
               std::string::npos);
-    EXPECT_NE(error_with_array("000001", std::vector<float>(1030, 9.0f)).find("found 9, expected radians"), std::string::npos);
-    EXPECT_NE(error_with_array("000001", std::vector<float>(1030, NAN)).find("found nan, expected radians"), std::string::npos);
+    EXPECT_NE(error_with_array("000001", std::vector<float>(16))
+                  .find("array 000001: found f4 [16], expected f4 [1030]"),
+              std::string::npos);
+    EXPECT_NE(error_with_array("000001", std::vector<float>(1030, 9.0f)).find("found 9, expected radians"),
+              std::string::npos);
+    EXPECT_NE(error_with_array("000001", std::vector<float>(1030, NAN)).find("found nan, expected radians"),
+              std::string::npos);
     run.sequence.frames[1].azimuth_shift_rad.clear();
     save_run(run);
     EXPECT_FALSE(std::filesystem::exists(file)) << "no sweep has any";
@@ -230,18 +244,21 @@ TEST_F(RunFolder, CoverageRoundTripsExactly) {
     const std::vector<std::uint16_t> cells(32);
     const auto error_with_arrays = [&](std::size_t width, const std::string& cell_m) {
         write_safetensors(file,
-                          {make_array("place", {6 / width, width}, places.data(), 6), make_array("cells", {1, 32}, cells.data(), 32)},
+                          {make_array("place", {6 / width, width}, places.data(), 6),
+                           make_array("cells", {1, 32}, cells.data(), 32)},
                           {{"format", "relidar coverage"}, {"version", "1"}, {"cell_m", cell_m}});
         return load_error();
     };
-    EXPECT_NE(error_with_arrays(2, "1").find("coverage.safetensors: array place: found i4 [3, 2], expected i4 [blocks, 3]"),
+    EXPECT_NE(error_with_arrays(2, "1").find(
+                  "coverage.safetensors: array place: found i4 [3, 2], expected i4 [blocks, 3]"),
               std::string::npos);
     EXPECT_NE(error_with_arrays(3, "1").find("found 2 places and 1 rows of cells"), std::string::npos);
     EXPECT_NE(error_with_arrays(3, "2").find("cell_m: found 2, expected 1"), std::string::npos);
 }
 
 TEST_F(RunFolder, SensorRoundTripsExactly) {
-    const SpinningSensor a = load_run(run.folder).sequence.lidars[0].sensor, &b = run.sequence.lidars[0].sensor;
+    const SpinningSensor a = load_run(run.folder).sequence.lidars[0].sensor,
+                         &b = run.sequence.lidars[0].sensor;
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.columns, b.columns);
     EXPECT_EQ(a.period_s, b.period_s);
@@ -275,18 +292,27 @@ TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
     EXPECT_EQ(read.frames[2].lidar, 1);
     EXPECT_EQ(read.world_from_vehicle.time_s, s.world_from_vehicle.time_s);
     std::swap(s.frames[1], s.frames[2]);
-    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[2].time_s"), std::string::npos) << "in the order of LiDARs";
+    EXPECT_NE(data_error([&] { save_run(run); }).find("frames[2].time_s"), std::string::npos)
+        << "in the order of LiDARs";
 }
 
 TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
     Sequence& s = run.sequence;
-    const ScanningWindow window{.name = "front", .rows = 4, .columns = 6, .left_rad = 1.0 / 3.0, .right_rad = -0.3, .top_rad = 0.1,
-                                .bottom_rad = -0.2, .period_s = 0.05, .divergence_rad = 1e-3};
-    const Rosette rosette{.name = "flower", .deflection_rad = 0.17, .first_hz = 121.57, .second_hz = -77.73, .n_rays = 30};
+    const ScanningWindow window{.name = "front",
+                                .rows = 4,
+                                .columns = 6,
+                                .left_rad = 1.0 / 3.0,
+                                .right_rad = -0.3,
+                                .top_rad = 0.1,
+                                .bottom_rad = -0.2,
+                                .period_s = 0.05,
+                                .divergence_rad = 1e-3};
+    const Rosette rosette{
+        .name = "flower", .deflection_rad = 0.17, .first_hz = 121.57, .second_hz = -77.73, .n_rays = 30};
     RayTable cones = make_rays(rosette, 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
-    for (const FixedPattern& pattern :
-         {FixedPattern(window), FixedPattern(rosette), FixedPattern(cones), FixedPattern(make_rays(rosette, 0.37))}) {
+    for (const FixedPattern& pattern : {FixedPattern(window), FixedPattern(rosette), FixedPattern(cones),
+                                        FixedPattern(make_rays(rosette, 0.37))}) {
         s.lidars[0].sensor = {.name = "fixed", .beams = {}, .columns = 0, .period_s = 0.0};
         s.lidars[0].pattern = pattern;
         s.frames[1].azimuth_shift_rad.clear();
@@ -296,18 +322,23 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         EXPECT_EQ(read.pattern->index(), pattern.index());
         EXPECT_EQ(read.period_s(), s.lidars[0].period_s());
         const RayTable a = nominal_rays(read, 1.7), b = nominal_rays(s.lidars[0], 1.7);
-        EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin && a.time_offset_s == b.time_offset_s && a.channel == b.channel);
+        EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin &&
+                    a.time_offset_s == b.time_offset_s && a.channel == b.channel);
         EXPECT_EQ(a.divergence_rad, b.divergence_rad);
         EXPECT_EQ(to_vector(a.ray_divergence_rad), to_vector(b.ray_divergence_rad));
     }
     Json broken = Json::parse(contents(run.folder / "scene.json"));
     broken["lidars"][0]["pattern"]["rays"]["direction"].push_back(1.0);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("pattern.rays.direction: found 91 numbers, expected 90"), std::string::npos);
+    EXPECT_NE(data_error([&] {
+                  load_run(run.folder);
+              }).find("pattern.rays.direction: found 91 numbers, expected 90"),
+              std::string::npos);
     broken["lidars"][0]["pattern"]["rays"]["direction"].erase(90);
     broken["lidars"][0]["pattern"]["rays"]["ray_divergence_rad"] = std::vector<double>(30, -1e-3);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("ray_divergence_rad: found -0.001"), std::string::npos);
+    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("ray_divergence_rad: found -0.001"),
+              std::string::npos);
 }
 
 TEST_F(RunFolder, TruncatedSceneIsRefused) {
@@ -321,14 +352,18 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
     // for people only; edits: a run as trained has none
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/beam_fields", "/edits"};
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions",
+                                           "/lidars/0/sensor/beam_fields", "/edits"};
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
         std::string field = pointer;
         // an array goes as a whole
-        while (std::isdigit(static_cast<unsigned char>(field.back()))) field = field.substr(0, field.find_last_of('/'));
-        if (std::any_of(told.begin(), told.end(), [&](const std::string& t) { return field.rfind(t, 0) == 0; })) continue;
+        while (std::isdigit(static_cast<unsigned char>(field.back())))
+            field = field.substr(0, field.find_last_of('/'));
+        if (std::any_of(told.begin(), told.end(),
+                        [&](const std::string& t) { return field.rfind(t, 0) == 0; }))
+            continue;
         Json changed = whole;
         const Json::json_pointer at(field);
         changed.at(at.parent_pointer()).erase(at.back());
@@ -347,43 +382,62 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
         changed[Json::json_pointer(pointer)] = value;
         return error_with(changed);
     };
-    EXPECT_NE(replaced("/frames/2/time_s", nullptr).find("frames[2].time_s: found null, expected a finite number"), std::string::npos);
-    EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0, expected times that rise"), std::string::npos);
+    EXPECT_NE(
+        replaced("/frames/2/time_s", nullptr).find("frames[2].time_s: found null, expected a finite number"),
+        std::string::npos);
+    EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0, expected times that rise"),
+              std::string::npos);
     EXPECT_NE(replaced("/frames/1/split", "tset").find("frames[1].split: found \"tset\""), std::string::npos);
-    EXPECT_NE(replaced("/frames/1/world_from_vehicle", {1, 2, 3}).find("found 3 numbers, expected 7"), std::string::npos);
-    EXPECT_NE(replaced("/frames/1/world_from_vehicle/4", 5.0).find("quaternion of length"), std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_vehicle", {1, 2, 3}).find("found 3 numbers, expected 7"),
+              std::string::npos);
+    EXPECT_NE(replaced("/frames/1/world_from_vehicle/4", 5.0).find("quaternion of length"),
+              std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle/0", 1e308)
                   .find("frames[1].world_from_vehicle: found 1e+308, expected numbers within 1000000"),
               std::string::npos);
-    EXPECT_NE(replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"), std::string::npos);
+    EXPECT_NE(
+        replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"),
+        std::string::npos);
     EXPECT_NE(replaced("/world_offset_m/1", 1e308).find("world_offset_m: found 1e+308"), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"),
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308)
+                  .find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"),
               std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308).find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"),
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308)
+                  .find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"),
               std::string::npos);
     Json many = whole;
     many["lidars"][0]["sensor"]["columns"] = 1000000;
-    for (int i = 0; i < 200; ++i) many["lidars"][0]["sensor"]["beams"].push_back(many["lidars"][0]["sensor"]["beams"][0]);
-    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"), std::string::npos)
+    for (int i = 0; i < 200; ++i)
+        many["lidars"][0]["sensor"]["beams"].push_back(many["lidars"][0]["sensor"]["beams"][0]);
+    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"),
+              std::string::npos)
         << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
     EXPECT_NE(replaced("/version", 1).find("version: found 1, this relidar"), std::string::npos);
     EXPECT_NE(replaced("/version", 1).find("reads version 2: train the run again"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
-    EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"), std::string::npos);
-    EXPECT_NE(replaced("/boxes/0/beside_labels", {1, 2}).find("boxes[0].beside_labels[1]: found 2"), std::string::npos);
-    EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"), std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/columns", -1).find("lidars[0].sensor.columns: found -1, expected an integer in 0.."),
+    EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"),
               std::string::npos);
-    EXPECT_NE(
-        replaced("/lidars/0/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}).find("lidars[0].sensor.beams[1]: found 6 numbers, expected 8"),
-        std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", "x").find("lidars[0].sensor.beams[1]: found \"x\", expected an array"),
+    EXPECT_NE(replaced("/boxes/0/beside_labels", {1, 2}).find("boxes[0].beside_labels[1]: found 2"),
               std::string::npos);
-    EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0).find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"), std::string::npos);
+    EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"),
+              std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/columns", -1)
+                  .find("lidars[0].sensor.columns: found -1, expected an integer in 0.."),
+              std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0})
+                  .find("lidars[0].sensor.beams[1]: found 6 numbers, expected 8"),
+              std::string::npos);
+    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", "x")
+                  .find("lidars[0].sensor.beams[1]: found \"x\", expected an array"),
+              std::string::npos);
+    EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0)
+                  .find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"),
+              std::string::npos);
     EXPECT_NE(replaced("/edits/1", 3).find("edits[1]: found 3, expected an object"), std::string::npos);
-    EXPECT_NE(replaced("/rolling_shutter", 1).find("rolling_shutter: found 1, expected true or false"), std::string::npos);
+    EXPECT_NE(replaced("/rolling_shutter", 1).find("rolling_shutter: found 1, expected true or false"),
+              std::string::npos);
     put(run.folder / "scene.json", "[1, 2]");
     EXPECT_NE(load_error().find("scene.json: found an array of 2, expected an object"), std::string::npos);
     put(run.folder / "scene.json", "{\"format\": 1e999}");
@@ -397,7 +451,8 @@ TEST_F(RunFolder, MissingFilesAreNamed) {
         EXPECT_NE(message.find(std::string(name) + ": no such file"), std::string::npos) << message;
         std::filesystem::rename(folder / name, run.folder / name);
     }
-    EXPECT_NE(data_error([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"), std::string::npos);
+    EXPECT_NE(data_error([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"),
+              std::string::npos);
     EXPECT_TRUE(is_run(run.folder));
     EXPECT_FALSE(is_run(folder));
     EXPECT_FALSE(is_run(folder / "nowhere"));
@@ -406,7 +461,9 @@ TEST_F(RunFolder, MissingFilesAreNamed) {
 TEST_F(RunFolder, WrongSettingIsDamage) {
     put(run.folder / "config.toml", "[loss]\ndepht = 1\n");
     const std::string message = load_error();
-    EXPECT_NE(message.find("config.toml: setting loss.depht: unknown key, did you mean loss.depth?"), std::string::npos) << message;
+    EXPECT_NE(message.find("config.toml: setting loss.depht: unknown key, did you mean loss.depth?"),
+              std::string::npos)
+        << message;
 }
 
 TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
@@ -416,21 +473,30 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     EXPECT_FALSE(is_run(run.folder));
     run = example_run(folder / "second");
     run.sequence.world_from_vehicle.pose.pop_back();
-    EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"), std::string::npos);
+    EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"),
+              std::string::npos);
     run = example_run(folder / "second");
-    run.config.train.mean_rate *= 2.0;   // a constant of the preset: config.toml cannot hold it
-    EXPECT_NE(data_error([&] { save_run(run); }).find("an option that is no setting differs from preset quick"), std::string::npos);
+    run.config.train.mean_rate *= 2.0;  // a constant of the preset: config.toml cannot hold it
+    EXPECT_NE(
+        data_error([&] { save_run(run); }).find("an option that is no setting differs from preset quick"),
+        std::string::npos);
     EXPECT_FALSE(is_run(run.folder));
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
-    EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot be made a folder"), std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot be made a folder"), std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable(folder / std::string(300, 'x')); }).find("cannot be made a folder: File name too long"),
+    EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot be made a folder"),
+              std::string::npos);
+    EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot be made a folder"),
+              std::string::npos);
+    EXPECT_NE(data_error([&] {
+                  check_writable(folder / std::string(300, 'x'));
+              }).find("cannot be made a folder: File name too long"),
               std::string::npos);
     std::filesystem::create_symlink(folder / "loop", folder / "loop");
-    EXPECT_NE(data_error([&] { check_writable(folder / "loop" / "run"); }).find("cannot be made a folder: Too many levels"),
+    EXPECT_NE(data_error([&] {
+                  check_writable(folder / "loop" / "run");
+              }).find("cannot be made a folder: Too many levels"),
               std::string::npos);
     EXPECT_NE(data_error([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"), std::string::npos);
     check_writable(folder / "a" / "b");

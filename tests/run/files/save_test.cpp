@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder appears complete or not at all, and an earlier run in it stays until the new one is written.
+// A run folder appears complete or not at all, and an earlier run in it stays until the
+// new one is written.
 #include <relidar/run/run.hpp>
 
 #include <csignal>
@@ -70,7 +71,8 @@ TEST_F(SavedRun, GivesItsFilesTheirNamesWhenAllAreWritten) {
     bool was_called = false;
     replace_run(run, [&] {
         was_called = true;
-        EXPECT_FALSE(std::filesystem::exists(run.folder / "config.toml")) << "a process that is killed here leaves what looks like a run";
+        EXPECT_FALSE(std::filesystem::exists(run.folder / "config.toml"))
+            << "a process that is killed here leaves what looks like a run";
         EXPECT_TRUE(std::filesystem::exists(run.folder / kModelFile));
     });
     EXPECT_TRUE(was_called);

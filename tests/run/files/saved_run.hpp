@@ -19,7 +19,7 @@ protected:
     }
 
     relidar::Run run;
-    std::string scene;   ///< text of scene.json
+    std::string scene;  ///< text of scene.json
 };
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluations of many frames against each of them scored by itself; their images are there while they are seen, and go.
+// Evaluations of many frames against each of them scored by itself; their images are
+// there while they are seen, and go.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -15,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kFrames = 35;   // more than are scored at once, twice
+constexpr int kFrames = 35;  // more than are scored at once, twice
 
 class EvaluationOf : public test::DeviceTest {
 protected:
@@ -42,7 +43,8 @@ protected:
             const std::size_t n_kept = i == std::size_t(kFrames) / 2 ? 512 : 0;
             EXPECT_EQ(evaluation.frames[i].real.range_m.size(), n_kept) << i;
             EXPECT_EQ(evaluation.frames[i].rendered.image.range_m.size(), n_kept) << i;
-            EXPECT_EQ(evaluation.frames[i].rendered.median_range_m.capacity() > 0, n_kept > 0 && !seen[i].rendered.median_range_m.empty());
+            EXPECT_EQ(evaluation.frames[i].rendered.median_range_m.capacity() > 0,
+                      n_kept > 0 && !seen[i].rendered.median_range_m.empty());
             EXPECT_EQ(evaluation.frames[i].rendered.trace_ms, seen[i].rendered.trace_ms);
         }
     }
@@ -59,19 +61,23 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
         frame.metrics["own"] = frame.frame;
     };
     std::vector<double> told;
-    const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, positions,
-                                                  [&](std::string_view, double done) { told.push_back(done); }, see);
+    const Evaluation evaluation = evaluate_frames(
+        renderer, run.config, run.sequence, positions,
+        [&](std::string_view, double done) { told.push_back(done); }, see);
     expect_forgotten(evaluation, seen);
     EXPECT_EQ(told.size(), std::size_t(kFrames) + 1);
     EXPECT_TRUE(std::is_sorted(told.begin(), told.end()) && told.back() == 1.0);
-    EXPECT_DOUBLE_EQ(evaluation.mean.at("own"), 0.5 * (kFrames - 1)) << "metrics that are added where a frame is seen count";
+    EXPECT_DOUBLE_EQ(evaluation.mean.at("own"), 0.5 * (kFrames - 1))
+        << "metrics that are added where a frame is seen count";
     double sum = 0.0;
     for (int i = 0; i < kFrames; ++i) {
-        const ScoredFrame alone = score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
+        const ScoredFrame alone =
+            score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
         EXPECT_GT(alone.metrics.size(), 20u);
         for (const auto& [name, value] : alone.metrics) {
             const double found = evaluation.frames[std::size_t(i)].metrics.at(name);
-            EXPECT_TRUE(found == value || (std::isnan(found) && std::isnan(value))) << "frame " << i << ", " << name;
+            EXPECT_TRUE(found == value || (std::isnan(found) && std::isnan(value)))
+                << "frame " << i << ", " << name;
         }
         sum += alone.metrics.at("strict/depth_rmse_m");
     }
@@ -82,7 +88,8 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
     const auto count = [&] {
         ScanRenderer renderer(device(), run);
         const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
-        return std::ranges::count_if(evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
+        return std::ranges::count_if(
+            evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
     };
     EXPECT_GT(count(), 0);
     std::ranges::fill(run.sequence.frames[3].scan.intensity, 0.0f);
@@ -92,12 +99,12 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {{}, {}};
     for (int i = 0; i < kFrames; ++i) {
-        run.split.train.push_back(i);   // its own neighbours: what is scored is beside the point
+        run.split.train.push_back(i);  // its own neighbours: what is scored is beside the point
         run.split.test.push_back(i);
     }
     std::vector<ScoredFrame> seen;
-    const Evaluation evaluation =
-        evaluate_baseline("nearest", run.config, run.sequence, run.split, {}, [&](const ScoredFrame& frame) { seen.push_back(frame); });
+    const Evaluation evaluation = evaluate_baseline("nearest", run.config, run.sequence, run.split, {},
+                                                    [&](const ScoredFrame& frame) { seen.push_back(frame); });
     expect_forgotten(evaluation, seen);
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
@@ -106,7 +113,8 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> seen;
-    evaluate_frames(renderer, run.config, run.sequence, {3, 20}, {}, [&](const ScoredFrame& frame) { seen.push_back(frame); });
+    evaluate_frames(renderer, run.config, run.sequence, {3, 20}, {},
+                    [&](const ScoredFrame& frame) { seen.push_back(frame); });
     double all = 0.0;
     for (const ScoredFrame& frame : seen) {
         constexpr double kEdges_m[] = {0, 10, 20, 30, 40, 60, 80};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scores of people: of the scan itself, of one that is 5 cm off, of one that lost them; their points against those of each ray at the
-// moment of its firing.
+// Scores of people: of the scan itself, of one that is 5 cm off, of one that lost them;
+// their points against those of each ray at the moment of its firing.
 #include "score/evaluation/people.hpp"
 
 #include <gtest/gtest.h>
@@ -19,12 +19,20 @@ Config native() {
 
 class PeopleScores : public testing::Test {
 protected:
-    const Sequence street = make_synthetic_street(
-        {.seed = 3, .n_frames = 6, .rows = 64, .columns = 1024, .range_noise_m = 0.01, .speed_mps = 5.0, .people = true, .gait = true});
+    const Sequence street = make_synthetic_street({.seed = 3,
+                                                   .n_frames = 6,
+                                                   .rows = 64,
+                                                   .columns = 1024,
+                                                   .range_noise_m = 0.01,
+                                                   .speed_mps = 5.0,
+                                                   .people = true,
+                                                   .gait = true});
     const Frame& frame = street.frames[3];
     const RangeImage real = real_image(native(), frame.scan);
 
-    MetricRow scores(const RangeImage& rendered) const { return people_scores(rendered, rendered.range_m, real, street, moment_of(frame)); }
+    MetricRow scores(const RangeImage& rendered) const {
+        return people_scores(rendered, rendered.range_m, real, street, moment_of(frame));
+    }
 };
 
 TEST_F(PeopleScores, OfTheScanItselfAreTheBest) {
@@ -64,11 +72,13 @@ TEST_F(PeopleScores, TakePointsAtTheMomentOfTheirFiring) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-            const glm::dvec3 p = inverse(box.world_from_box.at(t_s)) * (ray.origin_m + double(frame.scan.range_m[i]) * ray.direction);
+            const glm::dvec3 p = inverse(box.world_from_box.at(t_s)) *
+                                 (ray.origin_m + double(frame.scan.range_m[i]) * ray.direction);
             expected += glm::all(glm::lessThanEqual(glm::abs(p), half)) && p.z >= 0.15 - 0.5 * box.size_m.z;
         }
         const PeoplePoints points = people_points(real, real.range_m, real, street, moment_of(frame), box);
-        EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0) << box.id << ": a point at the edge may fall to either side";
+        EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0)
+            << box.id << ": a point at the edge may fall to either side";
     }
     EXPECT_EQ(n_people, 3u);
 }

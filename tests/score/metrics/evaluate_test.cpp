@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Both metric protocols on images small enough to work out by hand, and the cases where a metric is not defined.
+// Both metric protocols on images small enough to work out by hand, and the cases where a
+// metric is not defined.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -14,8 +15,10 @@
 namespace relidar {
 namespace {
 
-/// An image whose rays all start at (0, 0, 1) and point along x, y, z in turn, so that pixels i, j < 3 never share a ray.
-RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity, std::vector<float> drop_prob) {
+/// An image whose rays all start at (0, 0, 1) and point along x, y, z in turn, so that
+/// pixels i, j < 3 never share a ray.
+RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
+                    std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         glm::vec3 direction(0.0f);
@@ -37,7 +40,8 @@ constexpr double kClamp = 1e-6;
 
 TEST(Evaluate, PeerImageErrorsByHand) {
     const MetricRow row = evaluate(kRendered, kReal);
-    const double e0 = double(10.02f) - 10.0, e1 = 20.0 - kClamp, e2 = 5.0 - kClamp;   // pixel 1 counts as dropped: p >= 0.4
+    // pixel 1 counts as dropped: p >= 0.4
+    const double e0 = double(10.02f) - 10.0, e1 = 20.0 - kClamp, e2 = 5.0 - kClamp;
     const double mse = (e0 * e0 + e1 * e1 + e2 * e2) / 3.0;
     EXPECT_NEAR(row.at("peer/depth_rmse_m"), std::sqrt(mse), 1e-12);
     EXPECT_NEAR(row.at("peer/depth_mae_m"), (e0 + e1 + e2) / 3.0, 1e-12);
@@ -49,7 +53,7 @@ TEST(Evaluate, PeerImageErrorsByHand) {
     EXPECT_NEAR(row.at("peer/intensity_mae"), (i0 + i1 + i2) / 3.0, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_medae"), 0.25, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), -10.0 * std::log10(intensity_mse), 1e-12);
-    EXPECT_FALSE(row.contains("peer/depth_ssim"));   // one row is less than a window
+    EXPECT_FALSE(row.contains("peer/depth_ssim"));  // one row is less than a window
 }
 
 TEST(Evaluate, PeerCloudByHand) {
@@ -59,7 +63,7 @@ TEST(Evaluate, PeerCloudByHand) {
     const double to_real = (near * near + (100.0 + 25.0)) / 2.0;
     const double to_rendered = (near * near + (400.0 + 25.0)) / 2.0;
     EXPECT_NEAR(row.at("peer/cd_sq_m2"), to_real + to_rendered, 1e-9);
-    EXPECT_NEAR(row.at("peer/f_score"), 0.5, 1e-12);   // precision and recall 1/2
+    EXPECT_NEAR(row.at("peer/f_score"), 0.5, 1e-12);  // precision and recall 1/2
 }
 
 TEST(Evaluate, StrictByHand) {
@@ -88,7 +92,8 @@ TEST(Evaluate, StrictByHand) {
 TEST(Evaluate, PointsMayHaveOtherRangesThanTheImage) {
     RangeImage points = kRendered;
     points.range_m = kReal.range_m;
-    std::vector<MetricRow> rows = evaluate_all({{&kRendered, &kReal, {}, points.range_m}, {&kRendered, &kReal, {}}});
+    std::vector<MetricRow> rows =
+        evaluate_all({{&kRendered, &kReal, {}, points.range_m}, {&kRendered, &kReal, {}}});
     EXPECT_EQ(rows[0].at("points/depth_rmse_m"), 0.0);
     EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate_points(points, kReal).at("points/cd_mean_m"));
     EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate(points, kReal).at("strict/cd_mean_m"));
@@ -98,7 +103,7 @@ TEST(Evaluate, PointsMayHaveOtherRangesThanTheImage) {
 
 TEST(Evaluate, ThresholdsOfTheFScore) {
     const RangeImage real = image_of(1, 2, {10, 10}, {0, 0}, {0, 0});
-    const RangeImage rendered = image_of(1, 2, {10.04f, 10.2f}, {0, 0}, {0, 0});   // 4 cm and 20 cm off
+    const RangeImage rendered = image_of(1, 2, {10.04f, 10.2f}, {0, 0}, {0, 0});  // 4 cm and 20 cm off
     const MetricRow row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/f_5cm"), 0.5, 1e-12);
     EXPECT_NEAR(row.at("strict/f_22cm"), 1.0, 1e-12);
@@ -107,13 +112,16 @@ TEST(Evaluate, ThresholdsOfTheFScore) {
 
 TEST(Evaluate, DropsByHand) {
     const RangeImage real = image_of(1, 5, {1, 0, 0, 1, 0}, {0, 0, 0, 0, 0}, {0, 1, 1, 0, 1});
-    const RangeImage rendered = image_of(1, 5, {1, 1, 1, 1, 0}, {0, 0, 0, 0, 0}, {0.2f, 0.9f, 0.3f, 0.5f, 0.1f});
-    const MetricRow row = evaluate(rendered, real);   // rendered drops 1, 3 (p = 0.5 is a drop), 4 (no range)
+    const RangeImage rendered =
+        image_of(1, 5, {1, 1, 1, 1, 0}, {0, 0, 0, 0, 0}, {0.2f, 0.9f, 0.3f, 0.5f, 0.1f});
+    // rendered drops 1, 3 (p = 0.5 is a drop), 4 (no range)
+    const MetricRow row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/drop_accuracy"), 3.0 / 5.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_f1"), 2.0 / 3.0, 1e-12);
-    // 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1, as the probabilities are: where there is no range, too
+    // 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1, as the probabilities are: where there
+    // is no range, too
     EXPECT_NEAR(row.at("strict/drop_rmse"), std::sqrt((0.04 + 0.01 + 0.49 + 0.25 + 0.81) / 5.0), 1e-7);
 }
 
@@ -147,27 +155,32 @@ RangeImage random_image(int rows, int columns, unsigned seed) {
 TEST(Evaluate, IdenticalImagesArePerfect) {
     const RangeImage image = random_image(16, 40, 7);
     const MetricRow row = evaluate(image, image);
-    for (const char* name : {"peer/depth_rmse_m", "peer/depth_mae_m", "peer/depth_medae_m", "peer/intensity_rmse", "peer/cd_sq_m2",
-                             "strict/depth_rmse_m", "strict/intensity_rmse", "strict/cd_mean_m", "strict/cd_sq_m2", "strict/drop_rmse"})
+    for (const char* name :
+         {"peer/depth_rmse_m", "peer/depth_mae_m", "peer/depth_medae_m", "peer/intensity_rmse",
+          "peer/cd_sq_m2", "strict/depth_rmse_m", "strict/intensity_rmse", "strict/cd_mean_m",
+          "strict/cd_sq_m2", "strict/drop_rmse"})
         EXPECT_EQ(row.at(name), 0.0) << name;
-    for (const char* name : {"peer/depth_ssim", "peer/intensity_ssim", "peer/f_score", "strict/f_5cm", "strict/f_22cm",
-                             "strict/drop_accuracy", "strict/drop_precision", "strict/drop_recall", "strict/drop_f1"})
+    for (const char* name :
+         {"peer/depth_ssim", "peer/intensity_ssim", "peer/f_score", "strict/f_5cm", "strict/f_22cm",
+          "strict/drop_accuracy", "strict/drop_precision", "strict/drop_recall", "strict/drop_f1"})
         EXPECT_NEAR(row.at(name), 1.0, 1e-12) << name;
-    EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);   // capped, not infinite
+    // capped, not infinite
+    EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    EXPECT_EQ(row.size(), 37u);   // peer 12, strict 25; no LPIPS without weights
+    EXPECT_EQ(row.size(), 37u);  // peer 12, strict 25; no LPIPS without weights
 }
 
 TEST(Evaluate, LeavesOutWhatIsNotDefined) {
     const std::vector<float> zero(1, 0.0f), one(1, 1.0f);
     const RangeImage dropped = image_of(1, 1, zero, zero, one), returned = image_of(1, 1, one, one, zero);
     const MetricRow nothing = evaluate(dropped, dropped);
-    for (const char* name : {"strict/depth_rmse_m", "strict/cd_mean_m", "strict/f_5cm", "peer/cd_sq_m2", "peer/f_score"})
+    for (const char* name :
+         {"strict/depth_rmse_m", "strict/cd_mean_m", "strict/f_5cm", "peer/cd_sq_m2", "peer/f_score"})
         EXPECT_FALSE(nothing.contains(name)) << name;
     EXPECT_EQ(nothing.at("strict/drop_f1"), 1.0);
     const MetricRow missed = evaluate(dropped, returned);
     EXPECT_FALSE(missed.contains("strict/cd_mean_m"));
-    EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);   // all points missed is the worst score, not none
+    EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);  // all points missed is the worst score, not none
     for (const auto& [name, value] : missed) EXPECT_TRUE(std::isfinite(value)) << name;
 }
 

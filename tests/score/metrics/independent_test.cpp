@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// All metrics of a seeded pair of images against an independent script, ../shared/bench/evaluate.py, run here. Skipped where
-// RELIDAR_SHARED (default: ../shared beside the repository) does not hold it or Python lacks numpy or scipy.
+// All metrics of a seeded pair of images against an independent script,
+// ../shared/bench/evaluate.py, run here. Skipped where RELIDAR_SHARED (default: ../shared
+// beside the repository) does not hold it or Python lacks numpy or scipy.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -30,7 +31,8 @@ struct Pair {
     std::vector<float> moving;
 };
 
-/// Correlated images on random directions; ranges reach beyond 80 m, intensities beyond 1.
+/// Correlated images on random directions; ranges reach beyond 80 m, intensities beyond
+/// 1.
 Pair random_pair() {
     std::mt19937 random(20261120);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
@@ -44,10 +46,13 @@ Pair random_pair() {
         pair.real.range_m.push_back(dropped ? 0.0f : range);
         pair.real.intensity.push_back(dropped ? 0.0f : intensity);
         pair.real.drop_prob.push_back(dropped ? 1.0f : 0.0f);
-        pair.rendered.range_m.push_back(std::abs(range + (unit(random) < 0.1f ? 5.0f : 0.05f) * normal(random)) + 1e-3f);
+        pair.rendered.range_m.push_back(
+            std::abs(range + (unit(random) < 0.1f ? 5.0f : 0.05f) * normal(random)) + 1e-3f);
         pair.rendered.intensity.push_back(intensity + 0.1f * normal(random));
-        pair.rendered.drop_prob.push_back(dropped == (unit(random) < 0.9f) ? 0.3f + 0.7f * unit(random) : 0.6f * unit(random));
-        pair.real.direction.push_back(glm::normalize(glm::vec3(normal(random), normal(random), 0.1f * normal(random))));
+        pair.rendered.drop_prob.push_back(dropped == (unit(random) < 0.9f) ? 0.3f + 0.7f * unit(random)
+                                                                           : 0.6f * unit(random));
+        pair.real.direction.push_back(
+            glm::normalize(glm::vec3(normal(random), normal(random), 0.1f * normal(random))));
         pair.real.origin.emplace_back(0.0f);
         pair.moving.push_back(unit(random) < 0.05f ? 1.0f : 0.0f);
     }
@@ -75,16 +80,18 @@ std::map<std::string, double> independent_scores(const fs::path& bench, const Pa
     const auto image = [](const char* name, const std::vector<float>& v) {
         return make_array(name, {kRows, kColumns}, v.data(), v.size());
     };
-    write_npz(
-        folder / "pair.npz",
-        {image("range", pair.rendered.range_m), image("intensity", pair.rendered.intensity), image("drop_prob", pair.rendered.drop_prob),
-         image("real_range", pair.real.range_m), image("real_intensity", pair.real.intensity), image("real_drop", pair.real.drop_prob),
-         image("moving", pair.moving), make_array("direction", {kRows, kColumns, 3}, &pair.real.direction[0].x, 3 * kPixels)});
+    write_npz(folder / "pair.npz",
+              {image("range", pair.rendered.range_m), image("intensity", pair.rendered.intensity),
+               image("drop_prob", pair.rendered.drop_prob), image("real_range", pair.real.range_m),
+               image("real_intensity", pair.real.intensity), image("real_drop", pair.real.drop_prob),
+               image("moving", pair.moving),
+               make_array("direction", {kRows, kColumns, 3}, &pair.real.direction[0].x, 3 * kPixels)});
     write_text(folder / "score.py", kScript);
     std::map<std::string, double> scores;
     for (const char* python : {"python3", "/usr/bin/python3"}) {
-        const std::string command = fmt::format("{} '{}' '{}' '{}' >'{}' 2>/dev/null", python, (folder / "score.py").string(),
-                                                bench.string(), (folder / "pair.npz").string(), (folder / "scores.txt").string());
+        const std::string command =
+            fmt::format("{} '{}' '{}' '{}' >'{}' 2>/dev/null", python, (folder / "score.py").string(),
+                        bench.string(), (folder / "pair.npz").string(), (folder / "scores.txt").string());
         if (std::system(command.c_str()) != 0) continue;
         std::ifstream file(folder / "scores.txt");
         std::string name;
@@ -97,38 +104,49 @@ std::map<std::string, double> independent_scores(const fs::path& bench, const Pa
 
 TEST(Metrics, AgreeWithAnIndependentScript) {
     const char* shared = std::getenv("RELIDAR_SHARED");
-    const fs::path bench = (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "bench";
-    if (!fs::exists(bench / "evaluate.py")) GTEST_SKIP() << (bench / "evaluate.py") << " is not there; RELIDAR_SHARED names another folder";
+    const fs::path bench =
+        (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "bench";
+    if (!fs::exists(bench / "evaluate.py"))
+        GTEST_SKIP() << (bench / "evaluate.py") << " is not there; RELIDAR_SHARED names another folder";
     const Pair pair = random_pair();
     const std::map<std::string, double> expected = independent_scores(bench, pair);
     if (expected.empty()) GTEST_SKIP() << "no python3 with numpy and scipy";
     const std::vector<bool> moving(pair.moving.begin(), pair.moving.end());
-    const MetricRow found = evaluate_all({{&pair.rendered, &pair.real, standard_regions(pair.real, moving)}}).front();
-    std::vector<std::pair<std::string, std::string>> names = {{"0.4:cd_sq", "peer/cd_sq_m2"},
-                                                              {"0.4:F22", "peer/f_score"},
-                                                              {"0.5:cd_mean", "strict/cd_mean_m"},
-                                                              {"0.5:cd_sq", "strict/cd_sq_m2"},
-                                                              {"0.5:F5", "strict/f_5cm"},
-                                                              {"0.5:F22", "strict/f_22cm"},
-                                                              {"0.5:drop_acc", "strict/drop_accuracy"},
-                                                              {"0.5:drop_f1", "strict/drop_f1"},
-                                                              {"0.4:n_dyn", "moving_boxes/pixels"},
-                                                              {"0.4:a_depth_psnr", "peer/depth_psnr_db"},
-                                                              {"0.4:a_int_psnr", "peer/intensity_psnr_db"},
-                                                              {"0.5:a_depth_psnr", "strict/image_depth_psnr_db"}};
+    const MetricRow found =
+        evaluate_all({{&pair.rendered, &pair.real, standard_regions(pair.real, moving)}}).front();
+    std::vector<std::pair<std::string, std::string>> names = {
+        {"0.4:cd_sq", "peer/cd_sq_m2"},
+        {"0.4:F22", "peer/f_score"},
+        {"0.5:cd_mean", "strict/cd_mean_m"},
+        {"0.5:cd_sq", "strict/cd_sq_m2"},
+        {"0.5:F5", "strict/f_5cm"},
+        {"0.5:F22", "strict/f_22cm"},
+        {"0.5:drop_acc", "strict/drop_accuracy"},
+        {"0.5:drop_f1", "strict/drop_f1"},
+        {"0.4:n_dyn", "moving_boxes/pixels"},
+        {"0.4:a_depth_psnr", "peer/depth_psnr_db"},
+        {"0.4:a_int_psnr", "peer/intensity_psnr_db"},
+        {"0.5:a_depth_psnr", "strict/image_depth_psnr_db"}};
     for (const char* error : {"rmse", "mae", "medae"}) {
-        for (const auto& [theirs, ours] :
-             {std::pair("0.4:a", "peer/"), {"0.5:a", "strict/image_"}, {"0.5:c", "strict/"}, {"0.4:b", "all/"}}) {
-            names.emplace_back(fmt::format("{}_depth_{}", theirs, error), fmt::format("{}depth_{}_m", ours, error));
-            names.emplace_back(fmt::format("{}_int_{}", theirs, error), fmt::format("{}intensity_{}", ours, error));
+        for (const auto& [theirs, ours] : {std::pair("0.4:a", "peer/"),
+                                           {"0.5:a", "strict/image_"},
+                                           {"0.5:c", "strict/"},
+                                           {"0.4:b", "all/"}}) {
+            names.emplace_back(fmt::format("{}_depth_{}", theirs, error),
+                               fmt::format("{}depth_{}_m", ours, error));
+            names.emplace_back(fmt::format("{}_int_{}", theirs, error),
+                               fmt::format("{}intensity_{}", ours, error));
         }
-        names.emplace_back(fmt::format("0.4:dyn_depth_{}", error), fmt::format("moving_boxes/depth_{}_m", error));
-        names.emplace_back(fmt::format("0.4:static_depth_{}", error), fmt::format("static/depth_{}_m", error));
+        names.emplace_back(fmt::format("0.4:dyn_depth_{}", error),
+                           fmt::format("moving_boxes/depth_{}_m", error));
+        names.emplace_back(fmt::format("0.4:static_depth_{}", error),
+                           fmt::format("static/depth_{}_m", error));
     }
     for (const auto& [theirs, ours] : names) {
         ASSERT_TRUE(expected.contains(theirs)) << theirs;
         ASSERT_TRUE(found.contains(ours)) << ours;
-        EXPECT_NEAR(found.at(ours), expected.at(theirs), 1e-6 * (1.0 + std::abs(expected.at(theirs)))) << theirs << " " << ours;
+        EXPECT_NEAR(found.at(ours), expected.at(theirs), 1e-6 * (1.0 + std::abs(expected.at(theirs))))
+            << theirs << " " << ours;
     }
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// LPIPS against a network evaluated by direct loops in double precision with random weights, and against the published values with
-// the real ones (../shared/data/lpips; skipped where RELIDAR_SHARED does not hold them).
+// LPIPS against a network evaluated by direct loops in double precision with random
+// weights, and against the published values with the real ones (../shared/data/lpips;
+// skipped where RELIDAR_SHARED does not hold them).
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -17,7 +18,8 @@
 namespace relidar {
 namespace {
 
-constexpr int kOut[5] = {64, 192, 384, 256, 256}, kIn[5] = {3, 64, 192, 384, 256}, kEdge[5] = {11, 5, 3, 3, 3};
+constexpr int kOut[5] = {64, 192, 384, 256, 256}, kIn[5] = {3, 64, 192, 384, 256},
+              kEdge[5] = {11, 5, 3, 3, 3};
 
 std::vector<float> random_values(std::size_t n, float low, float high, unsigned seed) {
     std::mt19937 random(seed);
@@ -31,7 +33,8 @@ LpipsWeights random_weights() {
     LpipsWeights weights;
     for (unsigned l = 0; l < 5; ++l) {
         const int fan_in = kIn[l] * kEdge[l] * kEdge[l];
-        const float bound = std::sqrt(6.0f / float(fan_in));   // keeps the size of the features from layer to layer
+        // keeps the size of the features from layer to layer
+        const float bound = std::sqrt(6.0f / float(fan_in));
         weights.weight[l] = random_values(std::size_t(kOut[l]) * std::size_t(fan_in), -bound, bound, 10 + l);
         weights.bias[l] = random_values(std::size_t(kOut[l]), -0.1f, 0.1f, 20 + l);
         weights.linear[l] = random_values(std::size_t(kOut[l]), 0.0f, 1.0f, 30 + l);
@@ -44,14 +47,18 @@ struct Planes {
     int channels, rows, columns;
     std::vector<double> values;
     double at(int c, int y, int x) const {
-        return values[(std::size_t(c) * std::size_t(rows) + std::size_t(y)) * std::size_t(columns) + std::size_t(x)];
+        return values[(std::size_t(c) * std::size_t(rows) + std::size_t(y)) * std::size_t(columns) +
+                      std::size_t(x)];
     }
 };
 
 /// Convolution with zero padding, then ReLU, as its definition says.
 Planes convolve(const Planes& in, const LpipsWeights& w, int layer, int stride, int padding) {
     const int edge = kEdge[layer];
-    Planes out{kOut[layer], (in.rows + 2 * padding - edge) / stride + 1, (in.columns + 2 * padding - edge) / stride + 1, {}};
+    Planes out{kOut[layer],
+               (in.rows + 2 * padding - edge) / stride + 1,
+               (in.columns + 2 * padding - edge) / stride + 1,
+               {}};
     for (int o = 0; o < out.channels; ++o)
         for (int y = 0; y < out.rows; ++y)
             for (int x = 0; x < out.columns; ++x) {
@@ -61,8 +68,10 @@ Planes convolve(const Planes& in, const LpipsWeights& w, int layer, int stride, 
                         for (int j = 0; j < edge; ++j) {
                             const int v = y * stride + i - padding, u = x * stride + j - padding;
                             if (v < 0 || u < 0 || v >= in.rows || u >= in.columns) continue;
-                            sum += double(w.weight[std::size_t(layer)][std::size_t(((o * in.channels + c) * edge + i) * edge + j)]) *
-                                   in.at(c, v, u);
+                            sum +=
+                                double(w.weight[std::size_t(layer)]
+                                               [std::size_t(((o * in.channels + c) * edge + i) * edge + j)]) *
+                                in.at(c, v, u);
                         }
                 out.values.push_back(std::max(sum, 0.0));
             }
@@ -81,7 +90,8 @@ Planes pool(const Planes& in) {
     return out;
 }
 
-std::vector<Planes> reference_features(const std::vector<float>& image, int rows, int columns, const LpipsWeights& w) {
+std::vector<Planes> reference_features(const std::vector<float>& image, int rows, int columns,
+                                       const LpipsWeights& w) {
     constexpr double shift[3] = {-0.030, -0.088, -0.188}, scale[3] = {0.458, 0.448, 0.450};
     Planes x{3, rows, columns, {}};
     for (std::size_t i = 0; i < image.size(); ++i) {
@@ -101,9 +111,11 @@ double reference_distance(const Planes& a, const Planes& b, const std::vector<fl
     for (int y = 0; y < a.rows; ++y)
         for (int x = 0; x < a.columns; ++x) {
             double na = 0.0, nb = 0.0;
-            for (int c = 0; c < a.channels; ++c) na += a.at(c, y, x) * a.at(c, y, x), nb += b.at(c, y, x) * b.at(c, y, x);
+            for (int c = 0; c < a.channels; ++c)
+                na += a.at(c, y, x) * a.at(c, y, x), nb += b.at(c, y, x) * b.at(c, y, x);
             for (int c = 0; c < a.channels; ++c) {
-                const double d = a.at(c, y, x) / (std::sqrt(na) + 1e-10) - b.at(c, y, x) / (std::sqrt(nb) + 1e-10);
+                const double d =
+                    a.at(c, y, x) / (std::sqrt(na) + 1e-10) - b.at(c, y, x) / (std::sqrt(nb) + 1e-10);
                 total += double(linear[std::size_t(c)]) * d * d;
             }
         }
@@ -116,19 +128,22 @@ TEST(LpipsNetwork, AgreesWithDirectLoops) {
     for (const auto& [rows, columns] : {std::pair(31, 31), {35, 44}}) {
         const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
         const std::vector<float> a = random_values(n, -1.0f, 1.0f, 1), b = random_values(n, -3.0f, 5.0f, 2);
-        const std::vector<Planes> fa = reference_features(a, rows, columns, weights), fb = reference_features(b, rows, columns, weights);
+        const std::vector<Planes> fa = reference_features(a, rows, columns, weights),
+                                  fb = reference_features(b, rows, columns, weights);
         const std::array<double, 5> found = lpips.by_layer(a, b, rows, columns);
         for (std::size_t l = 0; l < 5; ++l) {
             const double expected = reference_distance(fa[l], fb[l], weights.linear[l]);
             EXPECT_GT(expected, 0.0);
-            EXPECT_NEAR(found[l], expected, 2e-5 * expected) << "layer " << l << " of " << rows << " x " << columns;
+            EXPECT_NEAR(found[l], expected, 2e-5 * expected)
+                << "layer " << l << " of " << rows << " x " << columns;
         }
     }
 }
 
 TEST(LpipsNetwork, OneChannelIsRepeatedAndNotClamped) {
     const Lpips lpips(random_weights());
-    const std::vector<float> metres = random_values(31 * 40, 0.0f, 80.0f, 3), other = random_values(31 * 40, 0.0f, 80.0f, 4);
+    const std::vector<float> metres = random_values(31 * 40, 0.0f, 80.0f, 3),
+                             other = random_values(31 * 40, 0.0f, 80.0f, 4);
     const auto colours = [](const std::vector<float>& image) {
         std::vector<float> repeated;
         for (int colour = 0; colour < 3; ++colour)
@@ -154,18 +169,23 @@ TEST(LpipsNetwork, RefusesWrongSizes) {
     refused([](LpipsWeights& w) { w.linear[4].clear(); });
     refused([](LpipsWeights& w) { w.weight[1][7] = std::numeric_limits<float>::quiet_NaN(); });
     const Lpips lpips(good);
-    EXPECT_THROW(lpips.by_layer(std::vector<float>(3 * 30 * 40), std::vector<float>(3 * 30 * 40), 30, 40), DataError);
-    EXPECT_THROW(lpips.by_layer(std::vector<float>(3 * 31 * 40), std::vector<float>(3 * 31 * 39), 31, 40), DataError);
+    EXPECT_THROW(lpips.by_layer(std::vector<float>(3 * 30 * 40), std::vector<float>(3 * 30 * 40), 30, 40),
+                 DataError);
+    EXPECT_THROW(lpips.by_layer(std::vector<float>(3 * 31 * 40), std::vector<float>(3 * 31 * 39), 31, 40),
+                 DataError);
 }
 
-/// expected.json of the shared folder: image a = sin(0.1 x + 0.05 y), cos(0.07 x - 0.03 y), sin(0.11 (x + y)), b likewise, 64 x 96,
-/// by the published code with single-precision weights; ours are rounded to half precision, 2^-11 of each.
+/// expected.json of the shared folder: image a = sin(0.1 x + 0.05 y), cos(0.07 x - 0.03
+/// y), sin(0.11 (x + y)), b likewise, 64 x 96, by the published code with
+/// single-precision weights; ours are rounded to half precision, 2^-11 of each.
 TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
     const char* shared = std::getenv("RELIDAR_SHARED");
     const std::filesystem::path folder =
-        shared ? std::filesystem::path(shared) : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
+        shared ? std::filesystem::path(shared)
+               : std::filesystem::path(RELIDAR_SOURCE_DIR).parent_path() / "shared";
     const std::filesystem::path file = folder / "data" / "lpips" / "lpips_alex_v0.1_f16.safetensors";
-    if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
+    if (!std::filesystem::exists(file))
+        GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
     constexpr int n_rows = 64, n_columns = 96;
     const auto image = [](double y0, double y1, double k2) {
         std::vector<float> values;
@@ -178,8 +198,10 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
         return values;
     };
     const std::array<double, 5> found =
-        Lpips(read_lpips_weights(file)).by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows, n_columns);
-    const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695, 0.02966426871716976, 0.01576225645840168};
+        Lpips(read_lpips_weights(file))
+            .by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows, n_columns);
+    const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695,
+                                0.02966426871716976, 0.01576225645840168};
     double sum = 0.0;
     for (std::size_t l = 0; l < 5; ++l) {
         EXPECT_NEAR(found[l], expected[l], 0x1p-11 * expected[l]) << "layer " << l;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Nearest neighbours against brute force, on clouds that are random, clustered, planar and far from the origin.
+// Nearest neighbours against brute force, on clouds that are random, clustered, planar
+// and far from the origin.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -18,7 +19,8 @@ using Points = std::vector<glm::dvec3>;
 std::vector<double> brute_force(const Points& query, const Points& target) {
     std::vector<double> distance(query.size(), std::numeric_limits<double>::infinity());
     for (std::size_t i = 0; i < query.size(); ++i)
-        for (const glm::dvec3& point : target) distance[i] = std::min(distance[i], glm::distance(query[i], point));
+        for (const glm::dvec3& point : target)
+            distance[i] = std::min(distance[i], glm::distance(query[i], point));
     return distance;
 }
 
@@ -26,23 +28,29 @@ Points random_points(int n, glm::dvec3 centre, glm::dvec3 extent, unsigned seed)
     std::mt19937 random(seed);
     std::normal_distribution<double> normal;
     Points points;
-    for (int i = 0; i < n; ++i) points.push_back(centre + extent * glm::dvec3(normal(random), normal(random), normal(random)));
+    for (int i = 0; i < n; ++i)
+        points.push_back(centre + extent * glm::dvec3(normal(random), normal(random), normal(random)));
     return points;
 }
 
 void expect_exact(const Points& query, const Points& target) {
     const std::vector<double> found = nearest_distances(query, target), expected = brute_force(query, target);
     ASSERT_EQ(found.size(), expected.size());
-    for (std::size_t i = 0; i < found.size(); ++i) ASSERT_NEAR(found[i], expected[i], 1e-12 * (1.0 + expected[i])) << i;
+    for (std::size_t i = 0; i < found.size(); ++i)
+        ASSERT_NEAR(found[i], expected[i], 1e-12 * (1.0 + expected[i])) << i;
 }
 
 TEST(NearestDistances, AgreeWithBruteForce) {
     const glm::dvec3 origin(0.0), wide(30.0, 30.0, 2.0);
     expect_exact(random_points(500, origin, wide, 1), random_points(700, origin, wide, 2));
     expect_exact(random_points(300, origin, wide, 3), random_points(1, origin, wide, 4));
-    expect_exact(random_points(300, origin, wide, 5), random_points(400, origin, {30.0, 0.0, 0.0}, 6));          // a line
-    expect_exact(random_points(300, {4e5, 5e6, 100.0}, wide, 7), random_points(400, {4e5, 5e6, 100.0}, wide, 8));   // a map grid
-    expect_exact(random_points(300, origin, wide, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));                   // all equal
+    // a line
+    expect_exact(random_points(300, origin, wide, 5), random_points(400, origin, {30.0, 0.0, 0.0}, 6));
+    // a map grid
+    expect_exact(random_points(300, {4e5, 5e6, 100.0}, wide, 7),
+                 random_points(400, {4e5, 5e6, 100.0}, wide, 8));
+    // all equal
+    expect_exact(random_points(300, origin, wide, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));
 }
 
 TEST(NearestDistances, AgreeOnManyThreads) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The baseline of neighbouring scans: points where the poses put them, boxes that move, rays that get their own points back; and
-// the regions metrics are given for.
+// The baseline of neighbouring scans: points where the poses put them, boxes that move,
+// rays that get their own points back; and the regions metrics are given for.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -15,7 +15,9 @@
 namespace relidar {
 namespace {
 
-Pose turned(double yaw_rad, glm::dvec3 translation) { return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation}; }
+Pose turned(double yaw_rad, glm::dvec3 translation) {
+    return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation};
+}
 
 /// A frame whose returns are these points, all fired at one time offset.
 Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
@@ -33,12 +35,14 @@ Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, f
     return frame;
 }
 
-/// Five sweeps, 0.1 s apart, of a sensor that drives and turns; sweep 2 is in question. Each sees one point.
+/// Five sweeps, 0.1 s apart, of a sensor that drives and turns; sweep 2 is in question.
+/// Each sees one point.
 Sequence drive(bool rolling_shutter) {
     Sequence s;
     s.rolling_shutter = rolling_shutter;
     for (int i = 0; i < 5; ++i) {
-        s.frames.push_back(frame_of(i, 0.1 * i, {{10.0f + float(i), 2.0f, 1.0f}}, rolling_shutter ? 0.01f : 0.0f));
+        s.frames.push_back(
+            frame_of(i, 0.1 * i, {{10.0f + float(i), 2.0f, 1.0f}}, rolling_shutter ? 0.01f : 0.0f));
         s.world_from_vehicle.time_s.push_back(0.1 * i);
         s.world_from_vehicle.pose.push_back(turned(0.05 * i, {1.5 * i, 0.1 * i, 0.0}));
     }
@@ -47,21 +51,22 @@ Sequence drive(bool rolling_shutter) {
 
 TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     const Sequence s = drive(false);
-    const Scan points = neighbour_points(s, 2, {0, 1, 4}, BoxMotion::stay);   // 3 is held out too
+    const Scan points = neighbour_points(s, 2, {0, 1, 4}, BoxMotion::stay);  // 3 is held out too
     ASSERT_EQ(points.range_m.size(), 2u);
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
         const auto f = std::size_t(frames[k]);
-        const glm::dvec3 expected =
-            inverse(s.world_from_vehicle.pose[2]) * (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.point(0)));
+        const glm::dvec3 expected = inverse(s.world_from_vehicle.pose[2]) *
+                                    (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.point(0)));
         EXPECT_LT(glm::distance(glm::dvec3(points.point(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
-    EXPECT_EQ(neighbour_points(s, 4, {0, 1}, BoxMotion::stay).range_m.size(), 1u);   // nothing comes after
+    EXPECT_EQ(neighbour_points(s, 4, {0, 1}, BoxMotion::stay).range_m.size(), 1u);  // nothing comes after
     EXPECT_THROW((void)neighbour_points(s, 2, {}, BoxMotion::stay), DataError);
 }
 
-/// With a rolling shutter a point is fired from and seen from where the sensor is on its way.
+/// With a rolling shutter a point is fired from and seen from where the sensor is on its
+/// way.
 TEST(Neighbours, FollowTheRollingShutter) {
     const Sequence s = drive(true);
     const Scan points = neighbour_points(s, 2, {1, 3}, BoxMotion::stay);
@@ -71,8 +76,10 @@ TEST(Neighbours, FollowTheRollingShutter) {
         const glm::dvec3 world = s.world_from_vehicle.at(from.time_s + 0.01) * glm::dvec3(from.scan.point(0));
         const glm::dvec3 seen(points.point(k));
         // a clockwise head
-        const double azimuth = std::atan2(seen.y, seen.x), t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
-        EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);   // azimuth moves while the head gets there
+        const double azimuth = std::atan2(seen.y, seen.x),
+                     t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
+        // azimuth moves while the head gets there
+        EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);
         EXPECT_GT(glm::distance(s.world_from_vehicle.at(0.2) * seen, world), 0.01);
     }
 }
@@ -80,7 +87,8 @@ TEST(Neighbours, FollowTheRollingShutter) {
 TEST(Neighbours, MoveWithTheirBoxes) {
     Sequence s = drive(false);
     for (Pose& pose : s.world_from_vehicle.pose) pose = {};
-    BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};   // drives 1 m a frame; the points of frames 1 and 3 lie in it
+    // drives 1 m a frame; the points of frames 1 and 3 lie in it
+    BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
         box.world_from_box.pose.push_back(turned(0.1 * i, {9.5 + i, 2.0, 1.0}));
@@ -93,10 +101,11 @@ TEST(Neighbours, MoveWithTheirBoxes) {
         const std::size_t f = k == 0 ? 1 : 3;
         const glm::dvec3 world(s.frames[f].scan.point(0));
         EXPECT_LT(glm::distance(glm::dvec3(still.point(k)), world), 1e-5);
-        const glm::dvec3 expected = box.world_from_box.pose[2] * (inverse(box.world_from_box.pose[f]) * world);
+        const glm::dvec3 expected =
+            box.world_from_box.pose[2] * (inverse(box.world_from_box.pose[f]) * world);
         EXPECT_LT(glm::distance(glm::dvec3(moved.point(k)), expected), 1e-5);
     }
-    s.boxes[0].world_from_box.time_s.resize(2);   // the box is gone in sweep 2
+    s.boxes[0].world_from_box.time_s.resize(2);  // the box is gone in sweep 2
     s.boxes[0].world_from_box.pose.resize(2);
     EXPECT_EQ(neighbour_points(s, 2, {1, 3}, BoxMotion::follow).range_m.size(), 1u);
 }
@@ -115,7 +124,8 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
     std::uniform_real_distribution<float> uniform(2.0f, 80.0f);
     const RayTable rays = make_rays(uneven_sensor());
     Scan points{rays, {}, {}};
-    for (std::size_t i = 0; i < rays.size(); ++i) points.range_m.push_back(uniform(random)), points.intensity.push_back(uniform(random));
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        points.range_m.push_back(uniform(random)), points.intensity.push_back(uniform(random));
     const Scan scan = bin_onto_rays(rays, points);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;
@@ -130,17 +140,20 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
         const double e = elevation_deg * kPi / 180.0;
         return glm::vec3(std::cos(e), 0.0, std::sin(e));
     };
-    Scan points{{1, 5, ScanArray<glm::vec3>(5), {}, {}, {}}, {20.0f, 10.0f, 30.0f, 1000.0f, 1000.0f}, {0.2f, 0.1f, 0.3f, 0.4f, 0.5f}};
+    Scan points{{1, 5, ScanArray<glm::vec3>(5), {}, {}, {}},
+                {20.0f, 10.0f, 30.0f, 1000.0f, 1000.0f},
+                {0.2f, 0.1f, 0.3f, 0.4f, 0.5f}};
     points.rays.origin = {rays.origin[ray], rays.origin[ray], rays.origin[ray], {}, {}};
-    points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4), at(-12.8)};
+    points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4),
+                             at(-12.8)};
     const Scan scan = bin_onto_rays(rays, points);
-    EXPECT_EQ(scan.count_returns(), 1u);   // 5.4 and -12.8 degrees: beyond half the way to the next beam
+    EXPECT_EQ(scan.count_returns(), 1u);  // 5.4 and -12.8 degrees: beyond half the way to the next beam
     EXPECT_NEAR(scan.range_m[ray], 10.0, 1e-5);
     EXPECT_EQ(scan.intensity[ray], 0.1f);
     points.rays.direction[3] = at(5.1);
     points.rays.direction[4] = at(-12.2);
     EXPECT_EQ(bin_onto_rays(rays, points).count_returns(), 3u);
-    EXPECT_THROW((void)bin_onto_rays(points.rays, points), DataError);   // no image order
+    EXPECT_THROW((void)bin_onto_rays(points.rays, points), DataError);  // no image order
 }
 
 RangeImage image_of(std::vector<float> range_m, std::vector<float> drop_prob) {
@@ -155,17 +168,19 @@ RangeImage image_of(std::vector<float> range_m, std::vector<float> drop_prob) {
 }
 
 TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
-    const RangeImage real = image_of({10, 20, 30, 0, 50}, {0, 0, 0, 1, 0}), rendered = image_of({11, 20, 33, 7, 50}, {0, 0.9f, 0.6f, 0, 0});
-    const MetricRow row = evaluate_regions(rendered, real, standard_regions(real, {true, false, true, true, false}));
-    EXPECT_EQ(row.at("moving_boxes/pixels"), 2.0);            // pixel 3 has no return
-    EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);          // pixel 2 is dropped, and scored all the same
+    const RangeImage real = image_of({10, 20, 30, 0, 50}, {0, 0, 0, 1, 0}),
+                     rendered = image_of({11, 20, 33, 7, 50}, {0, 0.9f, 0.6f, 0, 0});
+    const MetricRow row =
+        evaluate_regions(rendered, real, standard_regions(real, {true, false, true, true, false}));
+    EXPECT_EQ(row.at("moving_boxes/pixels"), 2.0);    // pixel 3 has no return
+    EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);  // pixel 2 is dropped, and scored all the same
     EXPECT_NEAR(row.at("moving_boxes/depth_medae_m"), 2.0, 1e-12);
     EXPECT_NEAR(row.at("moving_boxes/depth_rmse_m"), std::sqrt(5.0), 1e-12);
     EXPECT_EQ(row.at("moving_boxes/intensity_rmse"), 0.0);
     EXPECT_EQ(row.at("static/pixels"), 2.0);
     EXPECT_EQ(row.at("all/pixels"), 4.0);
     EXPECT_NEAR(row.at("all/depth_mae_m"), 1.0, 1e-12);
-    EXPECT_EQ(row.at("range_0_20_m/pixels"), 2.0);            // 20 m belongs to the nearer band
+    EXPECT_EQ(row.at("range_0_20_m/pixels"), 2.0);  // 20 m belongs to the nearer band
     EXPECT_EQ(row.at("range_20_40_m/pixels"), 1.0);
     EXPECT_EQ(row.at("range_40_80_m/returned"), 1.0);
     const MetricRow none = evaluate_regions(rendered, real, {{"nothing", std::vector<bool>(5)}});
@@ -175,15 +190,17 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
 
 TEST(Regions, KnowWhatMoves) {
     Sequence s = drive(true);
-    BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};   // around the point of frame 2 at the time it was fired
+    BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};  // around the point of frame 2 at the time it was fired
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
         box.world_from_box.pose.push_back(
-            {s.world_from_vehicle.at(0.21).rotation, s.world_from_vehicle.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
+            {s.world_from_vehicle.at(0.21).rotation,
+             s.world_from_vehicle.at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
     }
     s.boxes = {box};
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{true});
-    EXPECT_EQ(moving_returns(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}), std::vector<bool>{false});
+    EXPECT_EQ(moving_returns(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}),
+              std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[4]), std::vector<bool>{false});
     EXPECT_EQ(discovered_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is labelled";
     s.boxes[0].category = kDiscoveredCategory;
@@ -191,7 +208,7 @@ TEST(Regions, KnowWhatMoves) {
     EXPECT_EQ(discovered_returns(s, s.frames[4]), std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
     s.boxes[0].category = "Car";
-    s.boxes[0].n_after = 3;   // the labels end before frame 2: what discovery adds changes no score
+    s.boxes[0].n_after = 3;  // the labels end before frame 2: what discovery adds changes no score
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false});
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity against a direct evaluation of its definition, 49 pixels a window, and against closed forms.
+// Structural similarity against a direct evaluation of its definition, 49 pixels a
+// window, and against closed forms.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -22,7 +23,9 @@ double reference_ssim(const Values& a, const Values& b, int rows, int columns, d
     for (int row = 3; row < rows - 3; ++row)
         for (int column = 3; column < columns - 3; ++column, ++n_windows) {
             const int first = (row - 3) * columns + column - 3;
-            const auto at = [&](const Values& v, int k) { return v[std::size_t(first + k / 7 * columns + k % 7)]; };
+            const auto at = [&](const Values& v, int k) {
+                return v[std::size_t(first + k / 7 * columns + k % 7)];
+            };
             double ma = 0.0, mb = 0.0, va = 0.0, vb = 0.0, cov = 0.0;
             for (int k = 0; k < 49; ++k) ma += at(a, k) / 49.0, mb += at(b, k) / 49.0;
             for (int k = 0; k < 49; ++k) {
@@ -47,7 +50,8 @@ TEST(Ssim, AgreesWithTheDefinition) {
         const Values a = random_values(rows * columns, 80.0, 1);
         Values b = random_values(rows * columns, 20.0, 2);
         for (std::size_t i = 0; i < b.size(); ++i) b[i] += 0.7 * a[i];
-        EXPECT_NEAR(ssim(a, b, rows, columns, 80.0), reference_ssim(a, b, rows, columns, 80.0), 1e-12) << rows << " x " << columns;
+        EXPECT_NEAR(ssim(a, b, rows, columns, 80.0), reference_ssim(a, b, rows, columns, 80.0), 1e-12)
+            << rows << " x " << columns;
     }
 }
 
@@ -57,7 +61,7 @@ TEST(Ssim, IdenticalImagesScoreOne) {
 }
 
 TEST(Ssim, ConstantImagesHaveAClosedForm) {
-    const Values a(100, 2.0), b(100, 3.0);   // no variance: only the luminance term is left
+    const Values a(100, 2.0), b(100, 3.0);  // no variance: only the luminance term is left
     const double c1 = 1e-4 * 16.0;
     EXPECT_NEAR(ssim(a, b, 10, 10, 4.0), (12.0 + c1) / (13.0 + c1), 1e-12);
 }

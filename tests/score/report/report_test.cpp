@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The HTML report: complete, self-contained, well-formed, and safe whatever the names in it hold.
+// The HTML report: complete, self-contained, well-formed, and safe whatever the names in
+// it hold.
 #include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
 
@@ -27,16 +28,23 @@ Report some_report() {
                       {"paper", {{"peer/depth_rmse_m", 3.4671}}}};
     report.timings_ms = {{"Training step", {{"forward", 3.0}, {"backward", 9.0}}}};
     report.figures = {{"Frame 5", {{"real", colour_map({0, 1}, 1, 2, 0, 1, "turbo")}}}};
-    report.bars = {{"Errors", "Of all rays.", {"small", "large"}, {{"near", 8.0, {0.75, 0.25}}, {"far", 0.0, {0.0, 0.0}}}}};
-    report.key_metrics = {{"peer/depth_rmse_m", "Range error, m", "less is better"}, {"peer/none", "Nothing", "not there"}};
+    report.bars = {{"Errors",
+                    "Of all rays.",
+                    {"small", "large"},
+                    {{"near", 8.0, {0.75, 0.25}}, {"far", 0.0, {0.0, 0.0}}}}};
+    report.key_metrics = {{"peer/depth_rmse_m", "Range error, m", "less is better"},
+                          {"peer/none", "Nothing", "not there"}};
     return report;
 }
 
-/// The same with three points at (1.5, -2, 0.25) m, beyond what is shown, and without a number.
+/// The same with three points at (1.5, -2, 0.25) m, beyond what is shown, and without a
+/// number.
 Report report_with_view() {
     Report report = some_report();
     const float nan = std::nanf("");
-    report.views = {{"Points", {{"real", {{1.5f, -2.0f, 0.25f}, {1000, 0, 0}, {nan, 0, 0}}, {0.5f, 1, 1}, {0.02f, 0, 0}}}}};
+    report.views = {
+        {"Points",
+         {{"real", {{1.5f, -2.0f, 0.25f}, {1000, 0, 0}, {nan, 0, 0}}, {0.5f, 1, 1}, {0.02f, 0, 0}}}}};
     return report;
 }
 
@@ -92,23 +100,24 @@ std::vector<double> path_heights(const std::string& html) {
 TEST_F(ReportFile, HoldsEverything) {
     const std::string html = written(folder, some_report());
     expect_well_formed(html);
-    EXPECT_EQ(count(html, "<svg"), 2u);   // two groups of curves
+    EXPECT_EQ(count(html, "<svg"), 2u);  // two groups of curves
     EXPECT_EQ(count(html, "<path"), 3u);
-    for (const char* part : {"One paragraph.", "lavapipe", "depth_rmse_m", "3.250", "3.467", "28.00", "backward", "9.000", "75.0 %",
-                             "12.000", "Frame 5", "real"})
+    for (const char* part : {"One paragraph.", "lavapipe", "depth_rmse_m", "3.250", "3.467", "28.00",
+                             "backward", "9.000", "75.0 %", "12.000", "Frame 5", "real"})
         EXPECT_NE(html.find(part), std::string::npos) << part;
     EXPECT_NE(html.find("<td class=\"best\">3.250</td><td>3.467</td>"), std::string::npos);
     Report apart = some_report();
     apart.same_scans = false;
-    EXPECT_EQ(written(folder, apart).find("class=\"best\""), std::string::npos) << "scores of different scans are not compared";
-    EXPECT_LT(html.find("backward"), html.find("forward"));   // longest first
+    EXPECT_EQ(written(folder, apart).find("class=\"best\""), std::string::npos)
+        << "scores of different scans are not compared";
+    EXPECT_LT(html.find("backward"), html.find("forward"));  // longest first
 }
 
 TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
     const std::string html = written(folder, report_with_view());
     std::size_t before = 0;
-    for (const char* part : {"One paragraph.", "<canvas", "Frame 5", "<svg", "Errors", "Range error, m", "All metrics", "lavapipe",
-                             "backward"}) {
+    for (const char* part : {"One paragraph.", "<canvas", "Frame 5", "<svg", "Errors", "Range error, m",
+                             "All metrics", "lavapipe", "backward"}) {
         const std::size_t here = html.find(part);
         ASSERT_NE(here, std::string::npos) << part;
         EXPECT_GT(here, before) << part;
@@ -117,15 +126,17 @@ TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
     EXPECT_LT(html.find("<details>"), html.find("All metrics"));
     EXPECT_EQ(count(html, "<details>"), 3u);
     EXPECT_EQ(html.find("<details open"), std::string::npos);
-    for (const char* part : {"75.0 %", "25.0 %", "width:75.00%", "less is better"}) EXPECT_NE(html.find(part), std::string::npos) << part;
-    EXPECT_EQ(html.find("not there"), std::string::npos);   // a metric that nobody has
-    EXPECT_EQ(html.find(">far<"), std::string::npos);       // a class without a ray
+    for (const char* part : {"75.0 %", "25.0 %", "width:75.00%", "less is better"})
+        EXPECT_NE(html.find(part), std::string::npos) << part;
+    EXPECT_EQ(html.find("not there"), std::string::npos);  // a metric that nobody has
+    EXPECT_EQ(html.find(">far<"), std::string::npos);      // a class without a ray
 }
 
 TEST_F(ReportFile, PacksPointsInEightBytes) {
     const std::string html = written(folder, report_with_view());
-    // 150, -200, 25 cm as int16, intensity 128, 2 cm in steps of 4 mm; the points that cannot be shown are left out. By Python:
-    // base64.b64encode(struct.pack("<hhhBB", 150, -200, 25, 128, 5))
+    // 150, -200, 25 cm as int16, intensity 128, 2 cm in steps of 4 mm; the points that
+    // cannot be shown are left out. By Python: base64.b64encode(struct.pack("<hhhBB",
+    // 150, -200, 25, 128, 5))
     EXPECT_EQ(between(html, "data-points=\"", "\""), "lgA4/xkAgAU=");
 }
 
@@ -134,7 +145,8 @@ TEST_F(ReportFile, HoldsScriptForViewsAlone) {
     const std::string html = written(folder, report_with_view());
     EXPECT_EQ(count(html, "<script"), 1u);
     const std::string script = between(html, "<script>", "</script>");
-    for (const char* line : {"\nimport ", "\nexport ", "http"}) EXPECT_EQ(script.find(line), std::string::npos) << line;
+    for (const char* line : {"\nimport ", "\nexport ", "http"})
+        EXPECT_EQ(script.find(line), std::string::npos) << line;
     EXPECT_NE(script.find("class Camera"), std::string::npos);
 }
 
@@ -146,7 +158,7 @@ TEST_F(ReportFile, StaysBelowEightMegabytes) {
     report.views = {{"one", pair}, {"two", pair}};
     const std::string html = written(folder, report);
     EXPECT_LT(html.size(), 8'000'000u);
-    EXPECT_GT(html.size(), 4'000'000u);   // not thinned more than needed
+    EXPECT_GT(html.size(), 4'000'000u);  // not thinned more than needed
 }
 
 TEST_F(ReportFile, EscapesWhateverItIsGiven) {
@@ -180,7 +192,8 @@ TEST_F(ReportFile, EncodesPicturesAsBase64) {
     const std::size_t start = html.find("base64,") + 7, end = html.find('"', start);
     const std::vector<std::uint8_t> png = encode_png(some_report().figures[0].images[0].second);
     EXPECT_EQ(end - start, (png.size() + 2) / 3 * 4);
-    EXPECT_EQ(end - start - html.substr(start, end - start).find_last_not_of('=') - 1, (3 - png.size() % 3) % 3);
+    EXPECT_EQ(end - start - html.substr(start, end - start).find_last_not_of('=') - 1,
+              (3 - png.size() % 3) % 3);
 }
 
 TEST_F(ReportFile, LogarithmicAxisOnlyWhereAllValuesArePositive) {
@@ -188,8 +201,8 @@ TEST_F(ReportFile, LogarithmicAxisOnlyWhereAllValuesArePositive) {
     report.curves = {{"loss", {0, 1, 2}, {100, 10, 1}}};
     const std::vector<double> y = path_heights(written(folder, report));
     ASSERT_EQ(y.size(), 3u);
-    EXPECT_NEAR(y[1] - y[0], y[2] - y[1], 0.21);   // equal factors, equal steps
-    EXPECT_LT(y[0], y[2]);                         // SVG counts downwards
+    EXPECT_NEAR(y[1] - y[0], y[2] - y[1], 0.21);  // equal factors, equal steps
+    EXPECT_LT(y[0], y[2]);                        // SVG counts downwards
 
     report.curves[0].y = {100, 50, 0};
     const std::vector<double> linear = path_heights(written(folder, report));
@@ -201,9 +214,16 @@ TEST_F(ReportFile, TakesPoisonedAndLongCurves) {
     const double nan = std::nan(""), inf = std::numeric_limits<double>::infinity();
     Report report;
     ReportCurve curve{"long", {}, {}};
-    for (int i = 0; i < 30'000; ++i) curve.x.push_back(i), curve.y.push_back(i % 1000 == 7 ? nan : 1.0 + 1.0 / (1 + i));
-    report.curves = {curve, {"a", {0, 1, 2, 3}, {1, nan, inf, 2}}, {"none", {}, {}}, {"one", {5}, {5}}, {"bad", {nan}, {nan}},
-                     {"huge", {0, 1}, {1e308, -1e308}}, {"alone/flat", {1, 1}, {0, 0}}, {"empty/none", {}, {}}};
+    for (int i = 0; i < 30'000; ++i)
+        curve.x.push_back(i), curve.y.push_back(i % 1000 == 7 ? nan : 1.0 + 1.0 / (1 + i));
+    report.curves = {curve,
+                     {"a", {0, 1, 2, 3}, {1, nan, inf, 2}},
+                     {"none", {}, {}},
+                     {"one", {5}, {5}},
+                     {"bad", {nan}, {nan}},
+                     {"huge", {0, 1}, {1e308, -1e308}},
+                     {"alone/flat", {1, 1}, {0, 0}},
+                     {"empty/none", {}, {}}};
     report.metrics = {{"a", {{"x/rmse", nan}, {"x/ssim", inf}}}, {"b", {}}};
     report.timings_ms = {{"t", {{"nan", nan}, {"zero", 0.0}}}, {"none", {}}};
     const std::string html = written(folder, report);
@@ -211,7 +231,7 @@ TEST_F(ReportFile, TakesPoisonedAndLongCurves) {
     const std::string svg = html.substr(html.find("<svg"), html.rfind("</svg>") - html.find("<svg"));
     EXPECT_EQ(svg.find("nan"), std::string::npos);
     EXPECT_EQ(svg.find("inf"), std::string::npos);
-    EXPECT_LT(html.size(), 100'000u);   // long curves are thinned
+    EXPECT_LT(html.size(), 100'000u);  // long curves are thinned
 }
 
 TEST_F(ReportFile, RefusesCurvesOfUnequalLength) {

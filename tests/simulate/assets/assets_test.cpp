@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assets: what is seen of an actor, what is kept of it, its files, and that it renders elsewhere as the actor did.
+// Assets: what is seen of an actor, what is kept of it, its files, and that it renders
+// elsewhere as the actor did.
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
@@ -17,7 +18,7 @@ namespace {
 
 using testing::HasSubstr;
 
-const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};   // its rear turned to the LiDAR
+const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};  // its rear turned to the LiDAR
 
 class Sightings : public test::DeviceTest {
 protected:
@@ -33,8 +34,10 @@ TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
     ASSERT_EQ(sightings.count("7"), 1u);
     const ActorSightings& actor = sightings.at("7");
     ASSERT_GT(actor.points_m.size(), 100u);
-    for (const glm::vec3& point_m : actor.points_m) EXPECT_LT(point_m.x, -1.6f) << "at the rear, or on the rim of a side";
-    const auto on_plate = std::ranges::count_if(actor.points_m, [](const glm::vec3& p) { return std::abs(p.x + 1.95f) < 0.02f; });
+    for (const glm::vec3& point_m : actor.points_m)
+        EXPECT_LT(point_m.x, -1.6f) << "at the rear, or on the rim of a side";
+    const auto on_plate = std::ranges::count_if(
+        actor.points_m, [](const glm::vec3& p) { return std::abs(p.x + 1.95f) < 0.02f; });
     EXPECT_GT(double(on_plate), 0.8 * double(actor.points_m.size()));
     EXPECT_NEAR(actor.nearest_m, 8.05, 0.02);
     EXPECT_GT(seen(run, BoxSide::rear), 0.9);
@@ -42,7 +45,8 @@ TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
 }
 
 TEST_F(Sightings, TurnWithTheActor) {
-    const Pose across{glm::angleAxis(0.5 * kPi, glm::dvec3(0, 0, 1)), {10.0, 0.0, -0.5}};   // its left side turned to us
+    // its left side turned to us
+    const Pose across{glm::angleAxis(0.5 * kPi, glm::dvec3(0, 0, 1)), {10.0, 0.0, -0.5}};
     EXPECT_GT(seen(run_of(plates(), across), BoxSide::left), 0.9);
     EXPECT_EQ(seen(run_of(plates(), across), BoxSide::right), 0.0);
 }
@@ -68,8 +72,8 @@ TEST_F(Sightings, HeldOutFramesDoNotCount) {
 TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
     Surfels car = plates();
     const std::size_t n = car.size();
-    car.opacity_logit[3] = -7.0f;               // below 1 / 255
-    car.mean[5] = {2.3f, 0.0f, 0.0f};           // 30 cm before the box
+    car.opacity_logit[3] = -7.0f;      // below 1 / 255
+    car.mean[5] = {2.3f, 0.0f, 0.0f};  // 30 cm before the box
     const Asset asset = make_asset(run_of(car, kAhead), "7", {});
     EXPECT_EQ(asset.facts.surfels, n - 2);
     EXPECT_EQ(asset.run.scene.surfels.size(), n - 2);
@@ -80,7 +84,8 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
     ActorSightings left = from_outside(plates().mean);
     for (std::size_t i = left.points_m.size(); i-- > 0;) {
         if (left.points_m[i].y > 0.9f) continue;
-        left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i)), left.directions.erase(left.directions.begin() + std::ptrdiff_t(i));
+        left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i)),
+            left.directions.erase(left.directions.begin() + std::ptrdiff_t(i));
     }
     for (const auto& [category, is_vehicle] :
          {std::pair("Car", true), {"Pedestrian", false}, {"Cyclist", false}, {kDiscoveredCategory, true}}) {
@@ -99,7 +104,7 @@ TEST(MakeAsset, IsARunOfThatActorAlone) {
     run.scene.instances.push_back({1, "copy"});
     run.sequence.boxes.push_back(run.sequence.boxes[0]);
     run.sequence.boxes[1].id = "copy";
-    run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});   // without a model
+    run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});  // without a model
     const Asset asset = make_asset(run, "7", {});
     EXPECT_EQ(asset.facts.name, "car-7");
     EXPECT_EQ(only_track(asset.run), "car-7");
@@ -113,7 +118,8 @@ TEST(MakeAsset, IsARunOfThatActorAlone) {
 class AssetFiles : public TemporaryFolder {};
 
 TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
-    Asset asset = make_asset(run_of(plates(), kAhead), "7", from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
+    Asset asset = make_asset(run_of(plates(), kAhead), "7",
+                             from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
     asset.facts.clearance_m = 0.15;
     save_asset(asset, folder / "car-7");
     EXPECT_EQ(asset_clearance(load_run(folder / "car-7")), 0.15);
@@ -155,18 +161,23 @@ class InsertedAsset : public Sightings {};
 
 TEST_F(InsertedAsset, RendersAsTheActorItWas) {
     const relidar::Run run = run_of(plates(), kAhead);
-    const Asset asset = make_asset(run, "7", from_outside(plates().mean));   // nothing is mirrored or left out
+    // nothing is mirrored or left out
+    const Asset asset = make_asset(run, "7", from_outside(plates().mean));
     ASSERT_EQ(asset.facts.mirrored, 0u);
     const DrivingScene empty = remove_track(run.driving(), "7");
     Pose dataset_from_car = kAhead;
     dataset_from_car.translation += run.sequence.world_offset_m;
-    const DrivingScene inserted = insert_track(empty, asset.run.driving(), asset.facts.name, {dataset_from_car});
+    const DrivingScene inserted =
+        insert_track(empty, asset.run.driving(), asset.facts.name, {dataset_from_car});
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
-    const RenderedScan before = ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
-    const RenderedScan after = ScanRenderer(device(), inserted.scene, run.config, inserted.sequence).render(sensor, 0.5);
+    const RenderedScan before =
+        ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
+    const RenderedScan after =
+        ScanRenderer(device(), inserted.scene, run.config, inserted.sequence).render(sensor, 0.5);
     EXPECT_EQ(after.instance, before.instance);
     ASSERT_GT(std::ranges::count(before.instance, 1), 50);
-    for (std::size_t i = 0; i < before.weight.size(); ++i) EXPECT_NEAR(after.median_range_m[i], before.median_range_m[i], 1e-5) << i;
+    for (std::size_t i = 0; i < before.weight.size(); ++i)
+        EXPECT_NEAR(after.median_range_m[i], before.median_range_m[i], 1e-5) << i;
 }
 
 }  // namespace

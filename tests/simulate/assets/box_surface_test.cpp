@@ -10,8 +10,9 @@
 namespace relidar {
 namespace {
 
-const glm::dvec3 kSize_m(4.2, 2.4, 3.0);   // ten rows of patches a side, of which the ground hides two
-constexpr double kSide_m2 = 4.2 * 2.4, kEnd_m2 = 2.4 * 2.4, kTop_m2 = 4.2 * 2.4, kAll_m2 = 2 * kSide_m2 + 2 * kEnd_m2 + kTop_m2;
+const glm::dvec3 kSize_m(4.2, 2.4, 3.0);  // ten rows of patches a side, of which the ground hides two
+constexpr double kSide_m2 = 4.2 * 2.4, kEnd_m2 = 2.4 * 2.4, kTop_m2 = 4.2 * 2.4,
+                 kAll_m2 = 2 * kSide_m2 + 2 * kEnd_m2 + kTop_m2;
 
 /// Marks every patch that points of a plane see.
 void add_plane(BoxSurface& surface, int axis, double at_m) {
@@ -19,7 +20,8 @@ void add_plane(BoxSurface& surface, int axis, double at_m) {
         for (double b = -0.99; b < 1.0; b += 0.01) {
             const int first = (axis + 1) % 3, second = (axis + 2) % 3;
             glm::dvec3 point(0.0);
-            point[axis] = at_m, point[first] = 0.5 * a * kSize_m[first], point[second] = 0.5 * b * kSize_m[second];
+            point[axis] = at_m, point[first] = 0.5 * a * kSize_m[first],
+            point[second] = 0.5 * b * kSize_m[second];
             surface.add(point, -point);
         }
     }
@@ -29,7 +31,8 @@ TEST(BoxSurface, OfOneSideItsShareOfTheAreaIsSeen) {
     BoxSurface surface(kSize_m);
     add_plane(surface, 1, 1.2);
     EXPECT_DOUBLE_EQ(surface.seen(BoxSide::left), 1.0);
-    for (const BoxSide side : {BoxSide::front, BoxSide::rear, BoxSide::right, BoxSide::top}) EXPECT_EQ(surface.seen(side), 0.0);
+    for (const BoxSide side : {BoxSide::front, BoxSide::rear, BoxSide::right, BoxSide::top})
+        EXPECT_EQ(surface.seen(side), 0.0);
     EXPECT_NEAR(surface.seen(), kSide_m2 / kAll_m2, 1e-12);
     EXPECT_NEAR(surface.mirrored(), kSide_m2 / kAll_m2, 1e-12) << "the right side is its mirror image";
     add_plane(surface, 1, -1.2);
@@ -54,16 +57,16 @@ TEST(BoxSurface, HalfAnEndIsCompletedByItsOtherHalf) {
 
 TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
     BoxSurface surface(kSize_m);
-    surface.add({0.1, 0.4, 0.05}, {0, -1, 0});   // far inside
+    surface.add({0.1, 0.4, 0.05}, {0, -1, 0});  // far inside
     EXPECT_TRUE(surface.is_seen({0.3, 1.2, 0.15}));
     EXPECT_FALSE(surface.is_seen({0.3, -1.2, 0.15}));
 }
 
 TEST(BoxSurface, ASideIsSeenFromOutside) {
     BoxSurface surface(kSize_m);
-    surface.add({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});   // through the right window, at the left door's inside
+    surface.add({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});  // through the right window, at the left door's inside
     EXPECT_EQ(surface.seen(), 0.0);
-    surface.add({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});   // along it
+    surface.add({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // along it
     EXPECT_EQ(surface.seen(), 0.0);
     surface.add({0.3, 1.1, 0.15}, {0.8, -0.6, 0.0});
     EXPECT_TRUE(surface.is_seen({0.3, 1.1, 0.15}));
@@ -72,7 +75,8 @@ TEST(BoxSurface, ASideIsSeenFromOutside) {
 TEST(BoxSurface, WhatHasNoPlaceOnItMarksNothing) {
     constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
     BoxSurface surface(kSize_m);
-    for (const glm::dvec3& point : {glm::dvec3(0.0), glm::dvec3(0.1, 0.1, -1.5), glm::dvec3(2.1, 0.0, -1.49), glm::dvec3(kNan)}) {
+    for (const glm::dvec3& point :
+         {glm::dvec3(0.0), glm::dvec3(0.1, 0.1, -1.5), glm::dvec3(2.1, 0.0, -1.49), glm::dvec3(kNan)}) {
         surface.add(point, -point);
         EXPECT_FALSE(surface.is_seen(point));
     }
@@ -84,7 +88,8 @@ TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
     std::uniform_real_distribution<double> share(-0.5, 0.5);
     for (const glm::dvec3& size_m : {glm::dvec3(0.3, 0.2, 1.7), glm::dvec3(12.0, 2.55, 3.8), kSize_m}) {
         for (int i = 0; i < 1000; ++i) {
-            const glm::dvec3 here = size_m * glm::dvec3(share(random), share(random), share(random)), there(here.x, -here.y, here.z);
+            const glm::dvec3 here = size_m * glm::dvec3(share(random), share(random), share(random)),
+                             there(here.x, -here.y, here.z);
             BoxSurface surface(size_m);
             surface.add(here, -here);
             const bool counts = surface.is_seen(here);

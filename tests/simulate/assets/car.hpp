@@ -11,10 +11,13 @@ namespace relidar {
 
 inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
 
-/// A set of that many surfels with means in a box, each anywhere, turned anyhow, of any size and direction-dependent brightness.
+/// A set of that many surfels with means in a box, each anywhere, turned anyhow, of any
+/// size and direction-dependent brightness.
 inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::vec3& high_m, unsigned seed) {
     std::mt19937 random(seed);
-    const auto between = [&](float low, float high) { return std::uniform_real_distribution<float>(low, high)(random); };
+    const auto between = [&](float low, float high) {
+        return std::uniform_real_distribution<float>(low, high)(random);
+    };
     Surfels surfels;
     surfels.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
@@ -34,7 +37,8 @@ inline ActorSightings from_outside(const std::vector<glm::vec3>& points_m, doubl
     return sightings;
 }
 
-/// A log of three frames, a LiDAR at the origin of the world, and a car that stands where it is told.
+/// A log of three frames, a LiDAR at the origin of the world, and a car that stands where
+/// it is told.
 inline Run run_of(Surfels car, const Pose& world_from_car) {
     Run run;
     const auto n = std::uint32_t(car.size());
@@ -56,7 +60,8 @@ inline Run run_of(Surfels car, const Pose& world_from_car) {
     return run;
 }
 
-/// Opaque plates on the four sides of the car's box, 5 cm inside, each a grid of surfels that return.
+/// Opaque plates on the four sides of the car's box, 5 cm inside, each a grid of surfels
+/// that return.
 inline Surfels plates() {
     Surfels surfels;
     const auto add = [&](const glm::vec3& at_m, const glm::quat& turn) {
@@ -66,12 +71,15 @@ inline Surfels plates() {
         surfels.rotation[i] = {turn.w, turn.x, turn.y, turn.z};
         surfels.log_scale[i] = glm::vec2(std::log(0.12f));
         surfels.opacity_logit[i] = 6.0f;
-        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;   // hit logit
+        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
     };
-    const glm::quat along_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f), along_y(std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f);
+    const glm::quat along_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f),
+        along_y(std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f);
     for (float z_m = -0.7f; z_m < 0.75f; z_m += 0.2f) {
-        for (float y_m = -0.9f; y_m < 0.95f; y_m += 0.2f) add({1.95f, y_m, z_m}, along_x), add({-1.95f, y_m, z_m}, along_x);
-        for (float x_m = -1.9f; x_m < 1.95f; x_m += 0.2f) add({x_m, 0.95f, z_m}, along_y), add({x_m, -0.95f, z_m}, along_y);
+        for (float y_m = -0.9f; y_m < 0.95f; y_m += 0.2f)
+            add({1.95f, y_m, z_m}, along_x), add({-1.95f, y_m, z_m}, along_x);
+        for (float x_m = -1.9f; x_m < 1.95f; x_m += 0.2f)
+            add({x_m, 0.95f, z_m}, along_y), add({x_m, -0.95f, z_m}, along_y);
     }
     return surfels;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Mirror images of surfels: covariances and harmonics against their definitions, and whole cars by rendering them from both sides.
+// Mirror images of surfels: covariances and harmonics against their definitions, and
+// whole cars by rendering them from both sides.
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -46,16 +47,19 @@ TEST(Mirror, CovarianceIsMirrored) {
 
 TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
     const Surfels surfels = anywhere(20);
-    const std::vector<reference::Surfel> here = test::to_reference(surfels), there = test::to_reference(mirrored_left_right(surfels));
+    const std::vector<reference::Surfel> here = test::to_reference(surfels),
+                                         there = test::to_reference(mirrored_left_right(surfels));
     std::mt19937 random(9);
     std::normal_distribution<double> normal;
     for (std::size_t i = 0; i < here.size(); ++i) {
         for (int k = 0; k < 20; ++k) {
-            const glm::dvec3 direction = glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
+            const glm::dvec3 direction =
+                glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
             const glm::dvec3 expected = reference::sh_values(here[i], direction, 3);
             const glm::dvec3 found = reference::sh_values(there[i], kMirror * direction, 3);
             EXPECT_LT(glm::length(found - expected), 1e-12);
-            EXPECT_GT(glm::length(reference::sh_values(here[i], kMirror * direction, 3) - expected), 1e-6) << "they depend on it";
+            EXPECT_GT(glm::length(reference::sh_values(here[i], kMirror * direction, 3) - expected), 1e-6)
+                << "they depend on it";
         }
     }
 }
@@ -67,7 +71,8 @@ TEST(Mirror, TwiceIsNoChange) {
     EXPECT_EQ(twice.sh, surfels.sh);
 }
 
-/// Rays from a place 8 m to the right of the car, or to the left where y is -1, towards it.
+/// Rays from a place 8 m to the right of the car, or to the left where y is -1, towards
+/// it.
 RayTable rays_from_the_right(double y) {
     RayTable rays;
     rays.rows = 40, rays.columns = 80;
@@ -95,12 +100,13 @@ protected:
 
 TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
-    Surfels guessed = left;   // and what training has left on the side that nothing looked at
+    Surfels guessed = left;  // and what training has left on the side that nothing looked at
     guessed.append(random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
     const Asset asset = make_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());
     EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
-    const RenderedScan expected = seen(asset.run, rays_from_the_right(-1.0)), found = seen(asset.run, rays_from_the_right(1.0));
+    const RenderedScan expected = seen(asset.run, rays_from_the_right(-1.0)),
+                       found = seen(asset.run, rays_from_the_right(1.0));
     ASSERT_EQ(found.weight.size(), expected.weight.size());
     std::size_t met = 0;
     for (std::size_t i = 0; i < found.weight.size(); ++i) {
@@ -122,7 +128,8 @@ TEST_F(MirroredCar, KeepsWhatWasSeen) {
         ASSERT_NE(it, found.mean.end()) << i;
         const auto k = std::size_t(it - found.mean.begin());
         EXPECT_EQ(found.rotation[k], left.rotation[i]);
-        EXPECT_TRUE(std::equal(left.sh.begin() + std::ptrdiff_t(i * kShFloats), left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
+        EXPECT_TRUE(std::equal(left.sh.begin() + std::ptrdiff_t(i * kShFloats),
+                               left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
                                found.sh.begin() + std::ptrdiff_t(k * kShFloats)));
     }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channels go where their rays go: through beams of several sub-rays, grids and rigs, none in another's place, a caller's own among them.
+// Channels go where their rays go: through beams of several sub-rays, grids and rigs,
+// none in another's place, a caller's own among them.
 #include <algorithm>
 #include <set>
 
@@ -15,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kStep = 14;   // from ray to ray, more than there are channels
+constexpr int kStep = 14;  // from ray to ray, more than there are channels
 constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
 
 const std::vector<std::int32_t>& labels_of(const RenderedScan& scan) {
@@ -28,7 +29,8 @@ const std::vector<glm::vec3>& ways_of(const RenderedScan& scan) {
     return *find_values<glm::vec3>(scan.channels, kWay);
 }
 
-/// Rays of which every value says which channel and which ray it is of: 14 ray + channel. All return, from nearly one place.
+/// Rays of which every value says which channel and which ray it is of: 14 ray + channel.
+/// All return, from nearly one place.
 RenderedScan marked_scan(int n, int first = 0) {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = n;
@@ -39,13 +41,17 @@ RenderedScan marked_scan(int n, int first = 0) {
         const auto code = float(kStep * (first + i));
         scan.image.origin.emplace_back(0.0f);
         scan.image.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.05f * float(first + i), 0.0f)));
-        scan.image.range_m.push_back(code + 1.0f), scan.median_range_m.push_back(code + 2.0f), scan.mean_range_m.push_back(code + 3.0f);
+        scan.image.range_m.push_back(code + 1.0f), scan.median_range_m.push_back(code + 2.0f),
+            scan.mean_range_m.push_back(code + 3.0f);
         scan.image.intensity.push_back(code + 4.0f), scan.image.drop_prob.push_back(1e-6f * (code + 5.0f)),
             scan.weight.push_back(code + 6.0f);
-        scan.instance.push_back(int(code) + 7), scan.ring.push_back(0), scan.time_offset_s.push_back(code + 8.0f);
-        label.push_back(int(code) + 9), share.push_back(code + 10.0f), way.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
+        scan.instance.push_back(int(code) + 7), scan.ring.push_back(0),
+            scan.time_offset_s.push_back(code + 8.0f);
+        label.push_back(int(code) + 9), share.push_back(code + 10.0f),
+            way.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
     }
-    scan.channels = {{{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kWay}, way}};
+    scan.channels = {
+        {{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kWay}, way}};
     return scan;
 }
 
@@ -73,8 +79,8 @@ TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
     RenderedScan bare = marked_scan(2);
     bare.channels.clear();
     for (const bool first : {true, false}) {
-        const RenderedScan merged =
-            first ? merge_scans({bare, marked_scan(1)}, {Pose{}, Pose{}}) : merge_scans({marked_scan(1), bare}, {Pose{}, Pose{}});
+        const RenderedScan merged = first ? merge_scans({bare, marked_scan(1)}, {Pose{}, Pose{}})
+                                          : merge_scans({marked_scan(1), bare}, {Pose{}, Pose{}});
         const std::size_t known = first ? 2 : 0;
         for (std::size_t i = 0; i < 3; ++i) {
             EXPECT_EQ(labels_of(merged)[i], i == known ? 9 : -5) << i;
@@ -96,7 +102,8 @@ TEST(Channels, ACellHasThemOfItsRay) {
     const RenderedScan scan = marked_scan(5), binned = project_scan(scan, grid);
     std::set<std::size_t> taken;
     for (std::size_t ray = 0; ray < 5; ++ray) {
-        const std::optional<int> cell = project(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
+        const std::optional<int> cell =
+            project(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
         ASSERT_TRUE(cell && taken.insert(std::size_t(*cell)).second);
         expect_marks(binned, std::size_t(*cell), int(ray));
         EXPECT_EQ(binned.time_offset_s[std::size_t(*cell)], float(kStep * int(ray)) + 8.0f);
@@ -112,18 +119,24 @@ TEST(Channels, ACellHasThemOfItsRay) {
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);
-    parts.channels.push_back({{.name = "my_drop", .join = ChannelJoin::drop}, std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
-    parts.channels.push_back({{.name = "my_light", .join = ChannelJoin::intensity}, std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 4.0f}});
-    parts.channels.push_back({{.name = "my_range", .join = ChannelJoin::range}, std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 9.0f}});
+    parts.channels.push_back(
+        {{.name = "my_drop", .join = ChannelJoin::drop}, std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
+    parts.channels.push_back({{.name = "my_light", .join = ChannelJoin::intensity},
+                              std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 4.0f}});
+    parts.channels.push_back(
+        {{.name = "my_range", .join = ChannelJoin::range}, std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 9.0f}});
     SensorConfig config;
     config.sub_rays = 5;
     RayTable ray{1, 1, {{0, 0, 0}}, {{1, 0, 0}}, {0.0f}, {0}};
-    const auto first_of = [](const RenderedScan& scan, const char* name) { return find_values<float>(scan.channels, name)->at(0); };
+    const auto first_of = [](const RenderedScan& scan, const char* name) {
+        return find_values<float>(scan.channels, name)->at(0);
+    };
     for (const bool replaced : {false, true}) {
         RenderedScan joined = join_footprints(parts, ray, config);
         if (replaced) {
             RenderedScan old = join_footprints(parts, ray, config);
-            for (auto& [info, values, second] : old.channels) std::visit([](auto& v) { v.assign(1, {}); }, values);
+            for (auto& [info, values, second] : old.channels)
+                std::visit([](auto& v) { v.assign(1, {}); }, values);
             old.weight = {0.0f}, old.instance = {-1};
             replace_rays(old, {0}, joined);
             joined = old;
@@ -137,7 +150,8 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
         EXPECT_EQ(ways_of(joined)[0], glm::vec3(11.0f, 12.0f, 13.0f));
         EXPECT_NEAR(first_of(joined, "my_drop"), 0.3f, 1e-6f) << "the mean over all";
         EXPECT_NEAR(first_of(joined, "my_light"), 3.0f, 1e-6f);
-        EXPECT_NEAR(first_of(joined, "my_range"), 4.0f, 1e-5f) << "weighed by light, of which all have the same";
+        EXPECT_NEAR(first_of(joined, "my_range"), 4.0f, 1e-5f)
+            << "weighed by light, of which all have the same";
     }
 }
 
@@ -154,7 +168,8 @@ protected:
     }
     RenderedScan scan(const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, config, log);
-        renderer.compare_with(find_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
+        renderer.compare_with(
+            find_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
     }
     Sequence log;
@@ -189,7 +204,8 @@ TEST_F(RenderedChannels, AreWantedByName) {
     EXPECT_EQ(renderer.render(configured_sensor(config, log), 0.1).channels.size(), 1u);
     config.image.primitive = Primitive::gaussian;
     scene.surfels.resize(scene.surfels.size(), Primitive::gaussian);
-    EXPECT_THROW(ScanRenderer(device(), scene, config, log).want_channels("normal"), UsageError) << "3D Gaussians have none";
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).want_channels("normal"), UsageError)
+        << "3D Gaussians have none";
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a run whose log is motion-compensated: a sensor drives towards a wall. From the path and the time of each point follows where
-// the wall must be in every output, for the log's own sensor and for another one.
+// Scans of a run whose log is motion-compensated: a sensor drives towards a wall. From
+// the path and the time of each point follows where the wall must be in every output, for
+// the log's own sensor and for another one.
 #include <cmath>
 #include <cstring>
 #include <sstream>
@@ -24,10 +25,11 @@ namespace {
 using testing::HasSubstr;
 
 constexpr double kWall_m = 10.0, kSpeed_mps = 30.0, kFirst_s = 5.0, kPeriod_s = 0.1;
-constexpr double kTolerance_m = 2e-3;   // of a surfel's plane and floats
+constexpr double kTolerance_m = 2e-3;  // of a surfel's plane and floats
 constexpr int kScans = 3;
 
-/// A wall across x in the dataset's world, and a compensated log whose sensor drives along x through the origin at kFirst_s.
+/// A wall across x in the dataset's world, and a compensated log whose sensor drives
+/// along x through the origin at kFirst_s.
 Run towards_wall() {
     Run run;
     Surfels& wall = run.scene.surfels;
@@ -37,7 +39,7 @@ Run towards_wall() {
     wall.log_scale[0] = glm::vec2(std::log(8.0f));
     wall.opacity_logit[0] = 6.0f;
     std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
-    wall.sh[kShCoefficients] = 20.0f;   // hit logit
+    wall.sh[kShCoefficients] = 20.0f;  // hit logit
     run.scene.models = {{"background", 0, 1}};
     run.scene.instances = {{0, ""}};
     Sequence& log = run.sequence;
@@ -48,7 +50,8 @@ Run towards_wall() {
         const double time_s = kFirst_s + kPeriod_s * i;
         if (i >= 0 && i < kScans) log.frames.push_back({i, time_s, {}});
         log.world_from_vehicle.time_s.push_back(time_s);
-        log.world_from_vehicle.pose.push_back({{1, 0, 0, 0}, {kSpeed_mps * (time_s - kFirst_s) - 8.0, 0.0, 0.0}});
+        log.world_from_vehicle.pose.push_back(
+            {{1, 0, 0, 0}, {kSpeed_mps * (time_s - kFirst_s) - 8.0, 0.0, 0.0}});
     }
     return run;
 }
@@ -58,7 +61,7 @@ double sensor_x(double time_s) { return kSpeed_mps * (time_s - kFirst_s) - 8.0; 
 
 struct TimedPoint {
     glm::dvec3 position_m;
-    double time_s;   ///< of the log
+    double time_s;  ///< of the log
 };
 
 class CompensatedLog : public test::DeviceTest {
@@ -80,7 +83,8 @@ protected:
         format.deskew = deskew;
         ScanRenderer renderer(device(), run);
         ScanFolder scans(folder, format);
-        for (const Frame& frame : run.sequence.frames) scans.write(frame.index, renderer.render(sensor, frame.time_s));
+        for (const Frame& frame : run.sequence.frames)
+            scans.write(frame.index, renderer.render(sensor, frame.time_s));
         scans.finish();
     }
     std::string text(const char* name) const { return contents(folder / name); }
@@ -89,20 +93,27 @@ protected:
     std::vector<TimedPoint> points() const {
         const auto arrays = read_npz(folder / "frame_000000.npz");
         const auto values = [&](const char* name) { return find_array(arrays, name)->as_float(); };
-        const std::vector<float> range_m = values("median_range"), drop = values("drop_prob"), time_s = values("time"),
-                                 origin_m = values("origin"), direction = values("directions");
+        const std::vector<float> range_m = values("median_range"), drop = values("drop_prob"),
+                                 time_s = values("time"), origin_m = values("origin"),
+                                 direction = values("directions");
         std::vector<TimedPoint> result;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
             if (drop[i] >= 0.5f) continue;
-            const auto vector = [&](const std::vector<float>& v) { return glm::dvec3(v[3 * i], v[3 * i + 1], v[3 * i + 2]); };
-            result.push_back({vector(origin_m) + double(range_m[i]) * vector(direction), kFirst_s + double(time_s[i])});
+            const auto vector = [&](const std::vector<float>& v) {
+                return glm::dvec3(v[3 * i], v[3 * i + 1], v[3 * i + 2]);
+            };
+            result.push_back(
+                {vector(origin_m) + double(range_m[i]) * vector(direction), kFirst_s + double(time_s[i])});
         }
         return result;
     }
-    /// x, y, z of all points of a ply or pcd, whose header ends with a text and whose rows have the same size.
-    std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header, std::size_t n) const {
+    /// x, y, z of all points of a ply or pcd, whose header ends with a text and whose
+    /// rows have the same size.
+    std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header,
+                                      std::size_t n) const {
         const std::string bytes = text(name);
-        const std::size_t begin = bytes.find(end_of_header) + end_of_header.size(), stride = (bytes.size() - begin) / n;
+        const std::size_t begin = bytes.find(end_of_header) + end_of_header.size(),
+                          stride = (bytes.size() - begin) / n;
         std::vector<glm::dvec3> result;
         for (std::size_t i = 0; i < n; ++i) {
             glm::vec3 xyz;
@@ -117,10 +128,13 @@ protected:
         EXPECT_THAT(text("frame_000000.ply"), HasSubstr(frame));
         EXPECT_THAT(text("frame_000000.pcd"), HasSubstr(frame));
         EXPECT_THAT(read_exr(folder / "frame_000000.exr").notes.at("points_in"), HasSubstr(frame));
-        EXPECT_EQ(find_array(read_npz(folder / "frame_000000.npz"), "deskewed")->as_float()[0], deskewed ? 1.0f : 0.0f);
+        EXPECT_EQ(find_array(read_npz(folder / "frame_000000.npz"), "deskewed")->as_float()[0],
+                  deskewed ? 1.0f : 0.0f);
         EXPECT_THAT(text("scans.json"), HasSubstr(deskewed ? "\"deskewed\": true" : "\"deskewed\": false"));
         for (const char* recording : {"scans.mcap", "rosbag.mcap"})
-            EXPECT_THAT(text(recording), HasSubstr(deskewed ? "sensor at the stamp" : "sensor at each ray's firing time")) << recording;
+            EXPECT_THAT(text(recording),
+                        HasSubstr(deskewed ? "sensor at the stamp" : "sensor at each ray's firing time"))
+                << recording;
     }
     /// Recordings are logs: their own transforms and times put every point on the wall.
     void expect_recordings(bool rolls) const {
@@ -132,8 +146,11 @@ protected:
             for (const Frame& frame : log.frames)
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
                     if (frame.scan.range_m[i] == 0.0f) continue;
-                    const double fired_s = frame.time_s + (rolls ? double(frame.scan.rays.time_offset_s[i]) : 0.0);
-                    ASSERT_NEAR((track.at(fired_s) * glm::dvec3(frame.scan.point(i))).x, kWall_m, 2.0 * kTolerance_m) << recording;
+                    const double fired_s =
+                        frame.time_s + (rolls ? double(frame.scan.rays.time_offset_s[i]) : 0.0);
+                    ASSERT_NEAR((track.at(fired_s) * glm::dvec3(frame.scan.point(i))).x, kWall_m,
+                                2.0 * kTolerance_m)
+                        << recording;
                     ++n;
                 }
             EXPECT_GT(n, 50u) << recording;
@@ -150,28 +167,34 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     ASSERT_GT(raw.size(), 100u);
     double first_s = 1e9, last_s = -1e9;
     for (const auto& [position_m, time_s] : raw) {
-        EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m) << "in the sensor's frame when the ray is fired";
+        EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m)
+            << "in the sensor's frame when the ray is fired";
         first_s = std::min(first_s, time_s), last_s = std::max(last_s, time_s);
     }
     EXPECT_GT(last_s - first_s, 0.02) << "the head turns";
-    for (const auto& [name, header] : {std::pair("frame_000000.ply", "end_header\n"), std::pair("frame_000000.pcd", "DATA binary\n")}) {
+    for (const auto& [name, header] :
+         {std::pair("frame_000000.ply", "end_header\n"), std::pair("frame_000000.pcd", "DATA binary\n")}) {
         const std::vector<glm::dvec3> in_file = points_of(name, header, raw.size());
-        for (std::size_t i = 0; i < raw.size(); ++i) EXPECT_LT(glm::distance(in_file[i], raw[i].position_m), 1e-4) << name;
+        for (std::size_t i = 0; i < raw.size(); ++i)
+            EXPECT_LT(glm::distance(in_file[i], raw[i].position_m), 1e-4) << name;
     }
 
     write(sensor, true);
     expect_statements(true);
-    expect_recordings(true);   // the reader undoes it
+    expect_recordings(true);  // the reader undoes it
     for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
         DatasetOptions without_poses;
         without_poses.poses_file = kNoPoses;
-        EXPECT_FALSE(load_sequence((folder / recording).string(), without_poses).rolling_shutter) << recording;
+        EXPECT_FALSE(load_sequence((folder / recording).string(), without_poses).rolling_shutter)
+            << recording;
     }
     const std::vector<TimedPoint> deskewed = points();
     ASSERT_EQ(deskewed.size(), raw.size());
     for (std::size_t i = 0; i < raw.size(); ++i) {
-        EXPECT_NEAR(deskewed[i].position_m.x + sensor_x(kFirst_s), kWall_m, kTolerance_m) << "in the sensor's frame at the scan's time";
-        EXPECT_NEAR(deskewed[i].position_m.x - raw[i].position_m.x, kSpeed_mps * (raw[i].time_s - kFirst_s), 1e-4)
+        EXPECT_NEAR(deskewed[i].position_m.x + sensor_x(kFirst_s), kWall_m, kTolerance_m)
+            << "in the sensor's frame at the scan's time";
+        EXPECT_NEAR(deskewed[i].position_m.x - raw[i].position_m.x, kSpeed_mps * (raw[i].time_s - kFirst_s),
+                    1e-4)
             << "raw and deskewed points differ by the motion";
     }
 }
@@ -193,7 +216,8 @@ TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     write(choose_sensor("native", run.config, run.sequence), false);
     expect_statements(false);
     expect_recordings(true);
-    for (const auto& [position_m, time_s] : points()) EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m);
+    for (const auto& [position_m, time_s] : points())
+        EXPECT_NEAR(position_m.x + sensor_x(time_s), kWall_m, kTolerance_m);
 
     run.config.sensor.rolling_shutter = RollingShutter::no;
     write(choose_sensor("VLP-16:96x10", run.config, run.sequence), false);
@@ -206,7 +230,8 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {
         const bool rolls = name != std::string("native");
-        renderer.ask_points(choose_sensor(name, run.config, run.sequence), {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
+        renderer.ask_points(choose_sensor(name, run.config, run.sequence),
+                            {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
         const PointScan scan = renderer.take_points();
         ASSERT_GT(scan.points.size(), 20u);
         double later = 0.0;
@@ -215,8 +240,10 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
             EXPECT_NEAR(at_m.x, kWall_m, kTolerance_m);
             const double time_s = kFirst_s + double(point.time_offset_s);
             const glm::dvec3 way = at_m - glm::dvec3(sensor_x(time_s), 0.0, 0.0);
-            const double elevation = std::atan2(way.z, std::hypot(way.x, way.y));   // as the sensor fired it at that time
-            const double beam = rolls ? (15.0 - 2.0 * double(point.ring)) * kPi / 180.0 : 0.2 - 0.2 * double(point.ring);
+            // as the sensor fired it at that time
+            const double elevation = std::atan2(way.z, std::hypot(way.x, way.y));
+            const double beam =
+                rolls ? (15.0 - 2.0 * double(point.ring)) * kPi / 180.0 : 0.2 - 0.2 * double(point.ring);
             EXPECT_NEAR(elevation, beam, 2e-4) << name << ", " << point.time_offset_s;
             later = std::max(later, std::abs(double(point.time_offset_s)));
         }

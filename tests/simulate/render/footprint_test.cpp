@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Beams of finite divergence: how their parts are spread, what becomes of parts worked out by hand, and a scene of two walls whose edge a
-// beam straddles.
+// Beams of finite divergence: how their parts are spread, what becomes of parts worked
+// out by hand, and a scene of two walls whose edge a beam straddles.
 #include "simulate/render/footprint.hpp"
 
 #include <algorithm>
@@ -38,11 +38,13 @@ RayTable fan(int n) {
     return rays;
 }
 
-/// Mean of the squared angle between ray `i` and its parts, over that of an evenly lit disc of a full angle of 1.
+/// Mean of the squared angle between ray `i` and its parts, over that of an evenly lit
+/// disc of a full angle of 1.
 double spread(const RayTable& rays, const RayTable& parts, std::size_t i, std::size_t n) {
     double squares = 0.0;
     for (std::size_t k = 0; k < n; ++k) {
-        const double chord = glm::distance(glm::dvec3(parts.direction[i * n + k]), glm::dvec3(rays.direction[i]));
+        const double chord =
+            glm::distance(glm::dvec3(parts.direction[i * n + k]), glm::dvec3(rays.direction[i]));
         squares += std::pow(2.0 * std::asin(0.5 * chord), 2.0) / double(n);
     }
     return squares / 0.125;
@@ -54,8 +56,10 @@ TEST(Footprint, EachRayHasItsOwnCone) {
         const RayTable own = split_rays(rays, int(n), 0.0), same = split_rays(rays, int(n), 4e-3);
         ASSERT_EQ(own.size(), 8 * n);
         for (std::size_t i = 0; i < 8; ++i) {
-            EXPECT_NEAR(std::sqrt(spread(rays, own, i, n)), 1e-3 * double(i), 2e-6) << n << " parts of ray " << i;
-            EXPECT_NEAR(std::sqrt(spread(rays, same, i, n)), 4e-3, 2e-6) << "what is asked for stands for all";
+            EXPECT_NEAR(std::sqrt(spread(rays, own, i, n)), 1e-3 * double(i), 2e-6)
+                << n << " parts of ray " << i;
+            EXPECT_NEAR(std::sqrt(spread(rays, same, i, n)), 4e-3, 2e-6)
+                << "what is asked for stands for all";
         }
     }
     EXPECT_FLOAT_EQ(float(rays.largest_divergence()), 7e-3f);
@@ -79,7 +83,8 @@ TEST(Footprint, SomeRaysKeepTheirOwnCones) {
 TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     const double divergence = 4e-3;
     for (const int n : {5, 9}) {
-        for (const glm::vec3& direction : {glm::vec3(1, 0, 0), glm::vec3(0, 0, 1), glm::vec3(-0.3f, 0.5f, -0.7f)}) {
+        for (const glm::vec3& direction :
+             {glm::vec3(1, 0, 0), glm::vec3(0, 0, 1), glm::vec3(-0.3f, 0.5f, -0.7f)}) {
             const RayTable rays = one_ray(direction), parts = split_rays(rays, n, divergence);
             ASSERT_EQ(parts.size(), std::size_t(n));
             EXPECT_EQ(parts.direction[0], rays.direction[0]);
@@ -96,12 +101,14 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
                 EXPECT_EQ(parts.channel[std::size_t(i)], 7);
             }
             EXPECT_NEAR(squares / n, 0.5 * (0.5 * divergence) * (0.5 * divergence), 1e-9) << n;
-            EXPECT_LT(glm::length(sum / double(n) - glm::dvec3(rays.direction[0])), 1e-5) << "no part of the disc is preferred";
+            EXPECT_LT(glm::length(sum / double(n) - glm::dvec3(rays.direction[0])), 1e-5)
+                << "no part of the disc is preferred";
         }
     }
 }
 
-/// Parts of one footprint: range, intensity, drop probability, by how much the mean lies behind the range.
+/// Parts of one footprint: range, intensity, drop probability, by how much the mean lies
+/// behind the range.
 struct Part {
     float range_m, intensity, drop, spread_m = 0.0f;
 };
@@ -129,12 +136,17 @@ RenderedScan joined(const std::vector<Part>& parts, SensorConfig config = {}) {
 constexpr float kNear = 1e-6f;
 
 TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
-    const RenderedScan scan =
-        joined({{10.0f, 0.2f, 0.1f}, {10.1f, 0.2f, 0.1f}, {10.2f, 0.4f, 0.1f}, {10.3f, 0.1f, 0.1f}, {10.4f, 0.1f, 0.1f}});
-    EXPECT_NEAR(scan.image.range_m[0], (10.0f * 0.2f + 10.1f * 0.2f + 10.2f * 0.4f + 10.3f * 0.1f + 10.4f * 0.1f), 1e-5f);
+    const RenderedScan scan = joined({{10.0f, 0.2f, 0.1f},
+                                      {10.1f, 0.2f, 0.1f},
+                                      {10.2f, 0.4f, 0.1f},
+                                      {10.3f, 0.1f, 0.1f},
+                                      {10.4f, 0.1f, 0.1f}});
+    EXPECT_NEAR(scan.image.range_m[0],
+                (10.0f * 0.2f + 10.1f * 0.2f + 10.2f * 0.4f + 10.3f * 0.1f + 10.4f * 0.1f), 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 0.2f, kNear);
     EXPECT_NEAR(scan.image.drop_prob[0], 0.1f, kNear);
-    EXPECT_EQ(scan.second_returns[0].range_m[0], 0.0f) << "steps below the separation are one surface, however far it reaches";
+    EXPECT_EQ(scan.second_returns[0].range_m[0], 0.0f)
+        << "steps below the separation are one surface, however far it reaches";
     EXPECT_EQ(scan.ring[0], 7);
 }
 
@@ -148,16 +160,19 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kNear);
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
-    EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 1e-5f) << "the strongest is the last: the next strongest is the second";
+    EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 1e-5f)
+        << "the strongest is the last: the next strongest is the second";
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kNear);
 }
 
-/// A road met at a grazing angle, its ranges metres apart within one footprint, and the same with a wall in the way of its upper part.
+/// A road met at a grazing angle, its ranges metres apart within one footprint, and the
+/// same with a wall in the way of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}), parts = split_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {
         std::vector<Part> cone;
-        for (const glm::vec3& d : parts.direction) cone.push_back({std::min(-1.8f / d.z, wall_m / d.x), 0.4f, 0.0f});
+        for (const glm::vec3& d : parts.direction)
+            cone.push_back({std::min(-1.8f / d.z, wall_m / d.x), 0.4f, 0.0f});
         return cone;
     };
     const auto [nearest, farthest] = std::ranges::minmax(cast(1e6f), {}, &Part::range_m);
@@ -171,30 +186,45 @@ TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
 }
 
 TEST(Footprint, TheLastOfThreeIsTheSecondReturn) {
-    const std::vector<Part> parts{{20.0f, 0.5f, 0.0f}, {5.0f, 0.9f, 0.0f}, {20.0f, 0.5f, 0.0f}, {40.0f, 0.1f, 0.0f}, {20.0f, 0.5f, 0.0f}};
+    const std::vector<Part> parts{{20.0f, 0.5f, 0.0f},
+                                  {5.0f, 0.9f, 0.0f},
+                                  {20.0f, 0.5f, 0.0f},
+                                  {40.0f, 0.1f, 0.0f},
+                                  {20.0f, 0.5f, 0.0f}};
     EXPECT_NEAR(joined(parts).median_range_m[0], 20.0f, 1e-5f);
     EXPECT_EQ(joined(parts).second_returns[0].range_m[0], 0.0f) << "0.1 is less than a tenth of 1.5";
     std::vector<Part> brighter = parts;
     brighter[3].intensity = 0.2f;
-    EXPECT_NEAR(joined(brighter).second_returns[0].range_m[0], 40.0f, 1e-5f) << "the last, not the next strongest";
+    EXPECT_NEAR(joined(brighter).second_returns[0].range_m[0], 40.0f, 1e-5f)
+        << "the last, not the next strongest";
     SensorConfig coarse;
     coarse.return_separation_m = 16.0;
-    EXPECT_NEAR(joined(parts, coarse).median_range_m[0], (5 * 0.9f + 20 * 1.5f) / 2.4f, 1e-4f) << "one return where pulses overlap";
+    EXPECT_NEAR(joined(parts, coarse).median_range_m[0], (5 * 0.9f + 20 * 1.5f) / 2.4f, 1e-4f)
+        << "one return where pulses overlap";
 }
 
 TEST(Footprint, PartsThatDropGiveNoLight) {
-    const RenderedScan mostly =
-        joined({{0.0f, 0.0f, 1.0f}, {10.0f, 0.5f, 0.0f}, {10.0f, 0.5f, 0.0f}, {0.0f, 0.0f, 1.0f}, {10.0f, 0.5f, 0.0f}});
+    const RenderedScan mostly = joined({{0.0f, 0.0f, 1.0f},
+                                        {10.0f, 0.5f, 0.0f},
+                                        {10.0f, 0.5f, 0.0f},
+                                        {0.0f, 0.0f, 1.0f},
+                                        {10.0f, 0.5f, 0.0f}});
     EXPECT_NEAR(mostly.image.drop_prob[0], 0.4f, kNear);
     EXPECT_NEAR(mostly.median_range_m[0], 10.0f, 1e-5f);
     EXPECT_NEAR(mostly.image.intensity[0], 0.3f, kNear);
     EXPECT_EQ(mostly.instance[0], 1);
-    const RenderedScan hardly =
-        joined({{0.0f, 0.0f, 1.0f}, {10.0f, 0.5f, 0.0f}, {30.0f, 0.5f, 0.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}});
+    const RenderedScan hardly = joined({{0.0f, 0.0f, 1.0f},
+                                        {10.0f, 0.5f, 0.0f},
+                                        {30.0f, 0.5f, 0.0f},
+                                        {0.0f, 0.0f, 1.0f},
+                                        {0.0f, 0.0f, 1.0f}});
     EXPECT_NEAR(hardly.image.drop_prob[0], 0.6f, kNear);
     EXPECT_EQ(hardly.second_returns[0].range_m[0], 0.0f) << "a dropped ray has no second return";
-    const RenderedScan nothing =
-        joined({{12.0f, 0.3f, 0.9f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}, {0.0f, 0.0f, 1.0f}});
+    const RenderedScan nothing = joined({{12.0f, 0.3f, 0.9f},
+                                         {0.0f, 0.0f, 1.0f},
+                                         {0.0f, 0.0f, 1.0f},
+                                         {0.0f, 0.0f, 1.0f},
+                                         {0.0f, 0.0f, 1.0f}});
     EXPECT_NEAR(nothing.image.drop_prob[0], 0.98f, kNear);
     EXPECT_EQ(nothing.image.range_m[0], 12.0f) << "what the middle would have measured";
 }

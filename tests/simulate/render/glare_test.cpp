@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What blinds a sensor, on whole scans: stray light against its integral, the sun before and behind a wall.
+// What blinds a sensor, on whole scans: stray light against its integral, the sun before
+// and behind a wall.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -19,7 +20,8 @@ constexpr double kDegree = kPi / 180.0;
 constexpr int kBeams = 128, kSteps = 192;
 constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 
-/// Rays a quarter of a degree apart towards a wall at 20 m, on which reflectors are round: as {azimuth_deg, elevation_deg, range_m}.
+/// Rays a quarter of a degree apart towards a wall at 20 m, on which reflectors are
+/// round: as {azimuth_deg, elevation_deg, range_m}.
 RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
     constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
@@ -28,7 +30,8 @@ RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
         for (int column = 0; column < kSteps; ++column) {
             const double azimuth = kDegree * kStep_deg * (column - kSteps / 2 + 0.5);
             const double elevation = kDegree * kStep_deg * (kBeams / 2 - row - 0.5);
-            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
+                               std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             const auto has_ray = [&](const glm::dvec3& r) {
                 return std::hypot(azimuth - r.x * kDegree, elevation - r.y * kDegree) < kRadius_deg * kDegree;
             };
@@ -52,7 +55,8 @@ double integral_at(double azimuth_deg, double elevation_deg) {
     double sum = 0.0;
     for (double a = -kRadius_deg; a < kRadius_deg; a += kFine_deg)
         for (double e = -kRadius_deg; e < kRadius_deg; e += kFine_deg)
-            if (std::hypot(a, e) < kRadius_deg) sum += kFine_deg * kFine_deg / std::pow(std::hypot(a - azimuth_deg, e - elevation_deg), 3);
+            if (std::hypot(a, e) < kRadius_deg)
+                sum += kFine_deg * kFine_deg / std::pow(std::hypot(a - azimuth_deg, e - elevation_deg), 3);
     return sum;
 }
 
@@ -62,24 +66,29 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
     const auto expected_in = [](int column) {
         std::vector<double> of_row;
         for (int row = 0; row < kBeams; ++row)
-            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kSteps / 2 + 0.5), kStep_deg * (kBeams / 2 - row - 0.5)));
+            of_row.push_back(1e-4 * integral_at(kStep_deg * (column - kSteps / 2 + 0.5),
+                                                kStep_deg * (kBeams / 2 - row - 0.5)));
         return of_row;
     };
     const std::vector<double> of_near = expected_in(kSteps / 2 + 24), of_far = expected_in(kSteps / 2 - 60);
     for (std::uint64_t seed = 0; seed < 40; ++seed) {
         const std::vector<Echo> stray = stray_light(scan, 1e-4, seed);
         ASSERT_EQ(stray.size(), scan.ring.size());
-        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, PointSource::nothing) << "the reflector itself";
+        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, PointSource::nothing)
+            << "the reflector itself";
         for (int row = 0; row < kBeams; ++row) {
-            const Echo &here = stray[ray_at(row, kSteps / 2 + 24)], &beside = stray[ray_at(row, kSteps / 2 - 60)];
+            const Echo &here = stray[ray_at(row, kSteps / 2 + 24)],
+                       &beside = stray[ray_at(row, kSteps / 2 - 60)];
             ASSERT_EQ(here.source, PointSource::blooming);
             ASSERT_NEAR(here.range_m, 4.0, 1e-6);
             const double deviate = here.reflectivity / of_near[std::size_t(row)];
-            EXPECT_NEAR(beside.reflectivity / of_far[std::size_t(row)] / deviate, 1.0, 0.15) << "squares of a degree, and a beam's deviate";
+            EXPECT_NEAR(beside.reflectivity / of_far[std::size_t(row)] / deviate, 1.0, 0.15)
+                << "squares of a degree, and a beam's deviate";
             sum += std::log(deviate), squares += std::log(deviate) * std::log(deviate), ++n;
         }
         const std::vector<Echo> again = stray_light(scan, 1e-4, seed);
-        for (std::size_t i = 0; i < stray.size(); i += 97) ASSERT_EQ(stray[i].reflectivity, again[i].reflectivity);
+        for (std::size_t i = 0; i < stray.size(); i += 97)
+            ASSERT_EQ(stray[i].reflectivity, again[i].reflectivity);
     }
     EXPECT_NEAR(sum / n, 0.0, 4.0 * 3.0 / std::sqrt(n));
     EXPECT_NEAR(std::sqrt(squares / n), 3.0, 4.0 * 3.0 / std::sqrt(2.0 * n));
@@ -130,7 +139,7 @@ Surfels disc_ahead() {
     disc.log_scale[0] = glm::vec2(std::log(2.0f));
     disc.opacity_logit[0] = 6.0f;
     std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
-    disc.sh[kShCoefficients] = 20.0f;   // hit logit
+    disc.sh[kShCoefficients] = 20.0f;  // hit logit
     return disc;
 }
 Sequence level_beams() {
@@ -139,7 +148,8 @@ Sequence level_beams() {
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.rolling_shutter = false;
     sequence.world_from_vehicle = {{0.0}, {Pose{}}};
-    for (int beam = 0; beam < 8; ++beam) sequence.lidars[0].sensor.beams.push_back({kDegree * (2.5 - 0.5 * beam)});
+    for (int beam = 0; beam < 8; ++beam)
+        sequence.lidars[0].sensor.beams.push_back({kDegree * (2.5 - 0.5 * beam)});
     return sequence;
 }
 
@@ -152,7 +162,8 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const auto noise_in = [&](const Sun& sun) {
         renderer.set_weather({.sun = sun});
         const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
-        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"), std::int32_t(PointSource::noise));
+        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"),
+                                  std::int32_t(PointSource::noise));
     };
     EXPECT_EQ(noise_in({0.0, 0.5, 100.0}), 0) << "behind the wall";
     EXPECT_EQ(noise_in({0.0, 60.0, 100.0}), 0) << "far above the beams";
@@ -161,8 +172,11 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
     int n = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
-        const double off_deg = std::acos(std::min(double(scan.image.direction[i].x) * -std::cos(0.5 * kDegree) +
-                                                      double(scan.image.direction[i].z) * std::sin(0.5 * kDegree), 1.0)) / kDegree;
+        const double off_deg =
+            std::acos(std::min(double(scan.image.direction[i].x) * -std::cos(0.5 * kDegree) +
+                                   double(scan.image.direction[i].z) * std::sin(0.5 * kDegree),
+                               1.0)) /
+            kDegree;
         if (source[i] == std::int32_t(PointSource::noise)) {
             ++n;
             ASSERT_LT(off_deg, 6.0);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a rig as one: every point stays where it is in the world, whichever sensor saw it and when.
+// Scans of a rig as one: every point stays where it is in the world, whichever sensor saw
+// it and when.
 #include <relidar/simulate/render.hpp>
 
 #include <gtest/gtest.h>
@@ -13,7 +14,8 @@ namespace {
 
 /// Two rays, fired at different times, of a sensor on a vehicle that drives and turns.
 RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
-    const Pose start{{1, 0, 0, 0}, {5.0, 0.0, 0.0}}, end{glm::angleAxis(0.4, glm::dvec3(0, 0, 1)), {7.0, 1.0, 0.0}};
+    const Pose start{{1, 0, 0, 0}, {5.0, 0.0, 0.0}},
+        end{glm::angleAxis(0.4, glm::dvec3(0, 0, 1)), {7.0, 1.0, 0.0}};
     RenderedScan scan;
     scan.image.rows = 1;
     scan.image.columns = 2;
@@ -25,7 +27,8 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     scan.image.drop_prob = {0.0f, 0.1f};
     scan.weight = {1.0f, 0.9f};
     scan.instance = {0, 2};
-    scan.channels = {{optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
+    scan.channels = {
+        {optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
     scan.time_offset_s = {-0.05f, 0.04f};
     scan.ring = {3, 1};
     scan.track = moved_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
@@ -34,19 +37,24 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     return scan;
 }
 
-const std::vector<glm::vec3>& normals_of(const RenderedScan& scan) { return *find_values<glm::vec3>(scan.channels, "normal"); }
-
-glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
-    return scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
+const std::vector<glm::vec3>& normals_of(const RenderedScan& scan) {
+    return *find_values<glm::vec3>(scan.channels, "normal");
 }
 
-/// The same rays in two rows. The second row's last one is fired later than the rest of its column.
+glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
+    return scan.world_from_firing(i) *
+           glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
+}
+
+/// The same rays in two rows. The second row's last one is fired later than the rest of
+/// its column.
 RenderedScan in_two_rows(RenderedScan scan) {
     const auto twice = []<class T>(std::vector<T>& values) {
         const std::vector<T> once = values;
         values.insert(values.end(), once.begin(), once.end());
     };
-    for_each_basic_pair(RenderedScan(scan), scan, [&](const ChannelInfo&, const auto&, auto& values) { twice(values); });
+    for_each_basic_pair(RenderedScan(scan), scan,
+                        [&](const ChannelInfo&, const auto&, auto& values) { twice(values); });
     twice(scan.image.origin), twice(scan.image.direction), twice(scan.time_offset_s), twice(scan.ring);
     twice(std::get<std::vector<glm::vec3>>(scan.channels[0].values));
     scan.image.rows = 2;
@@ -58,12 +66,14 @@ TEST(MergeScans, PointsOfRowsStayWhereTheyAre) {
     const Pose mounting{glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}};
     const RenderedScan scan = in_two_rows(scan_of(mounting, 10.0f)), merged = merge_scans({scan}, {mounting});
     ASSERT_EQ(merged.image.range_m.size(), 4u);
-    for (std::size_t i = 0; i < 4; ++i) EXPECT_LT(glm::length(world_point(merged, i) - world_point(scan, i)), 1e-4) << i;
+    for (std::size_t i = 0; i < 4; ++i)
+        EXPECT_LT(glm::length(world_point(merged, i) - world_point(scan, i)), 1e-4) << i;
 }
 
 TEST(MergeScans, PointsStayWhereTheyAre) {
-    const std::vector<Pose> mounting{{glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}},
-                                     {glm::angleAxis(-2.0, glm::dvec3(0, 0, 1)), {0.0, 3.0, 0.5}}};
+    const std::vector<Pose> mounting{
+        {glm::angleAxis(1.2, glm::normalize(glm::dvec3(1, 2, 3))), {1.0, -0.5, 2.0}},
+        {glm::angleAxis(-2.0, glm::dvec3(0, 0, 1)), {0.0, 3.0, 0.5}}};
     const std::vector<RenderedScan> scans{scan_of(mounting[0], 10.0f), scan_of(mounting[1], 20.0f)};
     const RenderedScan merged = merge_scans(scans, mounting);
     ASSERT_EQ(merged.image.range_m.size(), 4u);
@@ -72,12 +82,16 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
         const RenderedScan& own = scans[i / 2];
         EXPECT_LT(glm::length(world_point(merged, i) - world_point(own, i % 2)), 1e-4) << i;
         const glm::dvec3 normal = merged.world_from_firing(i).rotation * glm::dvec3(normals_of(merged)[i]);
-        EXPECT_LT(glm::length(normal - own.world_from_firing(i % 2).rotation * glm::dvec3(normals_of(own)[i % 2])), 1e-6) << i;
+        EXPECT_LT(
+            glm::length(normal - own.world_from_firing(i % 2).rotation * glm::dvec3(normals_of(own)[i % 2])),
+            1e-6)
+            << i;
         EXPECT_EQ(merged.image.intensity[i], own.image.intensity[i % 2]);
         EXPECT_EQ(merged.instance[i], own.instance[i % 2]);
     }
     EXPECT_EQ(range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
-    EXPECT_EQ(merged.ring, (std::vector<std::uint16_t>{3, 1, 7, 5})) << "of the second sensor behind the four of the first";
+    EXPECT_EQ(merged.ring, (std::vector<std::uint16_t>{3, 1, 7, 5}))
+        << "of the second sensor behind the four of the first";
     EXPECT_THROW(merge_scans({}, {}), UsageError);
     EXPECT_THROW(merge_scans(scans, {Pose{}}), UsageError);
 }

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that drive while a sweep is fired are where they are when each ray is fired. Expected values are closed forms of straight and
-// circular motion.
+// Actors that drive while a sweep is fired are where they are when each ray is fired.
+// Expected values are closed forms of straight and circular motion.
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <functional>
 
-#include <glm/gtc/quaternion.hpp>
 #include <gtest/gtest.h>
+#include <glm/gtc/quaternion.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
@@ -17,24 +17,28 @@ namespace {
 
 constexpr double kTurn_s = 0.1;
 
-/// A wall of one surfel in the middle of a plane. @param half_m  what is seen of it is so far from the middle in each direction
-void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis, const glm::vec2& half_m) {
+/// A wall of one surfel in the middle of a plane. @param half_m  what is seen of it is so
+/// far from the middle in each direction
+void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
+              const glm::vec2& half_m) {
     const std::size_t i = surfels.size();
     surfels.resize(i + 1);
-    const glm::quat facing_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f);   // a_u = -z, a_v = y, normal x
+    const glm::quat facing_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f);  // a_u = -z, a_v = y, normal x
     const glm::quat q = from_x_axis * facing_x;
     surfels.mean[i] = middle_m;
     surfels.rotation[i] = {q.w, q.x, q.y, q.z};
     surfels.log_scale[i] = glm::log(half_m);
     surfels.opacity_logit[i] = 6.0f;
     std::fill_n(surfels.sh.begin() + std::ptrdiff_t(i * kShFloats), kShFloats, 0.0f);
-    surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;   // hit logit
+    surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
 }
 
-/// A scene without background and one actor of a box. @param surfels  of the actor, in the frame of its box
+/// A scene without background and one actor of a box. @param surfels  of the actor, in
+/// the frame of its box
 Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     Scene scene;
-    scene.models = {{"background", 0, 0}, {"actor", 0, std::uint32_t(surfels.size()), glm::vec3(0.5 * size_m)}};
+    scene.models = {{"background", 0, 0},
+                    {"actor", 0, std::uint32_t(surfels.size()), glm::vec3(0.5 * size_m)}};
     scene.instances = {{0, ""}, {1, "actor"}};
     scene.surfels = surfels;
     return scene;
@@ -60,13 +64,15 @@ Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, con
 
 using PoseAt = std::function<Pose(double)>;
 
-/// Mean range along x of the rays of each half of what is behind the sensor: those fired first, then those fired last.
+/// Mean range along x of the rays of each half of what is behind the sensor: those fired
+/// first, then those fired last.
 std::array<double, 2> halves_behind(const RenderedScan& scan) {
     std::array<double, 2> sum{}, n{};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         const glm::dvec3 d(scan.image.direction[i]);
         if (!(scan.median_range_m[i] > 0.0f) || d.x > 0.0) continue;
-        const bool has_times = scan.time_offset_s[i] != 0.0f;   // a compensated scan has none: halves by side
+        // a compensated scan has none: halves by side
+        const bool has_times = scan.time_offset_s[i] != 0.0f;
         const std::size_t half = (has_times ? double(scan.time_offset_s[i]) : d.y) < 0.0 ? 0 : 1;
         sum[half] += -d.x * double(scan.median_range_m[i]), n[half] += 1.0;
     }
@@ -92,7 +98,7 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
         const PoseAt sensor = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s, 0.0, 0.0}}; };
         const PoseAt van = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s - 10.0, 0.0, 0.0}}; };
         const Sequence log = drive(720, sensor, van, size_m);
-        for (const double time_s : {0.5, 0.51}) {   // at a label, and between two
+        for (const double time_s : {0.5, 0.51}) {  // at a label, and between two
             const auto [first_m, last_m] = halves_behind(render(one_actor(front, size_m), log, time_s));
             EXPECT_NEAR(first_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
             EXPECT_NEAR(last_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
@@ -100,7 +106,8 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     }
 }
 
-/// Both drive round one centre, 20 m to the left of the sensor: seen from the sensor the van stands.
+/// Both drive round one centre, 20 m to the left of the sensor: seen from the sensor the
+/// van stands.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -109,22 +116,28 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
         const glm::dquat turn = glm::angleAxis(0.6 * t_s, glm::dvec3(0, 0, 1));
         return Pose{turn, turn * glm::dvec3(-behind_m, -20.0, 0.0)};
     };
-    const PoseAt sensor = [&](double t_s) { return at(t_s, 0.0); }, van = [&](double t_s) { return at(t_s, 10.0); };
-    const auto [first_m, last_m] = halves_behind(render(one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
-    EXPECT_NEAR(first_m, 8.0, 1e-3);   // between labels poses lie on chords of 0.015 rad
+    const PoseAt sensor = [&](double t_s) { return at(t_s, 0.0); },
+                 van = [&](double t_s) { return at(t_s, 10.0); };
+    const auto [first_m, last_m] =
+        halves_behind(render(one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
+    EXPECT_NEAR(first_m, 8.0, 1e-3);  // between labels poses lie on chords of 0.015 rad
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A sensor that stands, and a car that passes on its left: two posts on its side, 4 m apart, are seen one after the other.
+/// A sensor that stands, and a car that passes on its left: two posts on its side, 4 m
+/// apart, are seen one after the other.
 TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     constexpr double kCarSpeed_mps = 20.0, kLength_m = 4.0;
     const glm::dvec3 size_m(kLength_m, 2.0, 2.0);
     Surfels posts;
     for (const float x : {-2.0f, 2.0f})
-        add_wall(posts, {x, -1.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, std::sqrt(0.5f)), {1.0f, 0.02f});
+        add_wall(posts, {x, -1.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, std::sqrt(0.5f)),
+                 {1.0f, 0.02f});
     const PoseAt sensor = [](double) { return Pose{}; };
     // beside the sensor when it is faced
-    const PoseAt car = [](double t_s) { return Pose{{1, 0, 0, 0}, {kCarSpeed_mps * (t_s - 0.475), 7.0, 0.0}}; };
+    const PoseAt car = [](double t_s) {
+        return Pose{{1, 0, 0, 0}, {kCarSpeed_mps * (t_s - 0.475), 7.0, 0.0}};
+    };
     const RenderedScan scan = render(one_actor(posts, size_m), drive(7200, sensor, car, size_m), 0.5);
     double n[2] = {}, x_m[2] = {}, t_s[2] = {};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
@@ -136,12 +149,15 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     }
     ASSERT_GT(std::min(n[0], n[1]), 3.0);
     const double between_s = t_s[1] / n[1] - t_s[0] / n[0];
-    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kTurn_s, 5e-4) << "how long the head takes from post to post";
+    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kTurn_s, 5e-4)
+        << "how long the head takes from post to post";
     EXPECT_NEAR(x_m[1] / n[1] - x_m[0] / n[0], kLength_m + kCarSpeed_mps * between_s, 0.01);
-    EXPECT_NEAR(x_m[0] / n[0], -2.0 + kCarSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01) << "where the rear is when its ray is fired";
+    EXPECT_NEAR(x_m[0] / n[0], -2.0 + kCarSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01)
+        << "where the rear is when its ray is fired";
 }
 
-/// A motion-compensated log has one time for all rays: the actor is where its track has it then.
+/// A motion-compensated log has one time for all rays: the actor is where its track has
+/// it then.
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;

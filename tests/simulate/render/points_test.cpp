@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points that are made on the device (simulate/render/mark_returns, simulate/render/gather_points) and asked
-// for ahead, against returned_points() of scans
+// Points that are made on the device (simulate/render/mark_returns,
+// simulate/render/gather_points) and asked for ahead, against returned_points() of scans
 // that are rendered one after the other, in double precision.
 #include <cmath>
 #include <cstring>
@@ -37,14 +37,16 @@ protected:
     PoseTrack bend() const {
         PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
-            track.pose[k].rotation = rotation_of(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
+            track.pose[k].rotation =
+                rotation_of(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
         return track;
     }
     double middle_s() const { return log.frames[log.frames.size() / 2].time_s; }
     SensorChoice sensor(const std::string& name) const { return choose_sensor(name, config, log); }
     void make_renderer() {
         renderer.emplace(device(), scene, config, log);
-        renderer->compare_with(find_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
+        renderer->compare_with(
+            find_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
     }
     void TearDown() override {
         renderer.reset();
@@ -62,15 +64,19 @@ protected:
         return renderer->take_points();
     }
     void ask_together(const std::vector<Wish>& wishes) {
-        for (const Wish& wish : wishes) ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
+        for (const Wish& wish : wishes)
+            ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
-    /// A rig of three sensors, two of them alike, at two times, and among two sets of actors.
+    /// A rig of three sensors, two of them alike, at two times, and among two sets of
+    /// actors.
     std::vector<Wish> rig() const {
         std::vector<Wish> wishes;
-        for (const char* name : {"VLP-16:300x10", "HDL-32E:256x10", "VLP-16:300x10", "VLP-16:300x10", "HDL-32E:256x10"}) {
+        for (const char* name :
+             {"VLP-16:300x10", "HDL-32E:256x10", "VLP-16:300x10", "VLP-16:300x10", "HDL-32E:256x10"}) {
             const double k = double(wishes.size());
             PoseTrack track = bend();
-            for (Pose& pose : track.pose) pose = pose * Pose{rotation_of(0.9 * k, 0.0, 0.0), {0.3 * k, -0.2 * k, 0.1}};
+            for (Pose& pose : track.pose)
+                pose = pose * Pose{rotation_of(0.9 * k, 0.0, 0.0), {0.3 * k, -0.2 * k, 0.1}};
             wishes.push_back({sensor(name), {middle_s() + 0.1 * std::floor(k / 3.0), track}, middle_s()});
             if (k == 2.0) wishes.back().request.dataset_from_actor = ActorPoses{};
         }
@@ -84,7 +90,8 @@ protected:
 };
 
 /// Positions within float precision at 80 m; everything else is the same.
-void expect_same(const PointScan& found, const PointScan& expected, const std::string& what, double step = 0.0) {
+void expect_same(const PointScan& found, const PointScan& expected, const std::string& what,
+                 double step = 0.0) {
     ASSERT_EQ(found.points.size(), expected.points.size()) << what;
     ASSERT_GT(found.points.size(), 100u) << what;
     EXPECT_EQ(found.n_rays, expected.n_rays) << what;
@@ -101,10 +108,12 @@ void expect_same(const PointScan& found, const PointScan& expected, const std::s
         ASSERT_EQ(p.instance, e.instance) << what << i;
     }
     EXPECT_LT(farthest_m, 5e-5) << what;
-    EXPECT_LE(brightest, step > 0.0 ? step + 1e-6 : 1e-7) << what << ": where half a step is left, either is right";
+    EXPECT_LE(brightest, step > 0.0 ? step + 1e-6 : 1e-7)
+        << what << ": where half a step is left, either is right";
 }
 
-/// Rays whose columns share a firing time, whose rows do not, or that come in no order at all; of a sensor that moves, or stands.
+/// Rays whose columns share a firing time, whose rows do not, or that come in no order at
+/// all; of a sensor that moves, or stands.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -116,11 +125,12 @@ TEST(FiringPoses, AreThoseOfEachRay) {
     }
     const Pose target{rotation_of(-0.5, 0.2, 0.0), {1.0, -2.0, 0.5}};
     for (const PoseTrack& track : {bend, PoseTrack{{5.0}, {bend.pose[3]}}, PoseTrack{}})
-        for (const float late_s : {0.0f, 1e-3f}) {   // of each row behind the one above
+        for (const float late_s : {0.0f, 1e-3f}) {  // of each row behind the one above
             scan.track = track;
             scan.image.rows = 4, scan.image.columns = 16;
             scan.time_offset_s.clear();
-            for (int i = 0; i < 64; ++i) scan.time_offset_s.push_back(0.005f * float(i % 16) + late_s * float(i / 16));
+            for (int i = 0; i < 64; ++i)
+                scan.time_offset_s.push_back(0.005f * float(i % 16) + late_s * float(i / 16));
             FiringPoses poses(scan, target);
             for (std::size_t k = 0; k < 128; ++k) {
                 const std::size_t ray = k < 64 ? k : k * 37 % 64;
@@ -155,12 +165,15 @@ TEST_F(Points, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_same(renderer->take_points(), empty, "no actor");
 }
 
-/// Two scans are in flight at any time, of other sensors and at other places, and scans are rendered between them.
+/// Two scans are in flight at any time, of other sensors and at other places, and scans
+/// are rendered between them.
 TEST_F(Points, ManyInFlightDoNotMix) {
     make_renderer();
-    const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"), sensor("HDL-32E:256x10")};
+    const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
+                                               sensor("HDL-32E:256x10")};
     std::vector<Wish> wishes;
-    for (int k = 0; k < 9; ++k) wishes.push_back({sensors[std::size_t(k % 3)], {middle_s() - 0.4 + 0.1 * k, bend()}, middle_s()});
+    for (int k = 0; k < 9; ++k)
+        wishes.push_back({sensors[std::size_t(k % 3)], {middle_s() - 0.4 + 0.1 * k, bend()}, middle_s()});
     std::vector<PointScan> expected;
     for (const Wish& wish : wishes) expected.push_back(on_host(wish));
     ask(wishes[0]);
@@ -175,14 +188,17 @@ TEST_F(Points, ManyInFlightDoNotMix) {
 void expect_equal(const PointScan& found, const PointScan& expected, const std::string& what) {
     ASSERT_EQ(found.points.size(), expected.points.size()) << what;
     ASSERT_GT(found.points.size(), 100u) << what;
-    EXPECT_EQ(std::memcmp(found.points.data(), expected.points.data(), found.points.size() * sizeof(ScanPoint)), 0) << what;
+    EXPECT_EQ(
+        std::memcmp(found.points.data(), expected.points.data(), found.points.size() * sizeof(ScanPoint)), 0)
+        << what;
     EXPECT_EQ(found.n_rays, expected.n_rays) << what;
     EXPECT_EQ(found.time_s, expected.time_s) << what;
     EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
 }
 
-/// More scans than go side by side, as many, and fewer; two rigs in flight, and one that is never sent but taken. A launch of one strand
-/// stands between two of another, so whatever strands share is seen.
+/// More scans than go side by side, as many, and fewer; two rigs in flight, and one that
+/// is never sent but taken. A launch of one strand stands between two of another, so
+/// whatever strands share is seen.
 TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
@@ -203,7 +219,8 @@ TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// Whatever needs the device alone sends those before it, and a scan that is refused takes nothing with it.
+/// Whatever needs the device alone sends those before it, and a scan that is refused
+/// takes nothing with it.
 TEST_F(Points, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->side_by_side(3);
@@ -211,7 +228,8 @@ TEST_F(Points, OfScansSideBySideBesideOthers) {
     Wish wrong = wishes[0], sampled = wishes[1];
     wrong.request.dataset_from_sensor.time_s.clear();
     sampled.sample = 7;
-    const std::vector<PointScan> expected = {alone(wishes[0]), alone(sampled), alone(wishes[2]), alone(wishes[3])};
+    const std::vector<PointScan> expected = {alone(wishes[0]), alone(sampled), alone(wishes[2]),
+                                             alone(wishes[3])};
     const RenderedScan scan = renderer->render(wishes[4].sensor, wishes[4].request);
     ask(wishes[0], ScanRenderer::Send::with_next);
     ask(sampled, ScanRenderer::Send::with_next);
@@ -221,9 +239,10 @@ TEST_F(Points, OfScansSideBySideBesideOthers) {
     ask(wishes[3], ScanRenderer::Send::with_next);
     EXPECT_THROW(ask(wrong), DataError);
     for (const PointScan& of_one : expected) expect_equal(renderer->take_points(), of_one, "one of four");
-    EXPECT_THAT([&] { renderer->side_by_side(0); }, testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 of them")));
+    EXPECT_THAT([&] { renderer->side_by_side(0); },
+                testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 of them")));
     ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
-    make_renderer();   // left behind, and never sent
+    make_renderer();  // left behind, and never sent
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
 
@@ -235,26 +254,32 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
     const RenderedScan scan = renderer->render(wishes[0].sensor, wishes[0].request);
     const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
     DropImage image = drop_image(scan, drop_channel_names(options), first_origin(log));
-    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
+    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
+        image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
     const std::size_t before = on_host(wishes[0]).points.size();
-    renderer->refine_drops(train_drop_network(device(), {image}, options, 3,
-                                              [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
+    renderer->refine_drops(
+        train_drop_network(device(), {image}, options, 3,
+                           [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
     const std::vector<PointScan> expected = {on_host(wishes[0]), on_host(wishes[1])};
     EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
     ask(wishes[0]), ask(wishes[1]);
-    for (const PointScan& scan_expected : expected) expect_same(renderer->take_points(), scan_expected, "refined");
-    std::vector<Wish> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};   // images of one shape share all that they can
+    for (const PointScan& scan_expected : expected)
+        expect_same(renderer->take_points(), scan_expected, "refined");
+    // images of one shape share all that they can
+    std::vector<Wish> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<PointScan> expected_beside;
     for (const Wish& wish : beside) expected_beside.push_back(alone(wish));
     renderer->side_by_side(3);
-    for (int round = 0; round < 2; ++round) {   // in the first one each finds its memory, for which it waits for the others
+    // in the first one each finds its memory, for which it waits for the others
+    for (int round = 0; round < 2; ++round) {
         ask_together(beside);
-        for (const PointScan& scan_expected : expected_beside) expect_equal(renderer->take_points(), scan_expected, "refined side by side");
+        for (const PointScan& scan_expected : expected_beside)
+            expect_equal(renderer->take_points(), scan_expected, "refined side by side");
     }
     renderer->side_by_side(1);
     std::vector<std::uint64_t> buffers;
-    for (int round = 0; round < 3; ++round) {   // one network has images of two shapes by turns
+    for (int round = 0; round < 3; ++round) {  // one network has images of two shapes by turns
         expect_equal(alone(beside[2]), expected_beside[2], "by turns");
         expect_equal(alone(beside[3]), expected_beside[3], "by turns");
         buffers.push_back(impl_of(device()).n_buffers);
@@ -268,11 +293,13 @@ TEST_F(Points, NetworksBringNothingBackFromBeyondTheLimits) {
     make_renderer();
     Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
-    DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options), first_origin(log));
+    DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
+                                 first_origin(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
-    image.dropped[0] = 1.0f;   // else there is nothing to learn
-    renderer->refine_drops(train_drop_network(device(), {image}, options, 3,
-                                              [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
+    image.dropped[0] = 1.0f;  // else there is nothing to learn
+    renderer->refine_drops(
+        train_drop_network(device(), {image}, options, 3,
+                           [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
     wish.sensor.limits = {2.0, 12.0};
     const auto farthest = [](const RenderedScan& scan) {
         float most_m = 0.0f;
@@ -306,7 +333,8 @@ TEST_F(Points, HaveTheStepsOfTheLog) {
     for (std::size_t i = 0; i < found.points.size(); ++i) {
         const double steps = double(found.points[i].intensity) / step;
         EXPECT_NEAR(steps, std::round(steps), 1e-5);
-        n_other += std::abs(double(found.points[i].intensity) - double(expected.points[i].intensity)) > 0.5 * step;
+        n_other +=
+            std::abs(double(found.points[i].intensity) - double(expected.points[i].intensity)) > 0.5 * step;
     }
     EXPECT_LT(n_other, found.points.size() / 1000);
 }
@@ -337,7 +365,7 @@ TEST_F(Points, MayBeLeftBehind) {
     make_renderer();
     const PointScan expected = on_host(wish);
     ask(wish), ask(wish);
-    make_renderer();   // the validation layer tells of memory that is still in use
+    make_renderer();  // the validation layer tells of memory that is still in use
     ask(wish);
     expect_same(renderer->take_points(), expected, "of the next renderer");
 }
@@ -345,7 +373,9 @@ TEST_F(Points, MayBeLeftBehind) {
 TEST_F(Points, AreTakenAsOftenAsAskedFor) {
     make_renderer();
     const Wish wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};
-    const auto says = [](const char* text) { return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text)); };
+    const auto says = [](const char* text) {
+        return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text));
+    };
     EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
     EXPECT_THAT([&] { ask(wish); }, says("found 64 scans that were not taken"));
@@ -353,7 +383,8 @@ TEST_F(Points, AreTakenAsOftenAsAskedFor) {
     Wish wrong = wish;
     wrong.request.dataset_from_sensor.time_s.clear();
     EXPECT_THROW(ask(wrong), DataError);
-    EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for")) << "a request that was refused";
+    EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"))
+        << "a request that was refused";
 }
 
 }  // namespace

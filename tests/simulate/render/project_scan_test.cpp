@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans in a grid, simulated points binned as real ones are, and scans drawn from likely ones.
+// Scans in a grid, simulated points binned as real ones are, and scans drawn from likely
+// ones.
 #include <algorithm>
 #include <cmath>
 
@@ -34,7 +35,8 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
-    // a cell with a returned far point, a nearer returned one, and a nearest that is dropped
+    // a cell with a returned far point, a nearer returned one, and a nearest that is
+    // dropped
     const RenderedScan near = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
@@ -55,18 +57,20 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     const RangeGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
-    scan.image.range_m[0] *= 0.6f;   // the mean of a surface at a and one nearby
+    scan.image.range_m[0] *= 0.6f;  // the mean of a surface at a and one nearby
     scan.mean_range_m[0] = scan.image.range_m[0];
     scan.mean_range_m[1] -= 2.5f;
     const RenderedScan binned = project_scan(scan, grid);
     const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
     EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
     EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
-    EXPECT_NEAR(range_spread(binned)[cell], 2.5f, 1e-2f) << "the winner's; the sensor is 0.2 m above the grid's origin";
+    EXPECT_NEAR(range_spread(binned)[cell], 2.5f, 1e-2f)
+        << "the winner's; the sensor is 0.2 m above the grid's origin";
     EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
 }
 
-/// A wall 10 m ahead, met squarely at azimuth 0 and obliquely beside it, half of whose returns are dropped at random.
+/// A wall 10 m ahead, met squarely at azimuth 0 and obliquely beside it, half of whose
+/// returns are dropped at random.
 RenderedScan half_dropped_wall() {
     std::vector<glm::vec3> points;
     for (int row = 0; row < 64; ++row)
@@ -95,21 +99,27 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
         EXPECT_EQ(scan.image.range_m[i], scan.median_range_m[i]);
         EXPECT_NEAR(spread_m[i], 0.5f, 1e-5f) << "noise spreads nothing";
         if (scan.image.drop_prob[i] == 1.0f) continue;
-        const double error = double(scan.image.range_m[i]) - double(likely.image.range_m[i]), cosine = double(likely.image.direction[i].x);
-        if (std::abs(cosine - 0.8) < 0.02 || i % 256 < 4 || i % 256 > 251 || i < 256 || i >= 63 * 256) continue;   // which bin is not sure
+        const double error = double(scan.image.range_m[i]) - double(likely.image.range_m[i]),
+                     cosine = double(likely.image.direction[i].x);
+        // which bin is not sure
+        if (std::abs(cosine - 0.8) < 0.02 || i % 256 < 4 || i % 256 > 251 || i < 256 || i >= 63 * 256)
+            continue;
         const int oblique = cosine < 0.8;
         n += 1.0, count[oblique] += 1.0, square[oblique] += error * error;
     }
     EXPECT_NEAR(std::sqrt(square[0] / count[0]), 0.05, 0.005);
     EXPECT_NEAR(std::sqrt(square[1] / count[1]), 0.2, 0.02);
-    const double returned = double(std::count(scan.image.drop_prob.begin(), scan.image.drop_prob.end(), 0.0f)),
+    const double returned =
+                     double(std::count(scan.image.drop_prob.begin(), scan.image.drop_prob.end(), 0.0f)),
                  all = double(scan.image.drop_prob.size());
-    EXPECT_NEAR(returned, 0.5 * all, 4.0 * std::sqrt(0.25 * all)) << "four standard deviations of as many coins";
+    EXPECT_NEAR(returned, 0.5 * all, 4.0 * std::sqrt(0.25 * all))
+        << "four standard deviations of as many coins";
 }
 
 TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
     RenderedScan scan = half_dropped_wall();
-    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i) scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
+    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+        scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
     const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
     sample_returns(scan, {}, {}, 3);
     EXPECT_EQ(scan.image.drop_prob, before);
@@ -119,7 +129,8 @@ TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
 TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     Scan real;
     std::vector<glm::vec3> points;
-    for (int i = 0; i < 500; ++i) points.push_back({12.0f * std::cos(0.0123f * i), 12.0f * std::sin(0.0123f * i), -0.004f * i + 0.2f});
+    for (int i = 0; i < 500; ++i)
+        points.push_back({12.0f * std::cos(0.0123f * i), 12.0f * std::sin(0.0123f * i), -0.004f * i + 0.2f});
     const RenderedScan simulated = scan_of(points, std::vector<float>(points.size(), 0.0f));
     real.rays.rows = 1;
     real.rays.columns = 500;

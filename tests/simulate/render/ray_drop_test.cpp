@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray-drop of each ray by itself: it depends on no other ray and not on the sensor's yaw, and a ray that meets nothing drops, whatever the
-// network says.
+// Ray-drop of each ray by itself: it depends on no other ray and not on the sensor's yaw,
+// and a ray that meets nothing drops, whatever the network says.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -24,14 +24,15 @@ protected:
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
         InitialiseOptions options;
-        options.max_scale_m = 0.5;   // so that some rays meet nothing
+        options.max_scale_m = 0.5;  // so that some rays meet nothing
         scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
     /// A scan of the street without its cars, on the way of the log.
     RenderedScan scan_of(const RayTable& rays, const DropNetwork& network) {
         return scan_of(rays, network, shifted_track(log.world_from_sensor(0), log.world_offset_m));
     }
-    RenderedScan scan_of(const RayTable& rays, const DropNetwork& network, const PoseTrack& dataset_from_sensor) {
+    RenderedScan scan_of(const RayTable& rays, const DropNetwork& network,
+                         const PoseTrack& dataset_from_sensor) {
         SensorChoice sensor = choose_sensor("VLP-16:300x10", config, log);
         sensor.rays = rays;
         ScanRenderer renderer(device(), scene, config, log);
@@ -50,7 +51,8 @@ std::size_t count_returns(const std::vector<float>& drop_prob) {
 }
 
 /// Entry k of the second scan is the ray order[k] of the first.
-void expect_same_rays(const RenderedScan& scan, const RenderedScan& other, const std::vector<std::size_t>& order) {
+void expect_same_rays(const RenderedScan& scan, const RenderedScan& other,
+                      const std::vector<std::size_t>& order) {
     ASSERT_EQ(other.image.drop_prob.size(), order.size());
     std::size_t n_ranges = 0, n_drops = 0;
     for (std::size_t k = 0; k < order.size(); ++k) {
@@ -64,15 +66,17 @@ void expect_same_rays(const RenderedScan& scan, const RenderedScan& other, const
 TEST_F(RayDrop, DoesNotDependOnTheOrderOfTheRays) {
     const RayTable all = rays();
     const RenderedScan scan = scan_of(all, test::network_of_rays());
-    const std::size_t n_plain = count_returns(scan_of(all, {}).image.drop_prob), n = count_returns(scan.image.drop_prob);
-    EXPECT_GT(std::max(n, n_plain) - std::min(n, n_plain), all.size() / 50) << "a network that says something";
+    const std::size_t n_plain = count_returns(scan_of(all, {}).image.drop_prob),
+                      n = count_returns(scan.image.drop_prob);
+    EXPECT_GT(std::max(n, n_plain) - std::min(n, n_plain), all.size() / 50)
+        << "a network that says something";
     std::vector<std::size_t> order(all.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
     std::shuffle(order.begin(), order.end(), std::mt19937_64(4));
     RayTable shuffled = some_rays(all, order);
     shuffled.rows = all.rows, shuffled.columns = all.columns;
     expect_same_rays(scan, scan_of(shuffled, test::network_of_rays()), order);
-    shuffled.rows = 1, shuffled.columns = int(all.size());   // a list without an image
+    shuffled.rows = 1, shuffled.columns = int(all.size());  // a list without an image
     expect_same_rays(scan, scan_of(shuffled, test::network_of_rays()), order);
 }
 
@@ -83,35 +87,43 @@ TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
         expect_same_rays(scan, scan_of(some_rays(all, {ray}), test::network_of_rays()), {ray});
 }
 
-/// The sensor stands, is turned by 180 degrees, and has the same rays in the world, in the other order of azimuths.
+/// The sensor stands, is turned by 180 degrees, and has the same rays in the world, in
+/// the other order of azimuths.
 TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
-    const glm::dvec3 place_m = log.world_from_sensor(0).at(log.frames[3].time_s).translation + log.world_offset_m;
+    const glm::dvec3 place_m =
+        log.world_from_sensor(0).at(log.frames[3].time_s).translation + log.world_offset_m;
     std::vector<std::size_t> order;
     for (std::size_t row = 0; row < std::size_t(all.rows); ++row)
         for (std::size_t c = 0; c < std::size_t(all.columns); ++c)
-            order.push_back(row * std::size_t(all.columns) + (c + std::size_t(all.columns / 2)) % std::size_t(all.columns));
+            order.push_back(row * std::size_t(all.columns) +
+                            (c + std::size_t(all.columns / 2)) % std::size_t(all.columns));
     RayTable turned = some_rays(all, order);
     turned.rows = all.rows, turned.columns = all.columns;
     for (glm::vec3& d : turned.direction) d = {-d.x, -d.y, d.z};
     for (glm::vec3& o : turned.origin) o = {-o.x, -o.y, o.z};
-    const auto standing = [&](const glm::dquat& rotation) { return PoseTrack{{log.frames[3].time_s}, {{rotation, place_m}}}; };
+    const auto standing = [&](const glm::dquat& rotation) {
+        return PoseTrack{{log.frames[3].time_s}, {{rotation, place_m}}};
+    };
     const RenderedScan scan = scan_of(all, test::network_of_rays(), standing({1.0, 0.0, 0.0, 0.0}));
     EXPECT_GT(count_returns(scan.image.drop_prob), 100u);
     expect_same_rays(scan, scan_of(turned, test::network_of_rays(), standing({0.0, 0.0, 0.0, 1.0})), order);
 }
 
-/// Beams, their parts, cells of a grid, a sensor that mostly sees the sky, and points that the device makes.
+/// Beams, their parts, cells of a grid, a sensor that mostly sees the sky, and points
+/// that the device makes.
 TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
     for (const char* name : {"native", "kitti360", "VLP-16:300x10"})
         for (const int sub_rays : {1, 5})
             for (const char* range : {"median", "expected"}) {
                 Config of_scan = config;
-                of_scan.sensor.sub_rays = sub_rays, of_scan.sensor.divergence_mrad = 3.0, of_scan.render.range = range;
+                of_scan.sensor.sub_rays = sub_rays, of_scan.sensor.divergence_mrad = 3.0,
+                of_scan.render.range = range;
                 ScanRenderer renderer(device(), scene, of_scan, log);
                 renderer.refine_drops(test::network_that_never_drops());
-                const ScanRequest request{log.frames[3].time_s, shifted_track(log.world_from_sensor(0), log.world_offset_m)};
+                const ScanRequest request{log.frames[3].time_s,
+                                          shifted_track(log.world_from_sensor(0), log.world_offset_m)};
                 SensorChoice sensor = choose_sensor(name, of_scan, log);
                 sensor.limits.min_m = 0.0;
                 const RenderedScan scan = renderer.render(sensor, request);
@@ -119,15 +131,19 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 for (std::size_t i = 0; i < scan.instance.size(); ++i) {
                     const bool returns = scan.image.drop_prob[i] < 0.5f;
                     n_returns += returns, n_empty += scan.instance[i] < 0;
-                    EXPECT_FALSE(returns && (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f) || !(scan.image.range_m[i] > 0.0f)))
-                        << name << ", " << sub_rays << " parts, " << range << ", ray " << i << ": " << scan.instance[i] << " "
-                        << scan.median_range_m[i] << " " << scan.image.range_m[i] << " " << scan.weight[i];
+                    EXPECT_FALSE(returns && (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f) ||
+                                             !(scan.image.range_m[i] > 0.0f)))
+                        << name << ", " << sub_rays << " parts, " << range << ", ray " << i << ": "
+                        << scan.instance[i] << " " << scan.median_range_m[i] << " " << scan.image.range_m[i]
+                        << " " << scan.weight[i];
                 }
                 EXPECT_GT(n_returns, 100u) << name;
                 EXPECT_GT(n_empty, 100u) << name;
-                EXPECT_EQ(returned_points(scan, of_scan, {}).points.size(), n_returns) << name << ", README's recipe and points";
+                EXPECT_EQ(returned_points(scan, of_scan, {}).points.size(), n_returns)
+                    << name << ", README's recipe and points";
                 renderer.ask_points(sensor, request, request.time_s);
-                EXPECT_EQ(renderer.take_points().points.size(), n_returns) << name << ", points of the device";
+                EXPECT_EQ(renderer.take_points().points.size(), n_returns)
+                    << name << ", points of the device";
             }
 }
 
@@ -136,7 +152,8 @@ TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     ScanRenderer renderer(device(), scene, config, log);
     renderer.refine_drops(test::network_that_never_drops());
     renderer.set_weather({.fog_visibility_m = 20.0});
-    const RenderedScan scan = renderer.render(choose_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
+    const RenderedScan scan =
+        renderer.render(choose_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
     const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
     std::size_t n_fog = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
@@ -151,9 +168,10 @@ TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
     DropNetwork network = test::network_of_rays();
     network.inputs.back() = "direction_x";
     ScanRenderer renderer(device(), scene, config, log);
-    EXPECT_THAT([&] { renderer.refine_drops(network); },
-                testing::ThrowsMessage<DataError>(
-                    testing::AllOf(testing::HasSubstr("found the input \"direction_x\""), testing::HasSubstr("relidar refine"))));
+    EXPECT_THAT(
+        [&] { renderer.refine_drops(network); },
+        testing::ThrowsMessage<DataError>(testing::AllOf(
+            testing::HasSubstr("found the input \"direction_x\""), testing::HasSubstr("relidar refine"))));
 }
 
 }  // namespace

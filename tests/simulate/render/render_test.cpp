@@ -23,7 +23,7 @@ Surfels wall_ahead() {
     wall.log_scale[0] = glm::vec2(std::log(5.0f));
     wall.opacity_logit[0] = 6.0f;
     std::fill(wall.sh.begin(), wall.sh.end(), 0.0f);
-    wall.sh[kShCoefficients] = 20.0f;   // hit logit
+    wall.sh[kShCoefficients] = 20.0f;  // hit logit
     return wall;
 }
 
@@ -44,19 +44,21 @@ Surfels post_before_wall() {
     Surfels scene = wall_ahead();
     scene.resize(2);
     for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
-    scene.sh[0] = scene.sh[kShFloats] = 1.0f;   // alike in brightness
+    scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // alike in brightness
     scene.mean = {{10.0f, 0.0f, 0.0f}, {14.0f, 0.0f, 0.0f}};
     scene.rotation[1] = scene.rotation[0];
-    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};   // tall, narrow
+    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};  // tall, narrow
     scene.log_scale[1] = glm::vec2(std::log(5.0f));
     scene.opacity_logit[1] = scene.opacity_logit[0];
     return scene;
 }
 
-/// Share of a disc that a strip through its middle covers. @param x  half of the strip's width over the disc's radius
+/// Share of a disc that a strip through its middle covers. @param x  half of the strip's
+/// width over the disc's radius
 double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
 
-/// A footprint of 0.2 m across, aimed at the post: where half of the light goes through its Gaussian the post ends.
+/// A footprint of 0.2 m across, aimed at the post: where half of the light goes through
+/// its Gaussian the post ends.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -79,20 +81,29 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 2e-3f);
     const double opacity = 1.0 / (1.0 + std::exp(-double(post_before_wall().opacity_logit[0])));
     const double share = strip_share(0.02 * std::sqrt(2.0 * std::log(2.0 * opacity)) / 0.1);
-    EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07) << "one part of forty is 0.05";
+    EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07)
+        << "one part of forty is 0.05";
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// The same post seen by beams of one table that differ: only the one that is wider sees past it.
+/// The same post seen by beams of one table that differ: only the one that is wider sees
+/// past it.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
-    RayTable rays{1, 3, ScanArray<glm::vec3>(3), ScanArray<glm::vec3>(3, {1.0f, 0.0f, 0.0f}), ScanArray<float>(3), {0, 0, 0}};
+    RayTable rays{1,
+                  3,
+                  ScanArray<glm::vec3>(3),
+                  ScanArray<glm::vec3>(3, {1.0f, 0.0f, 0.0f}),
+                  ScanArray<float>(3),
+                  {0, 0, 0}};
     rays.ray_divergence_rad = {1e-3f, 0.02f, 0.0f};
     Config config;
     config.sensor.sub_rays = 9, config.sensor.returns = 2;
     ScanRenderer renderer(device(), make_background_scene(post_before_wall()), config, cross_sequence());
-    const RenderedScan scan = renderer.render(sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
+    const RenderedScan scan =
+        renderer.render(sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
     EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
-    EXPECT_THAT(scan.second_returns[0].range_m, testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
+    EXPECT_THAT(scan.second_returns[0].range_m,
+                testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
@@ -117,7 +128,8 @@ TEST_F(Render, WallIsWhereItStands) {
     sequence.lidars[0].sensor.columns = 8;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.world_from_vehicle.time_s = {0.0, 1.0};
-    sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};   // 2 m/s towards the wall
+    // 2 m/s towards the wall
+    sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};
     Config config;
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
     const SensorChoice sensor = configured_sensor(config, sequence);
@@ -135,12 +147,13 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
-/// A post that only one column of the head meets stands in another column of the image in a sweep in which the head was a column behind.
+/// A post that only one column of the head meets stands in another column of the image in
+/// a sweep in which the head was a column behind.
 TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     Surfels post = wall_ahead();
-    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};   // 0.1 m of 1 m between columns
+    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};  // 0.1 m of 1 m between columns
     Sequence sequence = cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
@@ -151,21 +164,25 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     config.render.follow_sweeps = true;
     ScanRenderer renderer(device(), make_background_scene(post), config, sequence);
     const auto column_of_post = [&](const RenderedScan& scan) {
-        return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) - scan.image.drop_prob.begin());
+        return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
+                   scan.image.drop_prob.begin());
     };
     const SensorChoice own = configured_sensor(config, sequence);
     EXPECT_TRUE(own.follows_sweeps);
-    const int nominal = kColumns / 2;   // azimuth pi falls by a column each
+    const int nominal = kColumns / 2;  // azimuth pi falls by a column each
     EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
-    EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1) << "the head points one column to the left of where it should";
+    EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1)
+        << "the head points one column to the left of where it should";
     EXPECT_EQ(column_of_post(renderer.render(own, 0.5)), nominal) << "no sweep of the log";
-    EXPECT_EQ(column_of_post(renderer.render(own, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal) << "driven by somebody else";
+    EXPECT_EQ(column_of_post(renderer.render(own, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal)
+        << "driven by somebody else";
     config.render.follow_sweeps = false;
     EXPECT_EQ(column_of_post(renderer.render(configured_sensor(config, sequence), 1.0)), nominal);
     EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
-/// Two veils before a wall: half of the light is gone at the second, most of it comes back from the wall. A dropped ray has no range.
+/// Two veils before a wall: half of the light is gone at the second, most of it comes
+/// back from the wall. A dropped ray has no range.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;
     const Surfels wall = wall_ahead();
@@ -188,7 +205,12 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
             const float at_wall = (w[2] * 10.0f + w[3] * 10.1f) / (w[2] + w[3]);
-            EXPECT_NEAR(scan.image.range_m[i], !ahead ? 0.0f : range == "mode" ? at_wall : 8.0f, 1e-4f) << range;
+            EXPECT_NEAR(scan.image.range_m[i],
+                        !ahead            ? 0.0f
+                        : range == "mode" ? at_wall
+                                          : 8.0f,
+                        1e-4f)
+                << range;
             EXPECT_NEAR(scan.median_range_m[i], ahead ? 8.0f : 0.0f, 1e-4f);
         }
     }
@@ -201,12 +223,15 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
     return best;
 }
 
-/// What a beam adds to ranges and makes of intensities is the sensor's: its own scans have it, those of another sensor do not.
+/// What a beam adds to ranges and makes of intensities is the sensor's: its own scans
+/// have it, those of another sensor do not.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();
-    sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
-    sequence.lidars[0].sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
+    sequence.lidars[0].sensor.beams = {
+        {.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
+    sequence.lidars[0].sensor.beams[1] = {
+        .intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
     sequence.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
     Config config;
     config.render.range = "normalised";
@@ -232,7 +257,8 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
 }
 
-/// A ray whose surface lies outside the sensor's limits is dropped, whichever of its two ranges lies there.
+/// A ray whose surface lies outside the sensor's limits is dropped, whichever of its two
+/// ranges lies there.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     Sequence sequence = cross_sequence();
     const Scene scene = make_background_scene(wall_ahead());
@@ -243,13 +269,14 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
         const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0});
-        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.lidars[0].sensor.beams[0].range_offset_m, 1e-4);
+        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.lidars[0].sensor.beams[0].range_offset_m,
+                    1e-4);
         return scan.image.drop_prob[ahead] == 1.0f;
     };
     EXPECT_FALSE(dropped(9.9, 10.1));
     EXPECT_TRUE(dropped(0.0, 9.9));
     EXPECT_TRUE(dropped(10.1, 80.0));
-    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;   // limits are of what is measured
+    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits are of what is measured
     EXPECT_TRUE(dropped(0.0, 10.1));
 }
 
@@ -280,96 +307,118 @@ Surfels faint_plate_before_a_wall() {
     return surfels;
 }
 
-/// Points of a ray that sees a faint plate before the wall: the mean lies in the air between them, the dominant surface is the wall.
+/// Points of a ray that sees a faint plate before the wall: the mean lies in the air
+/// between them, the dominant surface is the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
-    const RenderedScan scan = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+    const RenderedScan scan =
+        ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
+                      behind = ray_towards(sensor.rays, {-1, 0, 0});
     EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
     EXPECT_NEAR(point_ranges(scan, config)[ahead], 10.0, 1e-4);
     EXPECT_EQ(point_ranges(scan, config)[behind], 0.0f);
     config.render.points = "range";
     EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
 
-    surfels.opacity_logit.assign(2, -1.5f);   // T stays above 0.5
-    const RenderedScan faint = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
-    EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2) << "a point without a surface is no point at the sensor";
+    surfels.opacity_logit.assign(2, -1.5f);  // T stays above 0.5
+    const RenderedScan faint =
+        ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+    EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2)
+        << "a point without a surface is no point at the sensor";
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
 }
 
-/// Two surfaces: the mean lies between them, a known way from the farther one, whichever range the image shows; one surface has no spread.
+/// Two surfaces: the mean lies between them, a known way from the farther one, whichever
+/// range the image shows; one surface has no spread.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
-    const RenderedScan plane = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
+                      behind = ray_towards(sensor.rays, {-1, 0, 0});
+    const RenderedScan plane =
+        ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
     EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
-    // shares of the light: 0.3 for the plate, nearly all of the rest for the wall, which is as opaque as a surfel gets
+    // shares of the light: 0.3 for the plate, nearly all of the rest for the wall, which
+    // is as opaque as a surfel gets
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
     std::vector<std::string> channels = drop_channel_names(config.refine);
     std::vector<DropImage> seen;
     for (const char* range : {"normalised", "expected", "median", "mode"}) {
         config.render.range = range;
-        const RenderedScan scan = ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
+        const RenderedScan scan =
+            ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
         EXPECT_NEAR(range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3) << range;
         EXPECT_EQ(range_spread(scan)[behind], 0.0f) << range;
         seen.push_back(drop_image(scan, channels, glm::dvec3(0.0)));
-        EXPECT_EQ(seen.back().channels, seen.front().channels) << "a network sees the same with render.range=" << range;
+        EXPECT_EQ(seen.back().channels, seen.front().channels)
+            << "a network sees the same with render.range=" << range;
         if (seen.size() > 1) continue;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i])) << "of the image, as it was trained";
+            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
+                << "of the image, as it was trained";
     }
 }
 
-/// The place of a wall that stands still, from a sensor that moves while it turns: every ray's own pose puts its point on the wall.
+/// The place of a wall that stands still, from a sensor that moves while it turns: every
+/// ray's own pose puts its point on the wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
-    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
+    sequence.world_from_vehicle = {
+        {0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     sequence.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
         const SensorChoice sensor = configured_sensor({}, sequence);
-        const RenderedScan scan =
-            ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence).render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
+        const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), {}, sequence)
+                                      .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
         std::size_t met = 0;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
             if (!(scan.median_range_m[i] > 0.0f)) continue;
             const glm::dvec3 p =
-                scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
+                scan.world_from_firing(i) *
+                glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
             EXPECT_NEAR(p.x, 110.0, 1e-4);
             ++met;
         }
         EXPECT_GT(met, 5u);
-        EXPECT_NEAR(glm::length(scan.track.at(0.5).translation - scan.world_from_sensor.translation), 0.0, 1e-12);
+        EXPECT_NEAR(glm::length(scan.track.at(0.5).translation - scan.world_from_sensor.translation), 0.0,
+                    1e-12);
     }
 }
 
-/// The wall's normal is known, and at what angle it is met, whichever way the sensor looks, turns and is binned: it comes back in the
-/// sensor's frame, towards the sensor.
+/// The wall's normal is known, and at what angle it is met, whichever way the sensor
+/// looks, turns and is binned: it comes back in the sensor's frame, towards the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
     sequence.rolling_shutter = true;
-    sequence.world_from_vehicle = {{0.0, 1.0},
-                                   {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
+    sequence.world_from_vehicle = {
+        {0.0, 1.0},
+        {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
     const SensorChoice sensor = configured_sensor(config, sequence);
-    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5).channels.empty());
+    EXPECT_TRUE(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence)
+                    .render(sensor, 0.5)
+                    .channels.empty());
     config.render.channels = "normal";
-    const RenderedScan scan = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    const RenderedScan scan =
+        ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
     const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
     ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
     for (std::size_t i = 0; i < normal.size(); ++i) {
         if (scan.instance[i] < 0) EXPECT_EQ(normal[i], glm::vec3(0.0f));
         else
-            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(normal[i]) - glm::dvec3(-1.0, 0.0, 0.0)), 1e-5)
+            EXPECT_LT(glm::length(scan.world_from_firing(i).rotation * glm::dvec3(normal[i]) -
+                                  glm::dvec3(-1.0, 0.0, 0.0)),
+                      1e-5)
                 << "ray " << i;
         met += scan.instance[i] >= 0;
     }
@@ -380,28 +429,31 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.render.channels = "incidence";
-    const RenderedScan again = ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
+    const RenderedScan again =
+        ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.5);
     const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
     for (std::size_t i = 0; i < normal.size(); ++i) {
-        const glm::dvec3 in_world = again.world_from_firing(i).rotation * glm::dvec3(again.image.direction[i]);
+        const glm::dvec3 in_world =
+            again.world_from_firing(i).rotation * glm::dvec3(again.image.direction[i]);
         EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
     }
     config.image.primitive = Primitive::gaussian;
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
 
-/// A wall behind the sensor's right, and a plate placed ahead and, turned to face the sensor too, behind; its brightness depends on
-/// the direction it is seen from.
+/// A wall behind the sensor's right, and a plate placed ahead and, turned to face the
+/// sensor too, behind; its brightness depends on the direction it is seen from.
 Scene two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);
     surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
     // normals along y, x
-    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f}, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};
+    surfels.rotation = {{std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f},
+                        {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f}};
     std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    surfels.sh[kShFloats + 3] = -0.5f;                      // intensity along x: bright from one side, dark from the other
-    surfels.sh[kShFloats + kShCoefficients] = 20.0f;        // returns
+    surfels.sh[kShFloats + 3] = -0.5f;  // intensity along x: bright from one side, dark from the other
+    surfels.sh[kShFloats + kShCoefficients] = 20.0f;  // returns
     surfels.sh[kShCoefficients] = 20.0f;
     Scene scene;
     scene.surfels = surfels;
@@ -421,11 +473,13 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
         config.image.sh_direction = direction;
         const SensorChoice sensor = configured_sensor(config, sequence);
         const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
-        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0});
+        const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
+                          behind = ray_towards(sensor.rays, {-1, 0, 0});
         EXPECT_EQ(scan.instance[ahead], 1);
         EXPECT_EQ(scan.instance[behind], 2);
         EXPECT_GT(std::abs(scan.image.intensity[ahead] - 0.5f), 0.1f) << "the harmonics must matter";
-        EXPECT_NEAR(scan.image.intensity[ahead], scan.image.intensity[behind], 1e-5f) << "both face the sensor alike";
+        EXPECT_NEAR(scan.image.intensity[ahead], scan.image.intensity[behind], 1e-5f)
+            << "both face the sensor alike";
     }
 }
 
@@ -434,7 +488,8 @@ TEST_F(Render, OnlyWhatIsShownIsMet) {
     const Scene scene = two_placements(sequence);
     const SensorChoice sensor = configured_sensor({}, sequence);
     ScanRenderer renderer(device(), scene, {}, sequence);
-    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}), behind = ray_towards(sensor.rays, {-1, 0, 0}),
+    const std::size_t ahead = ray_towards(sensor.rays, {1, 0, 0}),
+                      behind = ray_towards(sensor.rays, {-1, 0, 0}),
                       right = ray_towards(sensor.rays, {0, -1, 0});
     const auto labels = [&](const std::vector<std::string>& names) {
         renderer.show_only(select_instances(scene, names));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans from poses of the caller's: walls and plates at known places, seen by a sensor that is driven by hand.
+// Scans from poses of the caller's: walls and plates at known places, seen by a sensor
+// that is driven by hand.
 #include <cmath>
 #include <limits>
 
@@ -12,18 +13,20 @@ namespace relidar {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);   // of relidar's world
+const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);  // of relidar's world
 
-/// A wall 10 m ahead of the world's origin and an actor, "car": a plate of 2 m across its own x axis. Both return.
+/// A wall 10 m ahead of the world's origin and an actor, "car": a plate of 2 m across its
+/// own x axis. Both return.
 Scene wall_and_car() {
     Scene scene;
     scene.surfels.resize(2);
     scene.surfels.mean = {{10.0f, 0.0f, 0.0f}, {0.0f, 0.0f, 0.0f}};
-    scene.surfels.rotation.assign(2, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f});   // normals along x
+    scene.surfels.rotation.assign(2, {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f});  // normals along x
     scene.surfels.log_scale = {glm::vec2(std::log(5.0f)), glm::vec2(std::log(1.0f))};
     scene.surfels.opacity_logit.assign(2, 6.0f);
     scene.surfels.sh.assign(2 * kShFloats, 0.0f);
-    for (std::size_t i = 0; i < 2; ++i) scene.surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;   // hit logit
+    // hit logit
+    for (std::size_t i = 0; i < 2; ++i) scene.surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;
     scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     scene.instances = {{0, ""}, {1, "car"}};
     return scene;
@@ -37,7 +40,10 @@ Sequence standing_log() {
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
     sequence.world_offset_m = kDatasetOrigin_m;
-    sequence.boxes = {{"car", "Car", {1, 2, 2}, {{0.0, 1.0}, {Pose{{1, 0, 0, 0}, {4, 0, 0}}, Pose{{1, 0, 0, 0}, {4, 0, 0}}}}}};
+    sequence.boxes = {{"car",
+                       "Car",
+                       {1, 2, 2},
+                       {{0.0, 1.0}, {Pose{{1, 0, 0, 0}, {4, 0, 0}}, Pose{{1, 0, 0, 0}, {4, 0, 0}}}}}};
     return sequence;
 }
 
@@ -63,7 +69,9 @@ protected:
             if (sensor.rays.direction[i].x > 0.999f) return i;
         return sensor.rays.size();
     }
-    double range_ahead(const ScanRequest& request) { return double(renderer->render(sensor, request).median_range_m[ahead()]); }
+    double range_ahead(const ScanRequest& request) {
+        return double(renderer->render(sensor, request).median_range_m[ahead()]);
+    }
     std::string refusal(const ScanRequest& request) {
         try {
             renderer->render(sensor, request);
@@ -83,7 +91,7 @@ TEST_F(ScanRequests, SensorIsWhereTheCallerHasIt) {
 }
 
 TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
-    const PoseTrack way{{0.0, 2.0}, {at_x(-4.0), at_x(0.0)}};   // 2 m/s
+    const PoseTrack way{{0.0, 2.0}, {at_x(-4.0), at_x(0.0)}};  // 2 m/s
     const double fired_s = 1.0 + double(sensor.rays.time_offset_s[ahead()]);
     ASSERT_NE(sensor.rays.time_offset_s[ahead()], sensor.rays.time_offset_s[0]) << "the sensor turns";
     EXPECT_NEAR(range_ahead({1.0, way, ActorPoses{}}), 10.0 + 4.0 - 2.0 * fired_s, 1e-4);
@@ -91,7 +99,8 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
         const glm::dvec3 point =
-            scan.world_from_firing(i) * glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
+            scan.world_from_firing(i) *
+            glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
         EXPECT_NEAR(point.x, kDatasetOrigin_m.x + 10.0, 1e-4) << "ray " << i;
     }
 }
@@ -99,8 +108,9 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
 TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
     const PoseTrack stands{{0.0}, {at_x(0.0)}};
     EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4);
-    const double faced_s = 0.5;   // straight ahead of a sweep at 0.5 s
-    EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {at_x(5.0), at_x(8.0)}}}}}), 5.0 + 3.0 * faced_s, 1e-4);
+    const double faced_s = 0.5;  // straight ahead of a sweep at 0.5 s
+    EXPECT_NEAR(range_ahead({0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {at_x(5.0), at_x(8.0)}}}}}),
+                5.0 + 3.0 * faced_s, 1e-4);
     EXPECT_NEAR(range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {at_x(6.0)}}}}}), 6.0, 1e-4)
         << "the log's time does not bind the caller";
     EXPECT_NEAR(range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";
@@ -110,13 +120,18 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
     EXPECT_NE(refusal({0.0, {}}).find("poses of the sensor: found 0 poses at 0 times"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {at_x(0)}}}).find("found 1 poses at 2 times"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}}).find("found time 1 after 1, expected times that rise"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(kNan)}}}).find("found no finite pose at entry 0"), std::string::npos);
+    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}})
+                  .find("found time 1 after 1, expected times that rise"),
+              std::string::npos);
+    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(kNan)}}}).find("found no finite pose at entry 0"),
+              std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0}, {at_x(1e300)}}}).find("entry 0"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{kNan}, {at_x(0)}}}).find("entry 0"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0}, {Pose{{2, 0, 0, 0}, {}}}}}).find("a unit quaternion"), std::string::npos);
     EXPECT_NE(refusal({kNan, {{0.0}, {at_x(0)}}}).find("time_s: found nan"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(0)}}, ActorPoses{{"car", {}}}}).find("poses of actor car: found 0 poses"), std::string::npos);
+    EXPECT_NE(
+        refusal({0.0, {{0.0}, {at_x(0)}}, ActorPoses{{"car", {}}}}).find("poses of actor car: found 0 poses"),
+        std::string::npos);
     EXPECT_THROW(range_ahead({0.0, {{0.0}, {at_x(0)}}, ActorPoses{{"cat", {{0.0}, {at_x(0)}}}}}), UsageError);
 }
 

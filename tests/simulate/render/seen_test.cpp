@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What scans say of themselves where the log has not looked: a street seen from its own road, beside it, from below and from far away.
+// What scans say of themselves where the log has not looked: a street seen from its own
+// road, beside it, from below and from far away.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>
@@ -23,11 +24,17 @@ protected:
     }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
-        renderer.compare_with(find_coverage(log, log.world_from_vehicle, split.train, settings.dataset.max_range_m));
-        return renderer.render(choose_sensor(sensor, settings, log), log.frames[std::size_t(split.test[0])].time_s, offset);
+        renderer.compare_with(
+            find_coverage(log, log.world_from_vehicle, split.train, settings.dataset.max_range_m));
+        return renderer.render(choose_sensor(sensor, settings, log),
+                               log.frames[std::size_t(split.test[0])].time_s, offset);
     }
-    static const std::vector<float>& seen(const RenderedScan& scan) { return *find_values<float>(scan.channels, "seen"); }
-    double unseen(const glm::dvec3& offset_m) { return scan({{1, 0, 0, 0}, offset_m}, config).unseen_share.value(); }
+    static const std::vector<float>& seen(const RenderedScan& scan) {
+        return *find_values<float>(scan.channels, "seen");
+    }
+    double unseen(const glm::dvec3& offset_m) {
+        return scan({{1, 0, 0, 0}, offset_m}, config).unseen_share.value();
+    }
 
     Sequence log;
     Split split;
@@ -40,7 +47,8 @@ TEST_F(Seen, AHeldOutScanLooksWhereTheLogDid) {
     EXPECT_LT(own.unseen_share.value(), 0.02);
     ASSERT_EQ(seen(own).size(), own.image.range_m.size());
     EXPECT_EQ(own.unseen_share.value(),
-              double(std::ranges::count_if(seen(own), [](float s) { return s < 0.5f; })) / double(seen(own).size()));
+              double(std::ranges::count_if(seen(own), [](float s) { return s < 0.5f; })) /
+                  double(seen(own).size()));
     EXPECT_LT(unseen({0.0, 3.0, 0.0}), kMuchUnseen) << "the next lane";
 }
 
@@ -61,7 +69,8 @@ TEST_F(Seen, AShareIsKnownWithoutTheChannel) {
 }
 
 TEST_F(Seen, BinnedAndMergedScansKeepIt) {
-    const RenderedScan own = scan({}, config), grid = scan({}, config, "kitti360"), below = scan({{1, 0, 0, 0}, {0, 0, -5.0}}, config);
+    const RenderedScan own = scan({}, config), grid = scan({}, config, "kitti360"),
+                       below = scan({{1, 0, 0, 0}, {0, 0, -5.0}}, config);
     EXPECT_EQ(seen(grid).size(), grid.image.range_m.size());
     EXPECT_EQ(grid.unseen_share, own.unseen_share);
     const RenderedScan both = merge_scans({own, below}, {Pose{}, Pose{{1, 0, 0, 0}, {0, 0, -5.0}}});

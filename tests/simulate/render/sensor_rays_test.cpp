@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // A sensor's rays on the device: fired as world_ray() has them in double precision
 // (simulate/render/fire_rays), measured as Beam, limits and M6 say
-// (simulate/render/measure_rays), and shown to a network as drop_image() has it (simulate/render/drop_channels).
+// (simulate/render/measure_rays), and shown to a network as drop_image() has it
+// (simulate/render/drop_channels).
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -32,8 +33,8 @@ PoseTrack bend(double rad_per_s, int n) {
     for (int k = 0; k < n; ++k) {
         const double t = 0.03 * k + 0.004 * std::sin(k);
         track.time_s.push_back(t);
-        track.pose.push_back(
-            {rotation_of(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)), {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
+        track.pose.push_back({rotation_of(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)),
+                              {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
     }
     return track;
 }
@@ -54,9 +55,10 @@ double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track
     return farthest;
 }
 
-/// 400 m from the origin a float is 3e-5 m apart from the next; 5e-7 in a direction is 0.04 mm at 80 m.
+/// 400 m from the origin a float is 3e-5 m apart from the next; 5e-7 in a direction is
+/// 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
-    const RayTable rays = spinning_rays(301);   // fired from -0.05 to 0.05 s
+    const RayTable rays = spinning_rays(301);  // fired from -0.05 to 0.05 s
     const double tolerance = 6e-7;
     EXPECT_LT(farthest_off(device(), rays, bend(1.0, 12), 0.15), tolerance);
     EXPECT_LT(farthest_off(device(), rays, bend(20.0, 12), 0.15), tolerance) << "0.6 rad between poses";
@@ -95,18 +97,22 @@ struct Expected {
     double range_m, median_m, mean_m, intensity, drop_prob;
 };
 
-Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees, double mode_m, const RayMeasuring& how) {
+Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees, double mode_m,
+                     const RayMeasuring& how) {
     const double weight = r.weight, normalised = r.depth / weight, median = r.median_depth;
     double chosen = how.range == "median" && median > 0.0 ? median : normalised;
     if (how.range == "mode") chosen = mode_m;
     if (weight < double(how.min_weight)) chosen = 0.0;
     if (how.range == "expected") chosen = r.depth;
     const double surface = median > 0.0 ? median : chosen;
-    Expected e{beam.measured_range(chosen), beam.measured_range(surface), beam.measured_range(median > 0.0 ? normalised : surface),
+    Expected e{beam.measured_range(chosen), beam.measured_range(surface),
+               beam.measured_range(median > 0.0 ? normalised : surface),
                beam.measured_intensity(r.intensity, how.response.at_range(surface)), 0.0};
     const double hit = std::exp(double(r.hit_logit)), drop = std::exp(double(r.drop_logit));
     const bool is_met = weight >= double(how.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
-    e.drop_prob = is_met && how.limits.contains(e.range_m) && how.limits.contains(e.median_m) ? 1.0 - sees * hit / (hit + drop) : 1.0;
+    e.drop_prob = is_met && how.limits.contains(e.range_m) && how.limits.contains(e.median_m)
+                      ? 1.0 - sees * hit / (hit + drop)
+                      : 1.0;
     return e;
 }
 
@@ -120,9 +126,12 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         of_rays[i].normal = glm::vec3(float(i % 3), 1.0f, float(i % 5) - 2.0f);
     }
     geometry.rendered.upload(of_rays);
-    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
-    const std::vector<Beam> beams = {{.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
-                                     {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};   // none for channel 2
+    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
+                                              "rendered rays");
+    const std::vector<Beam> beams = {
+        {.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
+        // none for channel 2
+        {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
     const auto never = [](std::size_t i) { return i % 5 == 0 ? 0.75f : 0.0f; };
     SensorRays on_device(device());
@@ -134,36 +143,44 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
         const RayMeasuring how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry}, how);
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry},
+                          how);
         const std::span<const shared::MeasuredRay> measured = on_device.wait(stream);
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
-            const Expected e = expected_of(rendering[i], beam_of(beams, rays.channel[i]), 1.0 - double(never(i)), of_rays[i].mode, how);
+            const Expected e = expected_of(rendering[i], beam_of(beams, rays.channel[i]),
+                                           1.0 - double(never(i)), of_rays[i].mode, how);
             EXPECT_NEAR(m.range_m, e.range_m, 2e-5) << range << i;
             EXPECT_NEAR(m.median_range_m, e.median_m, 2e-5) << range << i;
             EXPECT_NEAR(m.mean_range_m, e.mean_m, 2e-5) << range << i;
             EXPECT_NEAR(m.intensity, e.intensity, 2e-6) << range << i;
             EXPECT_NEAR(m.drop_prob, e.drop_prob, 2e-6) << range << i;
-            const double cosine = -glm::dot(glm::normalize(glm::dvec3(of_rays[i].normal)), glm::dvec3(fired[i].direction));
-            EXPECT_NEAR(m.incidence, rendering[i].weight < 1e-3f ? 0.0 : std::max(cosine, 0.0), 1e-6) << range << i;
+            const double cosine =
+                -glm::dot(glm::normalize(glm::dvec3(of_rays[i].normal)), glm::dvec3(fired[i].direction));
+            EXPECT_NEAR(m.incidence, rendering[i].weight < 1e-3f ? 0.0 : std::max(cosine, 0.0), 1e-6)
+                << range << i;
             EXPECT_EQ(m.weight, rendering[i].weight);
-            EXPECT_EQ(m.instance, rendering[i].weight < 1e-3f ? RELIDAR_NO_INSTANCE : rendering[i].instance) << i;
+            EXPECT_EQ(m.instance, rendering[i].weight < 1e-3f ? RELIDAR_NO_INSTANCE : rendering[i].instance)
+                << i;
         }
     }
 }
 
-/// Another sensor may see otherwise along the same rays, and other rays of one size are others.
+/// Another sensor may see otherwise along the same rays, and other rays of one size are
+/// others.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = spinning_rays(16);
     shared::RenderedRay wall{};
     wall.depth = wall.median_depth = 10.0f, wall.weight = 1.0f, wall.hit_logit = 20.0f;
     const std::vector<shared::RenderedRay> rendering(rays.size(), wall);
-    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
+    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
+                                              "rendered rays");
     SensorRays on_device(device());
     const auto drop_of_first = [&] {
         Stream stream(device());
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered}, {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered},
+                          {"median", {}, {}, {0.0, 80.0}, 1e-3f});
         return on_device.wait(stream)[0].drop_prob;
     };
     on_device.take(rays, "one", [](std::size_t) { return 0.0f; });
@@ -198,7 +215,8 @@ RenderedScan scan_of(const RayTable& rays, std::span<const shared::MeasuredRay> 
     std::vector<float> incidence;
     for (const shared::MeasuredRay& m : measured) {
         scan.median_range_m.push_back(m.median_range_m), scan.mean_range_m.push_back(m.mean_range_m);
-        scan.image.intensity.push_back(m.intensity), scan.image.drop_prob.push_back(m.drop_prob), scan.weight.push_back(m.weight);
+        scan.image.intensity.push_back(m.intensity), scan.image.drop_prob.push_back(m.drop_prob),
+            scan.weight.push_back(m.weight);
         incidence.push_back(m.incidence);
     }
     scan.channels = {{{.name = "incidence"}, incidence}};
@@ -209,14 +227,16 @@ RenderedScan scan_of(const RayTable& rays, std::span<const shared::MeasuredRay> 
 TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     RayTable rays = spinning_rays(120);
     const std::vector<shared::RenderedRay> rendering = rendered_room(rays);
-    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering), "rendered rays");
+    const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
+                                              "rendered rays");
     SensorRays on_device(device());
     on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
     on_device.fire(stream, bend(0.0, 1), 0.0);
     RayGeometry geometry(device(), rays.size());
     std::vector<shared::RenderedGeometry> of_rays(rays.size());
-    for (std::size_t i = 0; i < rays.size(); ++i) of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
     geometry.rendered.upload(of_rays);
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
@@ -226,15 +246,18 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     measure();
     const RenderedScan scan = scan_of(rays, on_device.wait(stream));
     for (const std::string network : {"pixel", "small"}) {
-        const RefineOptions options{.network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
+        const RefineOptions options{
+            .network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
         DropImage image = drop_image(scan, drop_channel_names(options), first_origin_m);
-        for (std::size_t i = 0; i < rays.size(); ++i) image.dropped.push_back(image.channels[5 * rays.size() + i] > 0.8f ? 1.0f : 0.0f);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            image.dropped.push_back(image.channels[5 * rays.size() + i] > 0.8f ? 1.0f : 0.0f);
         const auto go_on = [](const RefineProgress&, const std::function<RefineState()>&) { return true; };
         const DropNetwork trained = train_drop_network(device(), {image}, options, 3, go_on);
         DropRefiner refiner(device(), trained);
         const std::vector<float> expected = refiner.refine(image);
         measure();
-        on_device.refine(stream, refiner.pass(), glm::vec3(scan.world_from_sensor.translation - first_origin_m));
+        on_device.refine(stream, refiner.pass(),
+                         glm::vec3(scan.world_from_sensor.translation - first_origin_m));
         on_device.wait(stream);
         const std::span<const float> found = on_device.refined(stream);
         double changed = 0.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather on whole scans: surfaces are darker by the formula, what returns from the air says so in every channel, and clear air changes
-// no bit.
+// Weather on whole scans: surfaces are darker by the formula, what returns from the air
+// says so in every channel, and clear air changes no bit.
 #include <algorithm>
 #include <cmath>
 
@@ -18,26 +18,33 @@ namespace {
 constexpr int kRays = 20'000;
 constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 
-/// A wall, of which all rays but every tenth return; actor 3 in all channels. Two returns where they are wanted, both of the wall's panes.
+/// A wall, of which all rays but every tenth return; actor 3 in all channels. Two returns
+/// where they are wanted, both of the wall's panes.
 RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = n_rays;
     scan.image.origin.assign(n, glm::vec3(0.0f)), scan.image.direction.assign(n, glm::vec3(1.0f, 0.0f, 0.0f));
-    scan.image.range_m.assign(n, range_m), scan.image.intensity.assign(n, intensity), scan.image.drop_prob.assign(n, 0.25f);
+    scan.image.range_m.assign(n, range_m), scan.image.intensity.assign(n, intensity),
+        scan.image.drop_prob.assign(n, 0.25f);
     for (std::size_t i = 0; i < n; i += 10) scan.image.drop_prob[i] = 0.75f;
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 3), scan.ring.assign(n, 0), scan.time_offset_s.assign(n, 0.0f);
+    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 3), scan.ring.assign(n, 0),
+        scan.time_offset_s.assign(n, 0.0f);
     scan.channels = {{{.name = "of_surface", .none = -2.0}, std::vector<float>(n, 7.0f)},
                      {{.name = "of_ray", .of_ray = true, .none = -2.0}, std::vector<float>(n, 7.0f)}};
     if (two_returns) {
-        scan.second_returns = {{std::vector<float>(n, range_m + 2.0f), std::vector<float>(n, 0.5f * intensity)}};
-        for (std::size_t i = 0; i < n; i += 10) scan.second_returns[0].range_m[i] = scan.second_returns[0].intensity[i] = 0.0f;
+        scan.second_returns = {
+            {std::vector<float>(n, range_m + 2.0f), std::vector<float>(n, 0.5f * intensity)}};
+        for (std::size_t i = 0; i < n; i += 10)
+            scan.second_returns[0].range_m[i] = scan.second_returns[0].intensity[i] = 0.0f;
     }
     return scan;
 }
 
-const std::vector<std::int32_t>& sources_of(const RenderedScan& scan) { return *find_values<std::int32_t>(scan.channels, "source"); }
+const std::vector<std::int32_t>& sources_of(const RenderedScan& scan) {
+    return *find_values<std::int32_t>(scan.channels, "source");
+}
 
 void expect_same(const RenderedScan& a, const RenderedScan& b) {
     EXPECT_EQ(a.image.range_m, b.image.range_m);
@@ -57,7 +64,8 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
-/// To a hundredth, and with a sensor that reports the same surface at half of its brightness there.
+/// To a hundredth, and with a sensor that reports the same surface at half of its
+/// brightness there.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = wall_at(8.0f, 0.8f);
@@ -66,7 +74,8 @@ TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
         for (std::size_t i = 0; i < kRays; ++i) {
             if (sources_of(scan)[i] != kSurface) continue;
             ++n;
-            ASSERT_NEAR(scan.image.intensity[i] / (0.8 * std::exp(-2.0 * std::log(20.0) / 150.0 * 8.0)), 1.0, 0.01);
+            ASSERT_NEAR(scan.image.intensity[i] / (0.8 * std::exp(-2.0 * std::log(20.0) / 150.0 * 8.0)), 1.0,
+                        0.01);
             ASSERT_EQ(scan.image.range_m[i], 8.0f);
             ASSERT_EQ(scan.instance[i], 3);
             ASSERT_EQ(scan.image.drop_prob[i], 0.25f);
@@ -88,7 +97,8 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
         if (blind[i] != 0) {
             ASSERT_EQ(source, i % 10 == 0 ? kNothing : kSurface);
             ASSERT_EQ(scan.image.range_m[i], 25.0f);
-            ASSERT_NEAR(scan.image.intensity[i], source == kSurface ? 0.3 * 0.05 : 0.3, 1e-6) << "darker all the same";
+            ASSERT_NEAR(scan.image.intensity[i], source == kSurface ? 0.3 * 0.05 : 0.3, 1e-6)
+                << "darker all the same";
         } else if (source == kFog) {
             ++fog;
             ASSERT_LT(scan.image.range_m[i], 25.0f);
@@ -102,10 +112,11 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     EXPECT_GT(fog, kRays / 2);
 }
 
-/// Behind 40 m of it 80 m are 2e-2 of the light; the wall's 3e-3 are less than the weakest.
+/// Behind 40 m of it 80 m are 2e-2 of the light; the wall's 3e-3 are less than the
+/// weakest.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensor sensor;
-    sensor.min_range_m = 39.9;   // returns of the fog are not of interest here
+    sensor.min_range_m = 39.9;  // returns of the fog are not of interest here
     RenderedScan scan = wall_at(40.0f, 0.3f);
     add_weather(scan, Air({.fog_visibility_m = 20.0}, sensor), {}, {}, 1);
     for (std::size_t i = 0; i < kRays; ++i) {
@@ -175,7 +186,8 @@ protected:
     Config config;
 };
 
-/// Without intensities nobody knows how bright surfaces are, and the air would win everywhere.
+/// Without intensities nobody knows how bright surfaces are, and the air would win
+/// everywhere.
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
@@ -196,10 +208,12 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     EXPECT_EQ(find_values<std::int32_t>(clear.channels, "source"), nullptr);
     renderer.set_weather({.fog_visibility_m = 30.0});
     EXPECT_THROW(renderer.set_weather({.snow_mm_h = -1.0}), UsageError);
-    const RenderedScan fog = render("native"), again = render("native"), sample = render("native", 3), grid = render("kitti360");
+    const RenderedScan fog = render("native"), again = render("native"), sample = render("native", 3),
+                       grid = render("kitti360");
     expect_same(fog, again);
     EXPECT_NE(fog.image.range_m, sample.image.range_m);
-    for (const RenderedScan* scan : {&fog, &sample, &grid}) EXPECT_GT(std::ranges::count(sources_of(*scan), kFog), 100);
+    for (const RenderedScan* scan : {&fog, &sample, &grid})
+        EXPECT_GT(std::ranges::count(sources_of(*scan), kFog), 100);
     for (std::size_t i = 0; i < fog.image.range_m.size(); ++i) {
         ASSERT_EQ(sources_of(fog)[i] == kNothing, !returned(fog.image.drop_prob[i], fog.image.range_m[i]));
         ASSERT_TRUE(sources_of(fog)[i] != kSurface || fog.image.intensity[i] <= clear.image.intensity[i]);
@@ -211,7 +225,8 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     const RenderedScan said = render("native");
     expect_same(said, clear);
     for (std::size_t i = 0; i < said.image.range_m.size(); ++i)
-        ASSERT_EQ(sources_of(said)[i], returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
+        ASSERT_EQ(sources_of(said)[i],
+                  returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rain on the road of a scene: level ground of one brightness and a wall, whose mirror image is known.
+// Rain on the road of a scene: level ground of one brightness and a wall, whose mirror
+// image is known.
 #include <algorithm>
 #include <cmath>
 
@@ -25,11 +26,12 @@ Surfels disc_of(float scale_m, float coefficient) {
     disc.opacity_logit[0] = 6.0f;
     std::fill(disc.sh.begin(), disc.sh.end(), 0.0f);
     disc.sh[0] = coefficient;
-    disc.sh[kShCoefficients] = 20.0f;   // hit logit
+    disc.sh[kShCoefficients] = 20.0f;  // hit logit
     return disc;
 }
 
-/// Dark level ground half a metre below the sensor, of opaque discs a metre apart, and a wall of intensity 0.5 on it, 12 m ahead.
+/// Dark level ground half a metre below the sensor, of opaque discs a metre apart, and a
+/// wall of intensity 0.5 on it, 12 m ahead.
 Surfels ground_before_wall() {
     Surfels scene = disc_of(3.0f, 0.0f), disc = disc_of(0.5f, -1.4f);
     scene.mean[0] = {12.0f, 0.0f, -0.5f};
@@ -50,12 +52,14 @@ Sequence sequence_looking_down() {
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.rolling_shutter = false;
     sequence.world_from_vehicle = {{0.0}, {Pose{}}};
-    for (int beam = 0; beam < 8; ++beam) sequence.lidars[0].sensor.beams.push_back({-kPi / 180.0 * (3.6 + 0.3 * beam)});
+    for (int beam = 0; beam < 8; ++beam)
+        sequence.lidars[0].sensor.beams.push_back({-kPi / 180.0 * (3.6 + 0.3 * beam)});
     return sequence;
 }
 
-/// Where the ground mirrors a ray onto the wall, its point is that of the wall's mirror image, on the straight line below the ground. What
-/// is left of the wall's light is more than what is left of the ground's, which water darkens.
+/// Where the ground mirrors a ray onto the wall, its point is that of the wall's mirror
+/// image, on the straight line below the ground. What is left of the wall's light is more
+/// than what is left of the ground's, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
     const Sequence sequence = sequence_looking_down();
@@ -76,14 +80,19 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             ASSERT_GT(d.x, 0.0f);
             ASSERT_NEAR(wet.median_range_m[i], wall_m, 0.2) << "the tracing begins 0.1 m above the ground";
             ASSERT_EQ(wet.instance[i], -1);
-            const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);   // from the middle of the wall
-            const double wall = 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
+            // from the middle of the wall
+            const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);
+            const double wall =
+                0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
             ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(mirrored_by_water(-double(d.z)), 2), 0.02);
         } else if (source[i] == std::int32_t(PointSource::surface)) {
             ++darker;
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
-            ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i], wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
-                        ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)   // the foot of the wall tilts what is taken for the ground before it
+            ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
+                        wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
+                        // the foot of the wall tilts what is taken for the ground before
+                        // it
+                        ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)
                 << i;
         }
     }

@@ -50,7 +50,8 @@ TEST_F(ExrScans, AreReadAsScans) {
     write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const Scan scan = load_sequence(folder.string(), {}).frames.at(0).scan;
-    EXPECT_THAT(scan.range_m, testing::ElementsAre(10.5f, 12.0f, 0.0f, 55.25f)) << "the median, where the ray returns";
+    EXPECT_THAT(scan.range_m, testing::ElementsAre(10.5f, 12.0f, 0.0f, 55.25f))
+        << "the median, where the ray returns";
     EXPECT_THAT(scan.intensity, testing::ElementsAre(0.5f, 1.0f, 0.0f, 0.125f));
     EXPECT_EQ(to_vector(scan.rays.direction), truth.image.direction);
     EXPECT_EQ(to_vector(scan.rays.origin), truth.image.origin);
@@ -59,13 +60,16 @@ TEST_F(ExrScans, AreReadAsScans) {
     ASSERT_EQ(scan.second_returns.size(), 1u);
     EXPECT_EQ(scan.second_returns[0].range_m, truth.second_returns[0].range_m);
     EXPECT_EQ(scan.second_returns[0].intensity, truth.second_returns[0].intensity);
-    EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u) << "not asked for";
+    EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u)
+        << "not asked for";
     truth.channels = {{{.name = "spread"}, range_spread(truth)}};
     write();
-    EXPECT_THAT(read_exr(folder / "scans" / "frame_000005.exr").channels.at("spread"), testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));
+    EXPECT_THAT(read_exr(folder / "scans" / "frame_000005.exr").channels.at("spread"),
+                testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));
     format.deskew = true;
     write();
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "its rays are no longer those of the sensor";
+    EXPECT_THROW(load_sequence(folder.string(), {}), DataError)
+        << "its rays are no longer those of the sensor";
 }
 
 }  // namespace

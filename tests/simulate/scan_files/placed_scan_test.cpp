@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of files of a scan that was taken on the move: deskewed ones come to the world by the pose of their file, those of the world are
-// there already. The scan is made from places in the world that each ray must hit.
+// Points of files of a scan that was taken on the move: deskewed ones come to the world
+// by the pose of their file, those of the world are there already. The scan is made from
+// places in the world that each ray must hit.
 #include <cstring>
 #include <sstream>
 
@@ -24,13 +25,15 @@ const std::vector<glm::dvec3>& places() {
     return points;
 }
 
-/// At 16 m/s and a turn of 40 degrees a second: 0.8 m and 2 degrees to either side of the scan's time.
+/// At 16 m/s and a turn of 40 degrees a second: 0.8 m and 2 degrees to either side of the
+/// scan's time.
 RenderedScan lane_change() {
     RenderedScan scan;
     for (int i = 0; i <= 4; ++i) {
         const double t_s = 2.9 + 0.05 * i;
         scan.track.time_s.push_back(t_s);
-        scan.track.pose.push_back({rotation_of(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
+        scan.track.pose.push_back(
+            {rotation_of(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
     }
     scan.time_s = 3.0;
     scan.world_from_sensor = scan.track.at(scan.time_s);
@@ -87,7 +90,9 @@ Pose pose_of(const std::vector<double>& m) {
 
 class PlacedScans : public TemporaryFolder {
 protected:
-    std::filesystem::path file(const char* extension) const { return folder / (std::string("frame_000000.") + extension); }
+    std::filesystem::path file(const char* extension) const {
+        return folder / (std::string("frame_000000.") + extension);
+    }
 
     void write(PointFrame frame, bool deskew) const {
         ScanFormat format;
@@ -97,32 +102,38 @@ protected:
         scans.write(0, lane_change());
         scans.finish();
     }
-    static void expect_places(const std::string& what, const Pose& world_from_points, const std::vector<glm::dvec3>& points) {
+    static void expect_places(const std::string& what, const Pose& world_from_points,
+                              const std::vector<glm::dvec3>& points) {
         for (std::size_t i = 0; i < places().size(); ++i)
-            EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m) << what << ", point " << i;
+            EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m)
+                << what << ", point " << i;
     }
     /// @param world_from_points  of a file, by the pose that the file says
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
         const Pose of_npz = pose_of(find_array(arrays, "pose")->as_double());
-        const std::vector<float> range_m = find_array(arrays, "range")->as_float(), origin = find_array(arrays, "origin")->as_float(),
+        const std::vector<float> range_m = find_array(arrays, "range")->as_float(),
+                                 origin = find_array(arrays, "origin")->as_float(),
                                  direction = find_array(arrays, "directions")->as_float();
         const ExrImage exr = read_exr(file("exr"));
         std::vector<glm::dvec3> in_npz, in_exr;
         for (std::size_t i = 0; i < places().size(); ++i) {
             in_npz.push_back(point(origin, 3 * i) + double(range_m[i]) * point(direction, 3 * i));
             const auto vector = [&](const std::string& name) {
-                return glm::dvec3(exr.channels.at(name + ".x")[i], exr.channels.at(name + ".y")[i], exr.channels.at(name + ".z")[i]);
+                return glm::dvec3(exr.channels.at(name + ".x")[i], exr.channels.at(name + ".y")[i],
+                                  exr.channels.at(name + ".z")[i]);
             };
             in_exr.push_back(vector("origin") + double(exr.channels.at("range")[i]) * vector("direction"));
         }
         expect_places("npz", world_from_points(of_npz), in_npz);
-        expect_places("exr", world_from_points(pose_of(numbers_behind(exr.notes.at("world_from_sensor"), ""))), in_exr);
+        expect_places(
+            "exr", world_from_points(pose_of(numbers_behind(exr.notes.at("world_from_sensor"), ""))), in_exr);
         const Pose of_ply = pose_of(numbers_behind(contents(file("ply")), "world_from_sensor "));
         expect_places("ply", world_from_points(of_ply), points_behind(file("ply"), "end_header\n"));
         expect_places("bin", world_from_points(of_npz), points_behind(file("bin"), ""));
         const std::vector<double> v = numbers_behind(contents(file("pcd")), "VIEWPOINT ");
-        expect_places("pcd", {glm::dquat(v[3], v[4], v[5], v[6]), {v[0], v[1], v[2]}}, points_behind(file("pcd"), "DATA binary\n"));
+        expect_places("pcd", {glm::dquat(v[3], v[4], v[5], v[6]), {v[0], v[1], v[2]}},
+                      points_behind(file("pcd"), "DATA binary\n"));
     }
 };
 
@@ -136,11 +147,14 @@ TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
     expect_all([](const Pose&) { return Pose{}; });
 }
 
-/// A channel that says something of second returns: an array of its own in npz and exr, values of their own points in ply.
+/// A channel that says something of second returns: an array of its own in npz and exr,
+/// values of their own points in ply.
 TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     RenderedScan scan = lane_change();
     scan.second_returns = {{{40.0f, 0.0f, 0.0f, 41.0f}, {0.1f, 0.0f, 0.0f, 0.1f}}};
-    scan.channels = {{{.name = "why", .none = -1.0}, std::vector<std::int32_t>{1, 2, 0, 0}, std::vector<std::int32_t>{5, -1, -1, 7}}};
+    scan.channels = {{{.name = "why", .none = -1.0},
+                      std::vector<std::int32_t>{1, 2, 0, 0},
+                      std::vector<std::int32_t>{5, -1, -1, 7}}};
     ScanFormat format;
     format.formats = {"npz", "exr", "ply"};
     ScanFolder scans(folder, format);
@@ -153,9 +167,11 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     const std::string ply = contents(file("ply"));
     std::vector<std::int32_t> of_points;
     const std::size_t begin = ply.find("end_header\n") + 11, stride = (ply.size() - begin) / 6;
-    for (std::size_t i = 0; i < 6; ++i)   // the last of a point's values
-        std::memcpy(&of_points.emplace_back(), ply.data() + begin + (i + 1) * stride - sizeof(std::int32_t), sizeof(std::int32_t));
-    EXPECT_EQ(of_points, (std::vector<std::int32_t>{1, 5, 2, 0, 0, 7})) << "second returns behind their first";
+    for (std::size_t i = 0; i < 6; ++i)  // the last of a point's values
+        std::memcpy(&of_points.emplace_back(), ply.data() + begin + (i + 1) * stride - sizeof(std::int32_t),
+                    sizeof(std::int32_t));
+    EXPECT_EQ(of_points, (std::vector<std::int32_t>{1, 5, 2, 0, 0, 7}))
+        << "second returns behind their first";
     scan.channels[0].second = std::vector<std::int32_t>{5};
     EXPECT_THROW(scans.write(1, scan), DataError) << "of another length";
     scan.channels[0].second = std::vector<float>{5, -1, -1, 7};

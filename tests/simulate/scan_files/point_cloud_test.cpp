@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as documented, then packed records.
+// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as
+// documented, then packed records.
 #include <relidar/simulate/point_cloud.hpp>
 
 #include <cstring>
@@ -64,10 +65,19 @@ void expect_records(const std::string& body, const PointCloud& cloud, std::size_
 TEST_F(PointCloudFile, WritesPly) {
     write_ply(folder / "a.ply", some_cloud());
     const Parsed file = parse(contents(folder / "a.ply"), "end_header");
-    const std::vector<std::string> expected{
-        "ply", "format binary_little_endian 1.0", "comment sensor VLP-16", "comment run a b", "element vertex 3",
-        "property float x", "property float y", "property float z", "property float intensity", "property uint16 ring",
-        "property float time", "property int instance", "end_header"};
+    const std::vector<std::string> expected{"ply",
+                                            "format binary_little_endian 1.0",
+                                            "comment sensor VLP-16",
+                                            "comment run a b",
+                                            "element vertex 3",
+                                            "property float x",
+                                            "property float y",
+                                            "property float z",
+                                            "property float intensity",
+                                            "property uint16 ring",
+                                            "property float time",
+                                            "property int instance",
+                                            "end_header"};
     EXPECT_EQ(file.header, expected);
     expect_records(file.body, some_cloud(), 26);
 }
@@ -115,8 +125,10 @@ TEST_F(PointCloudFile, WritesTheSpreadBehindTheOtherFields) {
     cloud.channels = {{{.name = "spread"}, spread}};
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    EXPECT_NE(contents(folder / "a.ply").find("property int instance\nproperty float spread\nend_header"), std::string::npos);
-    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity ring time instance spread\n"), std::string::npos);
+    EXPECT_NE(contents(folder / "a.ply").find("property int instance\nproperty float spread\nend_header"),
+              std::string::npos);
+    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity ring time instance spread\n"),
+              std::string::npos);
     for (const auto& [name, last] : {std::pair("a.ply", "end_header"), {"a.pcd", "DATA binary"}}) {
         const std::string body = parse(contents(folder / name), last).body;
         ASSERT_EQ(body.size(), 3u * 30u) << name;
@@ -133,9 +145,13 @@ TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
     cloud.channels = {{{.name = "normal", .turns = true}, normal}};
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    const Parsed ply = parse(contents(folder / "a.ply"), "end_header"), pcd = parse(contents(folder / "a.pcd"), "DATA binary");
-    EXPECT_NE(contents(folder / "a.ply").find("property float nx\nproperty float ny\nproperty float nz\nend_header"), std::string::npos);
-    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity normal_x normal_y normal_z\n"), std::string::npos);
+    const Parsed ply = parse(contents(folder / "a.ply"), "end_header"),
+                 pcd = parse(contents(folder / "a.pcd"), "DATA binary");
+    EXPECT_NE(contents(folder / "a.ply")
+                  .find("property float nx\nproperty float ny\nproperty float nz\nend_header"),
+              std::string::npos);
+    EXPECT_NE(contents(folder / "a.pcd").find("\nFIELDS x y z intensity normal_x normal_y normal_z\n"),
+              std::string::npos);
     EXPECT_EQ(ply.body, pcd.body);
     ASSERT_EQ(ply.body.size(), 3u * 28u);
     for (std::size_t i = 0; i < 3; ++i)
@@ -164,9 +180,11 @@ TEST_F(PointCloudFile, KeepsFieldsWithoutAPoint) {
     cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
-    EXPECT_NE(contents(folder / "a.ply").find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"),
+    EXPECT_NE(contents(folder / "a.ply")
+                  .find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"),
               std::string::npos);
-    EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").header[2], "FIELDS x y z intensity ring time instance");
+    EXPECT_EQ(parse(contents(folder / "a.pcd"), "DATA binary").header[2],
+              "FIELDS x y z intensity ring time instance");
 }
 
 TEST_F(PointCloudFile, RefusesArraysOfUnequalLength) {

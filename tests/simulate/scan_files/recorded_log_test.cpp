@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings that relidar writes are logs that it reads: the same points, rings, times, poses and actors, of a sensor that is mounted on a
-// vehicle in a bend, with second returns.
+// Recordings that relidar writes are logs that it reads: the same points, rings, times,
+// poses and actors, of a sensor that is mounted on a vehicle in a bend, with second
+// returns.
 #include <algorithm>
 #include <cmath>
 
@@ -16,7 +17,8 @@ namespace relidar {
 namespace {
 
 constexpr int kFrames = 4, kRows = 8, kColumns = 180;
-constexpr double kPeriod_s = 0.1, kFirst_s = 1.0 + kPeriod_s * (0.5 / kColumns - 0.5);  // the stamp of the first scan
+// the stamp of the first scan
+constexpr double kPeriod_s = 0.1, kFirst_s = 1.0 + kPeriod_s * (0.5 / kColumns - 0.5);
 const Pose kMounting{glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {1.2, -0.1, 1.9}};
 
 PoseTrack way() {
@@ -24,12 +26,14 @@ PoseTrack way() {
     for (int i = 0; i <= 60; ++i) {
         const double t = 0.9 + 0.01 * i, yaw = 0.5 * t;
         track.time_s.push_back(t);
-        track.pose.push_back({glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), {20.0 * std::sin(yaw), -20.0 * std::cos(yaw), 0.2 * t}});
+        track.pose.push_back({glm::angleAxis(yaw, glm::dvec3(0, 0, 1)),
+                              {20.0 * std::sin(yaw), -20.0 * std::cos(yaw), 0.2 * t}});
     }
     return track;
 }
 
-/// Ranges of a room that is nowhere even; each twelfth ray is dropped, each fifth has a second return.
+/// Ranges of a room that is nowhere even; each twelfth ray is dropped, each fifth has a
+/// second return.
 RenderedScan room(double time_s) {
     RenderedScan scan;
     scan.image.rows = kRows, scan.image.columns = kColumns;
@@ -37,8 +41,8 @@ RenderedScan room(double time_s) {
         for (int c = 0; c < kColumns; ++c) {
             const double azimuth = kPi - 2.0 * kPi * (c + 0.5) / kColumns, elevation = 0.2 - 0.05 * r;
             const auto i = std::size_t(r * kColumns + c);
-            scan.image.direction.emplace_back(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
-                                              std::sin(elevation));
+            scan.image.direction.emplace_back(std::cos(elevation) * std::cos(azimuth),
+                                              std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             scan.image.range_m.push_back(float(12.0 + 3.0 * std::sin(5.0 * azimuth) + 0.5 * r));
             scan.image.intensity.push_back(float(i % 200) / 255.0f);
             scan.image.drop_prob.push_back(i % 12 == 0 ? 1.0f : 0.0f);
@@ -52,7 +56,9 @@ RenderedScan room(double time_s) {
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.second_returns.assign(1, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
     for (std::size_t i = 0; i < n; i += 5)
-        if (i % 12 != 0) scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f, scan.second_returns[0].intensity[i] = 0.2f;
+        if (i % 12 != 0)
+            scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f,
+            scan.second_returns[0].intensity[i] = 0.2f;
     scan.time_s = time_s;
     scan.track = way();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
@@ -77,7 +83,9 @@ std::vector<SeenPoint> truth() {
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
             if (scan.image.drop_prob[i] > 0.5f) continue;
             const double t_s = scan.time_s + double(scan.time_offset_s[i]);
-            const auto at = [&](float range_m) { return scan.track.at(t_s) * (double(range_m) * glm::dvec3(scan.image.direction[i])); };
+            const auto at = [&](float range_m) {
+                return scan.track.at(t_s) * (double(range_m) * glm::dvec3(scan.image.direction[i]));
+            };
             points.push_back({t_s, scan.ring[i], false, at(scan.image.range_m[i]), scan.image.intensity[i]});
             if (scan.second_returns[0].range_m[i] > 0.0f)
                 points.push_back({t_s, scan.ring[i], true, at(scan.second_returns[0].range_m[i]), 0.2f});
@@ -97,8 +105,10 @@ std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 direction(frame.scan.rays.direction[i]);
             const auto add = [&](float range_m, float intensity, bool second) {
-                points.push_back({t_s + zero_s, frame.scan.rays.channel[i], second,
-                                  track.at(t_s) * (glm::dvec3(frame.scan.rays.origin[i]) + double(range_m) * direction), intensity});
+                points.push_back(
+                    {t_s + zero_s, frame.scan.rays.channel[i], second,
+                     track.at(t_s) * (glm::dvec3(frame.scan.rays.origin[i]) + double(range_m) * direction),
+                     intensity});
             };
             add(frame.scan.range_m[i], frame.scan.intensity[i], false);
             if (!frame.scan.second_returns.empty() && frame.scan.second_returns[0].range_m[i] > 0.0f)
@@ -114,18 +124,21 @@ std::vector<BoxTrack> actors() {
     for (int i = 0; i <= 40; ++i) {
         const double t = 1.09 + 0.01 * i, yaw = 0.4 * t;
         car.world_from_box.time_s.push_back(t);
-        car.world_from_box.pose.push_back(
-            {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), {30.0 * std::sin(yaw), 4.0 - 30.0 * std::cos(yaw), 0.8}});
+        car.world_from_box.pose.push_back({glm::angleAxis(yaw, glm::dvec3(0, 0, 1)),
+                                           {30.0 * std::sin(yaw), 4.0 - 30.0 * std::cos(yaw), 0.8}});
     }
-    bin.world_from_box = {{0.5, 2.0}, std::vector<Pose>(2, {glm::angleAxis(2.0, glm::dvec3(0, 0, 1)), {5.0, -8.0, 0.6}})};
+    bin.world_from_box = {{0.5, 2.0},
+                          std::vector<Pose>(2, {glm::angleAxis(2.0, glm::dvec3(0, 0, 1)), {5.0, -8.0, 0.6}})};
     return {car, bin};
 }
 
-/// When the head of a sweep faces a box: it turns from behind over the left to the right, once a period, and faces ahead at time_s.
+/// When the head of a sweep faces a box: it turns from behind over the left to the right,
+/// once a period, and faces ahead at time_s.
 double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
-        const glm::dvec3 seen = inverse(way().at(faced_s) * kMounting) * box.world_from_box.at(faced_s).translation;
+        const glm::dvec3 seen =
+            inverse(way().at(faced_s) * kMounting) * box.world_from_box.at(faced_s).translation;
         faced_s = time_s - std::atan2(seen.y, seen.x) / (2.0 * kPi) * kPeriod_s;
     }
     return faced_s;
@@ -145,12 +158,17 @@ void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
         for (std::size_t k = 0; k < found->world_from_box.time_s.size(); ++k) {
             const double at_s = found->world_from_box.time_s[k] + kFirst_s;
             BoxTrack there = wanted;
-            for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;   // as the sensor sees it
+            // as the sensor sees it
+            for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
-            EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns) << wanted.id << ": within a column";
+            EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
+                << wanted.id << ": within a column";
             const Pose pose = wanted.world_from_box.at(at_s);
-            EXPECT_LT(glm::distance(found->world_from_box.pose[k].translation + log.world_offset_m, pose.translation + moved_m), 1e-6);
-            EXPECT_NEAR(std::abs(glm::dot(found->world_from_box.pose[k].rotation, pose.rotation)), 1.0, 1e-12);
+            EXPECT_LT(glm::distance(found->world_from_box.pose[k].translation + log.world_offset_m,
+                                    pose.translation + moved_m),
+                      1e-6);
+            EXPECT_NEAR(std::abs(glm::dot(found->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
+                        1e-12);
         }
     }
 }
@@ -171,8 +189,9 @@ void expect_same(const Sequence& log, bool has_second) {
         ASSERT_EQ(found[i].second, wanted[i].second) << i;
         ASSERT_NEAR(found[i].time_s, wanted[i].time_s, 2e-6) << i;
         ASSERT_NEAR(found[i].intensity, wanted[i].intensity, 1e-6) << i;
-        // Poses of frames alone would not do: at 10 m/s in a bend of 0.5 rad/s the chord of 0.1 s is 6 mm beside, and what goes straight on
-        // behind the last frame 5 cm. The recording has a pose every 10 ms, whose chords are 0.1 mm beside.
+        // Poses of frames alone would not do: at 10 m/s in a bend of 0.5 rad/s the chord
+        // of 0.1 s is 6 mm beside, and what goes straight on behind the last frame 5 cm.
+        // The recording has a pose every 10 ms, whose chords are 0.1 mm beside.
         ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), 3e-4) << i;
     }
 }
@@ -193,7 +212,8 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     }
 }
 
-/// A car that drives at 5 m/s to the right of a sensor that stands and behind it, where the head turns last.
+/// A car that drives at 5 m/s to the right of a sensor that stands and behind it, where
+/// the head turns last.
 BoxTrack car_behind() {
     BoxTrack car{"car", "Car", {4.2, 1.8, 1.5}, {}};
     for (int i = 0; i <= 10; ++i) {
@@ -232,7 +252,8 @@ RenderedScan scan_of_car(double time_s) {
     return scan;
 }
 
-/// Points of a car that moves through the sweep lie in its box, and the box moved to the time of each point holds them exactly.
+/// Points of a car that moves through the sweep lie in its box, and the box moved to the
+/// time of each point holds them exactly.
 TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     ScanFormat format;
     format.formats = {"mcap", "rosbag"};
@@ -250,14 +271,17 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
             const RenderedScan scan = scan_of_car(1.0 + kPeriod_s * k);
             for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
                 if (scan.instance[i] != 1) continue;
-                const glm::dvec3 point_m = double(scan.image.range_m[i]) * glm::dvec3(scan.image.direction[i]);
+                const glm::dvec3 point_m =
+                    double(scan.image.range_m[i]) * glm::dvec3(scan.image.direction[i]);
                 const glm::dvec3 box_m = boxes.pose[std::size_t(k)].translation + log.world_offset_m;
-                const double later_s = scan.time_s + double(scan.time_offset_s[i]) - (boxes.time_s[std::size_t(k)] + kFirst_s);
+                const double later_s =
+                    scan.time_s + double(scan.time_offset_s[i]) - (boxes.time_s[std::size_t(k)] + kFirst_s);
                 const auto outside_m = [&](const glm::dvec3& middle_m) {
                     const glm::dvec3 beyond = glm::abs(point_m - middle_m) - 0.5 * car_behind().size_m;
                     return std::max({beyond.x, beyond.y, beyond.z});
                 };
-                EXPECT_LT(outside_m(box_m), 0.05) << name << ": hit within some milliseconds of the box's time";
+                EXPECT_LT(outside_m(box_m), 0.05)
+                    << name << ": hit within some milliseconds of the box's time";
                 EXPECT_LT(outside_m(box_m + glm::dvec3(5.0 * later_s, 0.0, 0.0)), 1e-4) << name;
                 ++n;
             }

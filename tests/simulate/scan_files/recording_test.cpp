@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings as files: that they appear whole or not at all, that their index leads to what it says, and times that a file cannot have.
-// What messages hold is read by others' readers in tests/tools/recordings_test.sh.
+// Recordings as files: that they appear whole or not at all, that their index leads to
+// what it says, and times that a file cannot have. What messages hold is read by others'
+// readers in tests/tools/recordings_test.sh.
 #include <cstring>
 #include <map>
 
@@ -21,10 +22,17 @@ using testing::UnorderedElementsAre;
 
 constexpr const char* kMagic = "\x89MCAP0\r\n";
 
-/// A scan of two rays ahead that both return, one of them twice, fired before and after the scan's time.
+/// A scan of two rays ahead that both return, one of them twice, fired before and after
+/// the scan's time.
 RenderedScan two_rays(double time_s) {
     RenderedScan scan;
-    scan.image = {1, 2, {10.0f, 12.0f}, {0.5f, 1.0f}, {0.0f, 0.1f}, {2, glm::vec3(0.0f)}, {2, glm::vec3(1.0f, 0.0f, 0.0f)}};
+    scan.image = {1,
+                  2,
+                  {10.0f, 12.0f},
+                  {0.5f, 1.0f},
+                  {0.0f, 0.1f},
+                  {2, glm::vec3(0.0f)},
+                  {2, glm::vec3(1.0f, 0.0f, 0.0f)}};
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.weight = {1.0f, 1.0f};
     scan.instance = {0, 1};
@@ -43,7 +51,7 @@ T number(const std::string& bytes, std::size_t at) {
 }
 
 struct Record {
-    std::size_t begin, body, end;   ///< in the file
+    std::size_t begin, body, end;  ///< in the file
 };
 
 /// Records of the file, or of a chunk, by code. @param at  where the first begins
@@ -71,10 +79,12 @@ protected:
 TEST_F(Recordings, AppearWhenTheyAreFinished) {
     ScanFolder scans(folder, format);
     scans.write(0, two_rays(1.0));
-    for (const std::string& name : files()) EXPECT_EQ(name.front(), '.') << name << ": nothing has a final name yet";
+    for (const std::string& name : files())
+        EXPECT_EQ(name.front(), '.') << name << ": nothing has a final name yet";
     scans.finish();
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
-    EXPECT_THAT(contents(folder / "scans.json"), HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
+    EXPECT_THAT(contents(folder / "scans.json"),
+                HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
     EXPECT_EQ(scans_in(folder).size(), 3u) << "the next rendering knows them";
 }
 
@@ -95,7 +105,8 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
         ASSERT_EQ(bytes.substr(0, 8), kMagic);
         ASSERT_EQ(bytes.substr(bytes.size() - 8), kMagic);
         const auto all = records(bytes, 8, bytes.size() - 8);
-        const std::size_t summary = number<std::uint64_t>(bytes, all.find(2)->second.body);   // of the footer
+        // of the footer
+        const std::size_t summary = number<std::uint64_t>(bytes, all.find(2)->second.body);
         ASSERT_EQ(all.find(15)->second.end, summary) << "behind the end of data";
         ASSERT_EQ(all.count(6), 3u);
         ASSERT_EQ(all.count(8), 3u);
@@ -105,24 +116,31 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
             EXPECT_EQ(bytes[chunk], 6);
             const std::uint64_t size = number<std::uint64_t>(bytes, chunk + 9 + 16);
             const std::size_t inside = chunk + number<std::uint64_t>(bytes, at + 24) - size;
-            EXPECT_EQ(number<std::uint32_t>(bytes, chunk + 9 + 24), crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
+            EXPECT_EQ(number<std::uint32_t>(bytes, chunk + 9 + 24),
+                      crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
             std::size_t n_indexed = 0;
-            for (std::uint32_t place = 0; place < number<std::uint32_t>(bytes, at + 32); place += 10) {   // of 2 + 8 bytes
+            // of 2 + 8 bytes
+            for (std::uint32_t place = 0; place < number<std::uint32_t>(bytes, at + 32); place += 10) {
                 const std::size_t entry = number<std::uint64_t>(bytes, at + 36 + place + 2);
                 EXPECT_EQ(bytes[entry], 7) << "a message index";
-                EXPECT_EQ(number<std::uint16_t>(bytes, entry + 9), number<std::uint16_t>(bytes, at + 36 + place)) << "of that channel";
-                EXPECT_EQ(bytes[inside + number<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5) << "that leads to a message";
+                EXPECT_EQ(number<std::uint16_t>(bytes, entry + 9),
+                          number<std::uint16_t>(bytes, at + 36 + place))
+                    << "of that channel";
+                EXPECT_EQ(bytes[inside + number<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5)
+                    << "that leads to a message";
                 n_indexed += number<std::uint32_t>(bytes, entry + 9 + 2) / 16;
             }
-            EXPECT_EQ(records(bytes, inside, inside + size).count(5), n_indexed) << "every message is in an index";
-            EXPECT_EQ(number<std::uint32_t>(bytes, at + 32) / 10, all.count(4) / 2) << "a topic each; channels lie in the summary, too";
+            EXPECT_EQ(records(bytes, inside, inside + size).count(5), n_indexed)
+                << "every message is in an index";
+            EXPECT_EQ(number<std::uint32_t>(bytes, at + 32) / 10, all.count(4) / 2)
+                << "a topic each; channels lie in the summary, too";
         }
     }
 }
 
 TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
     ScanFolder scans(folder, format);
-    scans.write(0, two_rays(0.0));   // its first ray is fired at -0.05 s
+    scans.write(0, two_rays(0.0));  // its first ray is fired at -0.05 s
     scans.finish();
     const std::string bytes = contents(folder / "rosbag.mcap");
     const auto all = records(bytes, 8, bytes.size() - 8);
@@ -135,7 +153,8 @@ TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
     ScanFolder scans(folder, format);
     scans.write(0, two_rays(100.0));
     EXPECT_THAT(data_error([&] { scans.write(1, two_rays(-5.0)); }), HasSubstr("found a scan at -5 s"));
-    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(99.0)); }), HasSubstr("expected times that do not fall"));
+    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(99.0)); }),
+                HasSubstr("expected times that do not fall"));
     EXPECT_THAT(data_error([&] { scans.write(1, two_rays(3e9)); }), HasSubstr("lie before 2038"));
 }
 
@@ -145,7 +164,8 @@ TEST_F(Recordings, OfARigAreOne) {
     ScanRecordings recordings(folder, {left, right});
     const std::vector<RenderedScan> scans{two_rays(1.0), two_rays(1.0)};
     recordings.write(scans);
-    EXPECT_THAT(error_message<UsageError>([&] { recordings.write(std::span(scans).first(1)); }), HasSubstr("found 1 scans, expected 2"));
+    EXPECT_THAT(error_message<UsageError>([&] { recordings.write(std::span(scans).first(1)); }),
+                HasSubstr("found 1 scans, expected 2"));
     recordings.finish();
     EXPECT_THAT(recordings.names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
@@ -160,17 +180,21 @@ TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
         other.topic = topic, other.frame_id = frame_id;
         return error_message<UsageError>([&] { ScanRecordings(folder, {format, other}); });
     };
-    for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points", "/lidar/top-left", "/lidar points"})
+    for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points",
+                              "/lidar/top-left", "/lidar points"})
         EXPECT_THAT(error(topic, "other"), HasSubstr("expected one as /lidar/points")) << topic;
     for (const char* frame : {"", "/other", "lidar", "world", "base_link"})
         EXPECT_THAT(error("/other", frame), HasSubstr("other than base_link, lidar, world")) << frame;
     for (const char* topic : {"/lidar/points", "/tf", "/tf_static", "/actors"})
-        EXPECT_THAT(error(topic, "other"), HasSubstr(std::string("found topic ") + topic + " twice")) << topic;
+        EXPECT_THAT(error(topic, "other"), HasSubstr(std::string("found topic ") + topic + " twice"))
+            << topic;
     EXPECT_THAT(files(), ElementsAre()) << "nothing is left of those that were refused";
 }
 
 TEST_F(Recordings, AFolderThatCannotBeWrittenIsNamed) {
-    EXPECT_THAT(data_error([&] { ScanFolder(folder / "file" / "below", (put(folder / "file", "x"), format)); }), HasSubstr("file"));
+    EXPECT_THAT(
+        data_error([&] { ScanFolder(folder / "file" / "below", (put(folder / "file", "x"), format)); }),
+        HasSubstr("file"));
 }
 
 }  // namespace

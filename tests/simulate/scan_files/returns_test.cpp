@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every format holds as many returns of a scan as every other one, with a network that says of every ray that it returns.
+// Every format holds as many returns of a scan as every other one, with a network that
+// says of every ray that it returns.
 #include <cmath>
 #include <cstring>
 #include <map>
@@ -21,9 +22,10 @@ namespace relidar {
 namespace {
 
 constexpr int kBeams = 16, kSteps = 256;
-constexpr double kHeight_m = 3.0;   // of the sensor above a plate of 4 m
+constexpr double kHeight_m = 3.0;  // of the sensor above a plate of 4 m
 
-/// Returns how many rays of a sensor, fired from above its middle, meet a round plate on the ground.
+/// Returns how many rays of a sensor, fired from above its middle, meet a round plate on
+/// the ground.
 std::size_t rays_onto_plate(const RayTable& rays, double radius_m) {
     std::size_t n = 0;
     for (const glm::vec3& d : rays.direction)
@@ -38,7 +40,7 @@ Surfels plate_below() {
     surfels.log_scale[0] = glm::vec2(std::log(4.0f));
     surfels.opacity_logit[0] = 6.0f;
     surfels.sh.assign(kShFloats, 0.0f);
-    surfels.sh[kShCoefficients] = 20.0f;   // hit logit
+    surfels.sh[kShCoefficients] = 20.0f;  // hit logit
     return surfels;
 }
 
@@ -67,8 +69,9 @@ std::string message_on(const std::string& bytes, const std::string& topic) {
             const std::size_t body = at + 9, next = body + value_at<std::uint64_t>(bytes, at + 1);
             if (kind == 4 && bytes.substr(body + 8, value_at<std::uint32_t>(bytes, body + 4)) == topic)
                 channel = value_at<std::uint16_t>(bytes, body);
-            if (kind == 5 && channel == value_at<std::uint16_t>(bytes, body)) return bytes.substr(body + 22, next - body - 22);
-            if (kind == 6) {   // a chunk: times, sizes, the compression's name and the records
+            if (kind == 5 && channel == value_at<std::uint16_t>(bytes, body))
+                return bytes.substr(body + 22, next - body - 22);
+            if (kind == 6) {  // a chunk: times, sizes, the compression's name and the records
                 const std::size_t inside = body + 28 + 4 + value_at<std::uint32_t>(bytes, body + 28) + 8;
                 if (std::string found = self(inside, next, self); !found.empty()) return found;
             }
@@ -81,11 +84,13 @@ std::string message_on(const std::string& bytes, const std::string& topic) {
 
 /// Points of a sensor_msgs/PointCloud2, by its width and height.
 std::size_t points_of_ros(const std::string& message) {
-    const std::size_t name = 4 + 8, end = name + 4 + value_at<std::uint32_t>(message, name), sizes = (end - 4 + 3) / 4 * 4 + 4;
+    const std::size_t name = 4 + 8, end = name + 4 + value_at<std::uint32_t>(message, name),
+                      sizes = (end - 4 + 3) / 4 * 4 + 4;
     return std::size_t(value_at<std::uint32_t>(message, sizes)) * value_at<std::uint32_t>(message, sizes + 4);
 }
 
-/// Points of a foxglove.PointCloud: the bytes of field 6 over those of one point, field 4.
+/// Points of a foxglove.PointCloud: the bytes of field 6 over those of one point, field
+/// 4.
 std::size_t points_of_foxglove(const std::string& message) {
     std::size_t at = 0, stride = 0, n_bytes = 0;
     const auto varint = [&] {
@@ -112,7 +117,8 @@ std::size_t points_of_foxglove(const std::string& message) {
     return stride == 0 ? 0 : n_bytes / stride;
 }
 
-/// Pixels of the picture's first image, the ranges, that do not have the colour of its first pixel, which looks at the sky.
+/// Pixels of the picture's first image, the ranges, that do not have the colour of its
+/// first pixel, which looks at the sky.
 std::size_t shown_pixels(const std::filesystem::path& path) {
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
@@ -149,7 +155,7 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     EXPECT_GT(n, rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
     EXPECT_LT(n, rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
 
-    struct Folder : TemporaryFolder {   // its SetUp() and TearDown() alone
+    struct Folder : TemporaryFolder {  // its SetUp() and TearDown() alone
         using TemporaryFolder::folder;
         Folder() { SetUp(); }
         ~Folder() override { TearDown(); }
@@ -160,7 +166,9 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     ScanFolder scans(files.folder, format);
     scans.write(0, scan);
     scans.finish();
-    const auto file = [&](const char* extension) { return files.folder / (std::string("frame_000000.") + extension); };
+    const auto file = [&](const char* extension) {
+        return files.folder / (std::string("frame_000000.") + extension);
+    };
     EXPECT_EQ(below_half(find_array(read_npz(file("npz")), "drop_prob")->as_float()), n);
     EXPECT_EQ(below_half(read_exr(file("exr")).channels.at("drop_prob")), n);
     EXPECT_EQ(shown_pixels(file("png")), n);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather along single rays against closed forms and the integrals of its models, written here once more from the literature.
+// Weather along single rays against closed forms and the integrals of its models, written
+// here once more from the literature.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -52,15 +53,18 @@ TEST(Weather, IsReadAsItIsWritten) {
     EXPECT_EQ(parse_weather("bloom").bloom, 1.2e-4);
     EXPECT_EQ(parse_weather("sun=-30:20").sun, (Sun{-30.0, 20.0, 100.0}));
     EXPECT_EQ(parse_weather("sun=200.5:0:40").sun, (Sun{200.5, 0.0, 40.0}));
-    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5", "bloom=0.001,sun=-30:20",
-                             "sun=200.5:0:40"})
+    for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5",
+                             "bloom=0.001,sun=-30:20", "sun=200.5:0:40"})
         EXPECT_EQ(to_text(parse_weather(text)), text);
 }
 
 TEST(Weather, WhatIsNoneIsRefusedInALine) {
-    const std::string kinds = "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
-                              "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
-    const std::string suns = "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
+    const std::string kinds =
+        "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
+        "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
+    const std::string suns =
+        "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to "
+        "150";
     const std::map<std::string, std::string> refused = {
         {"fog=0", "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
         {"fog=-5", "weather: found fog=-5, expected a visibility of 1 to 1e6 metres"},
@@ -111,14 +115,17 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
     };
     for (const double rate : {0.5, 5.0, 25.0}) {
         const double rain = shadows(8000.0, 4.1 * std::pow(rate, -0.21), 1.0),
-                     snow = shadows(3.8e3 * std::pow(rate, -0.87), 2.55 * std::pow(rate, -0.48), std::pow(10.0, 1.0 / 3.0));
+                     snow = shadows(3.8e3 * std::pow(rate, -0.87), 2.55 * std::pow(rate, -0.48),
+                                    std::pow(10.0, 1.0 / 3.0));
         EXPECT_NEAR(extinction({.rain_mm_h = rate}), rain, 1e-4 * rain);
         EXPECT_NEAR(extinction({.snow_mm_h = rate}), snow, 1e-4 * snow);
-        EXPECT_NEAR(extinction({.fog_visibility_m = 100.0, .rain_mm_h = rate}), std::log(20.0) / 100.0 + rain, 1e-4 * rain);
+        EXPECT_NEAR(extinction({.fog_visibility_m = 100.0, .rain_mm_h = rate}), std::log(20.0) / 100.0 + rain,
+                    1e-4 * rain);
     }
 }
 
-/// Rain takes what links of light were measured to lose in it: 1.076 R^0.67 dB/km (Carbonneau; ITU-R P.1814).
+/// Rain takes what links of light were measured to lose in it: 1.076 R^0.67 dB/km
+/// (Carbonneau; ITU-R P.1814).
 TEST(Weather, RainIsAsThickAsMeasured) {
     for (const double rate : {5.0, 25.0, 80.0}) {
         const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
@@ -137,13 +144,15 @@ TEST(WetGround, WaterMirrorsAsFresnelSays) {
     constexpr double n = 1.33;
     EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
     EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
-    const double brewster = std::cos(std::atan(n));   // only light across the plane of incidence
+    const double brewster = std::cos(std::atan(n));  // only light across the plane of incidence
     EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001) << "the diffuse reflectance of water in tables";
+    EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001)
+        << "the diffuse reflectance of water in tables";
 }
 
-/// Light that passes into the film, from the ground back to the surface again and again, summed bounce by bounce; what is kept inside by
-/// the integral over directions in water, with total reflection, which the closed form does not ask.
+/// Light that passes into the film, from the ground back to the surface again and again,
+/// summed bounce by bounce; what is kept inside by the integral over directions in water,
+/// with total reflection, which the closed form does not ask.
 TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     constexpr double n = 1.33;
     const auto kept_inside = [](double in_water) {
@@ -154,9 +163,10 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
         for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
             const double passes = 1.0 - mirrored_by_water(cosine);
-            double light = passes, returned = 0.0;   // per albedo
+            double light = passes, returned = 0.0;  // per albedo
             for (int bounce = 0; bounce < 2000; ++bounce) returned += light, light *= albedo * kept;
-            EXPECT_NEAR(wet_over_dry(cosine, albedo), returned * passes / (n * n), 1e-3) << cosine << ' ' << albedo;
+            EXPECT_NEAR(wet_over_dry(cosine, albedo), returned * passes / (n * n), 1e-3)
+                << cosine << ' ' << albedo;
         }
     }
     EXPECT_EQ(film_share(0.0), 0.0);
@@ -168,7 +178,7 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
     const Air air({.wet_mm = 1.0}, sensor_to(80.0));
     Echo ground = wall(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror, 0.5};
-    ground.through_water = 0.01;   // 0.001 at 40 m: less than the weakest, 0.00125 there
+    ground.through_water = 0.01;  // 0.001 at 40 m: less than the weakest, 0.00125 there
     const RayEchoes seen = air.look({ground, {}, mirrored}, 40.0, 1);
     EXPECT_EQ(seen.strongest.source, PointSource::mirror);
     EXPECT_EQ(seen.strongest.range_m, 60.0);
@@ -182,7 +192,8 @@ TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
 }
 
 TEST(Weather, AWallIsDarkerByTheFormula) {
-    for (const Weather& weather : {Weather{.fog_visibility_m = 300.0}, Weather{.rain_mm_h = 10.0}, Weather{.snow_mm_h = 1.0}}) {
+    for (const Weather& weather :
+         {Weather{.fog_visibility_m = 300.0}, Weather{.rain_mm_h = 10.0}, Weather{.snow_mm_h = 1.0}}) {
         const Air air(weather, sensor_to(80.0));
         int n = 0;
         for (std::uint64_t seed = 0; seed < 200; ++seed) {
@@ -196,27 +207,34 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
     }
 }
 
-/// A target of 10 % is seen to where 0.1 exp(-2 alpha R) / R^2 is the weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The last
-/// return is one of two.
+/// A target of 10 % is seen to where 0.1 exp(-2 alpha R) / R^2 is the weakest power: R =
+/// W(alpha sqrt(0.1 / weakest)) / alpha. The last return is one of two.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
         const WeatherSensor sensor = sensor_to(100.0);
         const Weather fog{.fog_visibility_m = visibility_m};
         const Air air(fog, sensor);
-        const double alpha = std::log(20.0) / visibility_m, end_m = lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
+        const double alpha = std::log(20.0) / visibility_m,
+                     end_m = lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
         for (std::uint64_t seed = 0; seed < 100; ++seed) {
-            EXPECT_TRUE(shows_surface(air.look({wall(0.999 * end_m, 0.1), {}}, 0.999 * end_m, seed))) << visibility_m;
-            EXPECT_FALSE(shows_surface(air.look({wall(1.001 * end_m, 0.1), {}}, 1.001 * end_m, seed))) << visibility_m;
+            EXPECT_TRUE(shows_surface(air.look({wall(0.999 * end_m, 0.1), {}}, 0.999 * end_m, seed)))
+                << visibility_m;
+            EXPECT_FALSE(shows_surface(air.look({wall(1.001 * end_m, 0.1), {}}, 1.001 * end_m, seed)))
+                << visibility_m;
         }
     }
 }
 
-/// What rays into the free air return: where the strongest return is from and how strong it is.
+/// What rays into the free air return: where the strongest return is from and how strong
+/// it is.
 class FreeAir {
 public:
-    FreeAir(const Weather& weather, const WeatherSensor& sensor) : sensor_(sensor), alpha_(extinction(weather)) {
-        for (double r = kNearest_m + 0.5 * kCell_m; r < sensor.max_range_m; r += kCell_m) ranges_m_.push_back(r);
-        for (int i = 0; i <= kLevels; ++i) levels_.push_back(weakest(sensor) * std::pow(10.0, 7.0 * i / kLevels));
+    FreeAir(const Weather& weather, const WeatherSensor& sensor)
+        : sensor_(sensor), alpha_(extinction(weather)) {
+        for (double r = kNearest_m + 0.5 * kCell_m; r < sensor.max_range_m; r += kCell_m)
+            ranges_m_.push_back(r);
+        for (int i = 0; i <= kLevels; ++i)
+            levels_.push_back(weakest(sensor) * std::pow(10.0, 7.0 * i / kLevels));
         from_.resize(ranges_m_.size());
         none_stronger_.resize(levels_.size());
     }
@@ -225,29 +243,35 @@ public:
         std::vector<std::vector<double>> n(levels_.size());
         for (std::size_t i = 0; i < levels_.size(); ++i) {
             double all = 0.0;
-            for (const double r : ranges_m_) n[i].push_back(brighter(r, levels_[i]) * kCell_m), all += n[i].back();
+            for (const double r : ranges_m_)
+                n[i].push_back(brighter(r, levels_[i]) * kCell_m), all += n[i].back();
             none_stronger_[i] = std::exp(-all);
         }
         for (std::size_t i = 0; i + 1 < levels_.size(); ++i)
             for (std::size_t k = 0; k < ranges_m_.size(); ++k)
                 from_[k] += (n[i][k] - n[i + 1][k]) * 0.5 * (none_stronger_[i] + none_stronger_[i + 1]);
     }
-    /// One return of each stretch, anywhere in it, log-normal of mean 1 times mean(r). Stretches end at cells.
+    /// One return of each stretch, anywhere in it, log-normal of mean 1 times mean(r).
+    /// Stretches end at cells.
     void of_stretches(std::size_t cells, const std::function<double(double)>& mean) {
         const std::size_t n = ranges_m_.size() / cells;
-        std::vector<double> mean_of_cell, stretch(n), next(n), cell(n * cells), next_cell(n * cells);   // P(power < level)
+        // P(power < level)
+        std::vector<double> mean_of_cell, stretch(n), next(n), cell(n * cells), next_cell(n * cells);
         for (std::size_t k = 0; k < n * cells; ++k) mean_of_cell.push_back(mean(ranges_m_[k]));
         for (std::size_t i = 0; i < levels_.size(); ++i) {
             std::ranges::fill(next, 0.0);
             for (std::size_t k = 0; k < n * cells; ++k) {
-                next_cell[k] = 0.5 * std::erfc(-(std::log(levels_[i] / mean_of_cell[k]) + 0.5) / std::sqrt(2.0)) / double(cells);
+                next_cell[k] = 0.5 *
+                               std::erfc(-(std::log(levels_[i] / mean_of_cell[k]) + 0.5) / std::sqrt(2.0)) /
+                               double(cells);
                 next[k / cells] += next_cell[k];
             }
             none_stronger_[i] = 1.0;
             for (const double p : next) none_stronger_[i] *= p;
             for (std::size_t k = 0; i > 0 && k < n * cells; ++k)
-                from_[k] += (next_cell[k] - cell[k]) * 0.5 *
-                            (none_stronger_[i] / next[k / cells] + none_stronger_[i - 1] / stretch[k / cells]);
+                from_[k] +=
+                    (next_cell[k] - cell[k]) * 0.5 *
+                    (none_stronger_[i] / next[k / cells] + none_stronger_[i - 1] / stretch[k / cells]);
             stretch = next, cell = next_cell;
         }
     }
@@ -259,11 +283,12 @@ private:
     const WeatherSensor sensor_;
     const double alpha_;
     std::vector<double> ranges_m_, levels_;
-    std::vector<double> from_;            // [cells] probability that the strongest return is from there
-    std::vector<double> none_stronger_;   // [levels]
+    std::vector<double> from_;           // [cells] probability that the strongest return is from there
+    std::vector<double> none_stronger_;  // [levels]
 };
 
-/// chi^2 of counts against their probabilities, as a standard normal deviate (Wilson and Hilferty 1931).
+/// chi^2 of counts against their probabilities, as a standard normal deviate (Wilson and
+/// Hilferty 1931).
 double deviation(const std::vector<double>& counts, const std::vector<double>& probabilities) {
     double chi2 = 0.0, in_bin = 0.0, of_bin = 0.0, sum = 0.0;
     int bins = 0;
@@ -279,14 +304,16 @@ double deviation(const std::vector<double>& counts, const std::vector<double>& p
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-constexpr double kMostDeviation = 3.5;   // by chance one time in 4000
+constexpr double kMostDeviation = 3.5;  // by chance one time in 4000
 
 void FreeAir::expect_as(const Air& air, PointSource source) const {
-    std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_, stronger{none_stronger_[0]};
+    std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_,
+                                                                          stronger{none_stronger_[0]};
     double any = 0.0;
     for (const double p : from_) any += p;
-    from.push_back(1.0 - any);   // none
-    for (std::size_t i = 1; i < levels_.size(); ++i) stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
+    from.push_back(1.0 - any);  // none
+    for (std::size_t i = 1; i < levels_.size(); ++i)
+        stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
     for (std::uint64_t seed = 0; seed < kRays; ++seed) {
         const Echo echo = air.look({}, sensor_.max_range_m, seed).strongest;
         if (echo.source == PointSource::nothing) {
@@ -295,7 +322,8 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
         }
         ASSERT_EQ(echo.source, source);
         ranges.at(std::size_t((echo.range_m - kNearest_m) / kCell_m)) += 1.0;
-        const double power = echo.reflectivity / (echo.range_m * echo.range_m), level = std::log10(power / levels_[0]) / 7.0 * kLevels;
+        const double power = echo.reflectivity / (echo.range_m * echo.range_m),
+                     level = std::log10(power / levels_[0]) / 7.0 * kLevels;
         powers.at(std::size_t(std::max(std::ceil(level), 1.0))) += 1.0;
     }
     EXPECT_LT(deviation(ranges, from), kMostDeviation);
@@ -308,7 +336,8 @@ TEST(Weather, RainReturnsAsItsIntegral) {
         FreeAir model({.rain_mm_h = rate}, sensor);
         const double slope = 4.1 * std::pow(rate, -0.21);
         model.of_particles([&](double r, double power) {
-            const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;   // of the beam's area
+            // of the beam's area
+            const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;
             if (share > 1.0) return 0.0;
             const double mm = 1000.0 * model.beam_m(r) * std::sqrt(share);
             return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
@@ -331,7 +360,8 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
     model.expect_as(Air({.snow_mm_h = rate}, sensor), PointSource::snow);
 }
 
-/// The integral of fog over the pulse by Simpson's rule. Pulses are 6 m of way long, so that a stretch of 3 m ends at a cell.
+/// The integral of fog over the pulse by Simpson's rule. Pulses are 6 m of way long, so
+/// that a stretch of 3 m ends at a cell.
 TEST(Weather, FogReturnsAsItsIntegral) {
     for (const double visibility_m : {50.0, 200.0}) {
         WeatherSensor sensor = sensor_to(61.0);
@@ -353,23 +383,27 @@ TEST(Weather, FogReturnsAsItsIntegral) {
     }
 }
 
-/// A sensor that reports what is as bright as 0.0025 in clear air, at any range: KITTI's HDL-64E,
-/// whose intensities come in steps of 0.01 and are 0 down to the shortest ranges.
+/// A sensor that reports what is as bright as 0.0025 in clear air, at any range: KITTI's
+/// HDL-64E, whose intensities come in steps of 0.01 and are 0 down to the shortest
+/// ranges.
 WeatherSensor sensor_with_time_control() {
     WeatherSensor sensor = sensor_to(80.0);
     sensor.weakest_reflectivity = 0.0025;
     return sensor;
 }
 
-/// Probability that a ray into the free air returns something, by closed forms in double. Fog: mean
-/// power over a pulse that is short against the range, in stretches of half a pulse, each
-/// log-normal of mean 1. Rain: a Poisson process of the drops that are bright enough.
+/// Probability that a ray into the free air returns something, by closed forms in double.
+/// Fog: mean power over a pulse that is short against the range, in stretches of half a
+/// pulse, each log-normal of mean 1. Rain: a Poisson process of the drops that are bright
+/// enough.
 double false_returns(const Weather& weather, double reflectivity) {
-    const double alpha = extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21), half_pulse_m = 0.5 * 299792458.0 * 6e-9;
+    const double alpha = extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
+                 half_pulse_m = 0.5 * 299792458.0 * 6e-9;
     double none = 1.0;
     if (std::isfinite(weather.fog_visibility_m))
         for (double r = 1.0 + 0.5 * half_pulse_m; r < 80.0; r += half_pulse_m) {
-            const double mean = kPi * 0.046 / weather.fog_visibility_m * half_pulse_m * std::exp(-2.0 * alpha * r);
+            const double mean =
+                kPi * 0.046 / weather.fog_visibility_m * half_pulse_m * std::exp(-2.0 * alpha * r);
             none *= 1.0 - 0.5 * std::erfc((std::log(reflectivity / mean) + 0.5) / std::sqrt(2.0));
         }
     if (weather.rain_mm_h > 0.0)
@@ -385,12 +419,13 @@ double false_returns(const Weather& weather, double reflectivity) {
 double count_false_returns(const Weather& weather) {
     const Air air(weather, sensor_with_time_control());
     int n = 0;
-    for (std::uint64_t seed = 0; seed < kRays; ++seed) n += air.look({}, 80.0, seed).strongest.source != PointSource::nothing;
+    for (std::uint64_t seed = 0; seed < kRays; ++seed)
+        n += air.look({}, 80.0, seed).strongest.source != PointSource::nothing;
     return double(n) / kRays;
 }
 
-/// A day with 10 km of visibility and a drizzle fill no air. Haze of 1 km gives fewer than 1 % false
-/// points over a scan of which a third meets nothing.
+/// A day with 10 km of visibility and a drizzle fill no air. Haze of 1 km gives fewer
+/// than 1 % false points over a scan of which a third meets nothing.
 TEST(ThinWeather, ReturnsHardlyAnything) {
     EXPECT_EQ(count_false_returns({.fog_visibility_m = 10'000.0}), 0.0);
     EXPECT_LT(count_false_returns({.fog_visibility_m = 1000.0}), 0.03);
@@ -407,16 +442,18 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
     }
 }
 
-/// Thicker weather leaves fewer surfaces, and never more returns in all than clear air by more than
-/// the returns of the air that it reports.
+/// Thicker weather leaves fewer surfaces, and never more returns in all than clear air by
+/// more than the returns of the air that it reports.
 TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     const WeatherSensor sensor = sensor_with_time_control();
     const auto count = [&](const Weather& weather) {
         const Air air(weather, sensor);
         std::pair<int, int> surfaces_and_others;
         for (std::uint64_t seed = 0; seed < 20'000; ++seed) {
-            const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0, reflectivity = 0.01 * double(seed % 40);
-            const PointSource source = air.look({wall(range_m, reflectivity), {}}, range_m, seed).strongest.source;
+            const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0,
+                         reflectivity = 0.01 * double(seed % 40);
+            const PointSource source =
+                air.look({wall(range_m, reflectivity), {}}, range_m, seed).strongest.source;
             surfaces_and_others.first += source == PointSource::surface;
             surfaces_and_others.second += source != PointSource::surface && source != PointSource::nothing;
         }
@@ -438,8 +475,8 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     EXPECT_LT(rain_before, clear - 200);
 }
 
-/// A surface that the log reported with intensity 0 is as bright as 0.0025 to 0.01, evenly. Weather
-/// that leaves the share A of its light hides those below 0.0025 / A.
+/// A surface that the log reported with intensity 0 is as bright as 0.0025 to 0.01,
+/// evenly. Weather that leaves the share A of its light hides those below 0.0025 / A.
 TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {
@@ -450,7 +487,8 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
             int n_hidden = 0;
             for (std::uint64_t seed = 0; seed < kRays; ++seed)
                 n_hidden += !shows_surface(air.look({wall(range_m, 0.0), {}}, range_m, seed));
-            EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays)) << rain_mm_h << ' ' << range_m;
+            EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays))
+                << rain_mm_h << ' ' << range_m;
         }
 }
 
@@ -466,7 +504,8 @@ TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
     const Air air({.fog_visibility_m = 60.0}, sensor);
     int behind = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const RayEchoes far = air.look({wall(20.0, 0.3), {}}, 20.0, seed), near = air.look({wall(1.2, 0.9), wall(1.6, 0.9)}, 1.6, seed);
+        const RayEchoes far = air.look({wall(20.0, 0.3), {}}, 20.0, seed),
+                        near = air.look({wall(1.2, 0.9), wall(1.6, 0.9)}, 1.6, seed);
         if (far.strongest.source == PointSource::fog) {
             EXPECT_EQ(far.second.source, PointSource::surface);
             ++behind;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sun and stray light along single rays against closed forms and the statistics of their models.
+// The sun and stray light along single rays against closed forms and the statistics of
+// their models.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -29,15 +30,18 @@ RayEchoes towards_sun(const RayEchoes& surfaces, double from_sun_deg) {
 }
 Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
-/// chi^2 of counts against what is expected, as a standard normal deviate (Wilson and Hilferty 1931); -4 to 4 but one time in 16,000.
+/// chi^2 of counts against what is expected, as a standard normal deviate (Wilson and
+/// Hilferty 1931); -4 to 4 but one time in 16,000.
 double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
     double chi2 = 0.0;
-    for (std::size_t k = 0; k < counts.size(); ++k) chi2 += (counts[k] - expected[k]) * (counts[k] - expected[k]) / expected[k];
+    for (std::size_t k = 0; k < counts.size(); ++k)
+        chi2 += (counts[k] - expected[k]) * (counts[k] - expected[k]) / expected[k];
     const double f = double(counts.size()) - 1.0, spread = 2.0 / (9.0 * f);
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-/// Photons counted by hand: 0.65 W/m^2/nm through 20 nm, 1e-3 m^2 and 7.07e-6 sr; 10 nJ or so of light make the electrons of a pulse.
+/// Photons counted by hand: 0.65 W/m^2/nm through 20 nm, 1e-3 m^2 and 7.07e-6 sr; 10 nJ
+/// or so of light make the electrons of a pulse.
 TEST(Sunlight, IsShotNoiseOfItsPhotons) {
     WeatherSensor sensor;
     sensor.divergence_rad = 0.003, sensor.pulse_s = 6e-9;
@@ -50,11 +54,15 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
     const Sun sun{0.0, 0.0, 100.0}, half{0.0, 0.0, 50.0};
     EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0, 1e-3);
     EXPECT_NEAR(sun_noise(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0), 1.0, 1e-3);
-    EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.4, false) / expected(0.65 * (1.25 + 0.4 / kPi)), 1.0, 1e-3);
+    EXPECT_NEAR(sun_noise(sun, sensor, 2.0 * kDegree, 0.4, false) / expected(0.65 * (1.25 + 0.4 / kPi)), 1.0,
+                1e-3);
     const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
     EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)), 1.0, 1e-3);
-    EXPECT_NEAR(sun_noise(sun, sensor, 4.65e-3, 0.0, true) / expected(0.65 * (glare + 0.5 / disc_sr)), 1.0, 1e-3) << "half of it";
-    EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0, 1e-3) << "something is before it";
+    EXPECT_NEAR(sun_noise(sun, sensor, 4.65e-3, 0.0, true) / expected(0.65 * (glare + 0.5 / disc_sr)), 1.0,
+                1e-3)
+        << "half of it";
+    EXPECT_NEAR(sun_noise(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0, 1e-3)
+        << "something is before it";
 }
 
 /// Rice's rate of crossings, integrated over the time in which returns arrive.
@@ -63,7 +71,8 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const Air air({.sun = {0.0, 0.0, 100.0}}, sensor);
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
-        const double level = sensor.weakest() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
+        const double level =
+            sensor.weakest() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
         expected.back() = kPulses * std::exp(-n);
@@ -73,7 +82,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
             else {
                 ASSERT_EQ(echo.source, PointSource::noise);
                 ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.weakest());
-                ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));   // anywhere alike
+                ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // anywhere alike
             }
         }
         ASSERT_GT(expected.front(), 20.0) << off_deg;
@@ -81,8 +90,9 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     }
 }
 
-/// A target of power S is lost where noise is stronger: 1 - exp(-N exp(-S^2 / 2 sigma^2)) of the scans, N as many as noise has crests. Half
-/// of them at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
+/// A target of power S is lost where noise is stronger: 1 - exp(-N exp(-S^2 / 2 sigma^2))
+/// of the scans, N as many as noise has crests. Half of them at R = sqrt(rho / S), S =
+/// sigma sqrt(2 ln(N / ln 2)).
 TEST(Sunlight, HidesWeakTargets) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.darkest = 0.0005;
@@ -91,15 +101,16 @@ TEST(Sunlight, HidesWeakTargets) {
     for (const double reflectivity : {0.002, 0.004}) {
         const double sigma = sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
         const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
-        const double half_m = std::sqrt(reflectivity / (sigma * std::sqrt(2.0 * std::log(crests / std::log(2.0)))));
+        const double half_m =
+            std::sqrt(reflectivity / (sigma * std::sqrt(2.0 * std::log(crests / std::log(2.0)))));
         ASSERT_LT(half_m, 60.0);
         for (const double range_m : {0.8 * half_m, half_m, 1.1 * half_m}) {
             const double power = reflectivity / (range_m * range_m);
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed).strongest.source ==
-                     PointSource::noise;
+                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed)
+                         .strongest.source == PointSource::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
@@ -116,7 +127,8 @@ TEST(Sunlight, ElsewhereChangesNothing) {
             ASSERT_EQ(seen.strongest.reflectivity, before.reflectivity);
             ASSERT_EQ(air.look(towards_sun({}, off_deg), 60.0, seed).strongest.source, PointSource::nothing);
         }
-        ASSERT_EQ(air.look(towards_sun({}, 0.0), 0.0, seed).strongest.source, PointSource::nothing) << "what is at the sensor hides it";
+        ASSERT_EQ(air.look(towards_sun({}, 0.0), 0.0, seed).strongest.source, PointSource::nothing)
+            << "what is at the sensor hides it";
     }
 }
 
@@ -135,7 +147,8 @@ TEST(StrayLight, WinsOverWhatIsWeaker) {
     ray.strongest = {};
     EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::blooming);
     ray.stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
-    EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::nothing) << "too weak to be a return; a dark surface counts as darkest";
+    EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::nothing)
+        << "too weak to be a return; a dark surface counts as darkest";
 }
 
 }  // namespace

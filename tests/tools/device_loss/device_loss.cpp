@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A Vulkan layer under which the device is lost after RELIDAR_LOSE_DEVICE_AFTER submissions, as where a card hangs or its driver is
-// restarted: each later one is answered with VK_ERROR_DEVICE_LOST. For one instance and one device a process.
+// A Vulkan layer under which the device is lost after RELIDAR_LOSE_DEVICE_AFTER
+// submissions, as where a card hangs or its driver is restarted: each later one is
+// answered with VK_ERROR_DEVICE_LOST. For one instance and one device a process.
 #include <atomic>
 #include <cstdlib>
 #include <string_view>
@@ -20,7 +21,8 @@ struct Next {
 
 std::atomic<long> submissions_left{0};
 
-/// The entry of a chain by which a layer finds what comes after it. @tparam Info VkLayerInstanceCreateInfo or VkLayerDeviceCreateInfo
+/// The entry of a chain by which a layer finds what comes after it. @tparam Info
+/// VkLayerInstanceCreateInfo or VkLayerDeviceCreateInfo
 template <class Info>
 Info* link_in(const void* chain, VkStructureType type) {
     for (auto* info = static_cast<const Info*>(chain); info; info = static_cast<const Info*>(info->pNext))
@@ -28,9 +30,10 @@ Info* link_in(const void* chain, VkStructureType type) {
     return nullptr;
 }
 
-VKAPI_ATTR VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info, const VkAllocationCallbacks* allocator,
-                                               VkInstance* instance) {
-    auto* link = link_in<VkLayerInstanceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO);
+VKAPI_ATTR VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
+                                               const VkAllocationCallbacks* allocator, VkInstance* instance) {
+    auto* link =
+        link_in<VkLayerInstanceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO);
     if (!link) return VK_ERROR_INITIALIZATION_FAILED;
     next.of_instance = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
     link->u.pLayerInfo = link->u.pLayerInfo->pNext;
@@ -44,8 +47,8 @@ VKAPI_ATTR VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const Vk
                                              const VkAllocationCallbacks* allocator, VkDevice* device) {
     auto* link = link_in<VkLayerDeviceCreateInfo>(info->pNext, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO);
     if (!link) return VK_ERROR_INITIALIZATION_FAILED;
-    const auto create =
-        reinterpret_cast<PFN_vkCreateDevice>(link->u.pLayerInfo->pfnNextGetInstanceProcAddr(next.instance, "vkCreateDevice"));
+    const auto create = reinterpret_cast<PFN_vkCreateDevice>(
+        link->u.pLayerInfo->pfnNextGetInstanceProcAddr(next.instance, "vkCreateDevice"));
     next.of_device = link->u.pLayerInfo->pfnNextGetDeviceProcAddr;
     link->u.pLayerInfo = link->u.pLayerInfo->pNext;
     const VkResult result = create(physical, info, allocator, device);
@@ -56,7 +59,8 @@ VKAPI_ATTR VkResult VKAPI_CALL create_device(VkPhysicalDevice physical, const Vk
     return result;
 }
 
-VKAPI_ATTR VkResult VKAPI_CALL submit(VkQueue queue, std::uint32_t n, const VkSubmitInfo* submissions, VkFence fence) {
+VKAPI_ATTR VkResult VKAPI_CALL submit(VkQueue queue, std::uint32_t n, const VkSubmitInfo* submissions,
+                                      VkFence fence) {
     return submissions_left-- > 0 ? next.submit(queue, n, submissions, fence) : VK_ERROR_DEVICE_LOST;
 }
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar bench: a short report of a device's speed, on a street that is the same everywhere or on a run.
-// relidar-dev bench times every kernel.
+// relidar bench: a short report of a device's speed, on a street that is the same
+// everywhere or on a run. relidar-dev bench times every kernel.
 #include <algorithm>
 #include <chrono>
 #include <memory>
 #include <optional>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/files.hpp>
@@ -28,7 +28,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr int kLeast = 3, kMost = 10, kScans = 30;   // repetitions
+constexpr int kLeast = 3, kMost = 10, kScans = 30;  // repetitions
 constexpr double kEnough_ms = 5000.0;
 
 struct BenchOptions {
@@ -38,14 +38,16 @@ struct BenchOptions {
 
 /// Wall times until the device is done. Medians.
 struct BenchTimes {
-    double build_ms = 0.0, refit_ms = 0.0;     ///< of the tree
+    double build_ms = 0.0, refit_ms = 0.0;  ///< of the tree
     double forward_ms = 0.0, backward_ms = 0.0;
-    double iteration_ms = 0.0;                 ///< refit, forward, losses, backward and Adam, without a pause
+    double iteration_ms = 0.0;  ///< refit, forward, losses, backward and Adam, without a pause
     std::size_t repetitions = 0;
-    std::optional<double> scans_per_s;         ///< of a run
+    std::optional<double> scans_per_s;  ///< of a run
 };
 
-double ms_since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
+double ms_since(Clock::time_point start) {
+    return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
 
 double median(std::vector<double> samples) {
     std::ranges::sort(samples);
@@ -58,7 +60,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
                                   .n_rays = n_rays,
                                   .keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits)};
     const auto rendered = [&] {
-        Renderer image(device, bench.scene, bench.config.image, {.trace = trace_options(bench.config), .n_rays = n_rays});
+        Renderer image(device, bench.scene, bench.config.image,
+                       {.trace = trace_options(bench.config), .n_rays = n_rays});
         image.place(bench.placed, bench.view_origin_m);
         return image.forward(bench.rays);
     };
@@ -98,10 +101,12 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
     for (std::vector<double>* samples : {&build, &refit, &forward, &backward, &iteration}) samples->clear();
     start = Clock::now();
     for (int i = 0; i < kLeast || (i < kMost && ms_since(start) < kEnough_ms); ++i) repeat();
-    return {median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
+    return {
+        median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Renders scans of the log's own sensor, evenly spaced on its own path. Two are pending at any time.
+/// Renders scans of the log's own sensor, evenly spaced on its own path. Two are pending
+/// at any time.
 double scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
@@ -112,7 +117,7 @@ double scans_per_second(Device& device, const Run& run) {
         renderer.ask_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    renderer.take_points();   // allocates memory
+    renderer.take_points();  // allocates memory
     const Clock::time_point start = Clock::now();
     request(0);
     for (int scan = 1; scan <= kScans; ++scan) {
@@ -123,29 +128,43 @@ double scans_per_second(Device& device, const Run& run) {
     return 1e3 * kScans / ms_since(start);
 }
 
-const char* traversal_name(const Device& device) { return device.traversal() == Traversal::software ? "software" : "ray_query"; }
+const char* traversal_name(const Device& device) {
+    return device.traversal() == Traversal::software ? "software" : "ray_query";
+}
 
 std::string report_text(const BenchCase& bench, const BenchTimes& t, const Device& device) {
     const double krays = double(bench.rays.size()) / 1000.0;
-    std::string text = fmt::format("device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
-                                   device.info().name, device.info().driver, traversal_name(device), bench.name,
-                                   bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
-    text += fmt::format("tree        build {:.2f} ms, refit {:.2f} ms\nforward     {:.2f} ms, {:.3f} Mrays/s\n"
-                        "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
-                        t.build_ms, t.refit_ms, t.forward_ms, krays / t.forward_ms, t.backward_ms, krays / t.backward_ms, t.iteration_ms);
+    std::string text = fmt::format(
+        "device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
+        device.info().name, device.info().driver, traversal_name(device), bench.name,
+        bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
+    text += fmt::format(
+        "tree        build {:.2f} ms, refit {:.2f} ms\nforward     {:.2f} ms, {:.3f} Mrays/s\n"
+        "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
+        t.build_ms, t.refit_ms, t.forward_ms, krays / t.forward_ms, t.backward_ms, krays / t.backward_ms,
+        t.iteration_ms);
     if (t.scans_per_s) text += fmt::format("scans       {:.1f} a second\n", *t.scans_per_s);
     return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, t.repetitions);
 }
 
 std::string report_json(const BenchCase& bench, const BenchTimes& t, const Device& device) {
     const double krays = double(bench.rays.size()) / 1000.0;
-    nlohmann::ordered_json json = {{"format", "relidar bench"}, {"version", 2}, {"relidar", RELIDAR_VERSION},
-                                   {"device", device.info().name}, {"driver", device.info().driver},
+    nlohmann::ordered_json json = {{"format", "relidar bench"},
+                                   {"version", 2},
+                                   {"relidar", RELIDAR_VERSION},
+                                   {"device", device.info().name},
+                                   {"driver", device.info().driver},
                                    {"traversal", traversal_name(device)},
-                                   {"scene", bench.name}, {"surfels", bench.scene.surfels.size()}, {"rays", bench.rays.size()},
-                                   {"build_ms", t.build_ms}, {"refit_ms", t.refit_ms}, {"forward_ms", t.forward_ms},
-                                   {"backward_ms", t.backward_ms}, {"iteration_ms", t.iteration_ms},
-                                   {"forward_mrays_per_s", krays / t.forward_ms}, {"backward_mrays_per_s", krays / t.backward_ms},
+                                   {"scene", bench.name},
+                                   {"surfels", bench.scene.surfels.size()},
+                                   {"rays", bench.rays.size()},
+                                   {"build_ms", t.build_ms},
+                                   {"refit_ms", t.refit_ms},
+                                   {"forward_ms", t.forward_ms},
+                                   {"backward_ms", t.backward_ms},
+                                   {"iteration_ms", t.iteration_ms},
+                                   {"forward_mrays_per_s", krays / t.forward_ms},
+                                   {"backward_mrays_per_s", krays / t.backward_ms},
                                    {"repetitions", t.repetitions}};
     if (t.scans_per_s) json["scans_per_s"] = *t.scans_per_s;
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
@@ -161,7 +180,8 @@ void run_bench(const BenchOptions& options) {
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
     catch_interrupts();
-    const BenchCase bench = run ? make_run_case(*run) : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
+    const BenchCase bench = run ? make_run_case(*run)
+                                : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
     BenchTimes times = measure(device, bench);
     if (run) times.scans_per_s = scans_per_second(device, *run);
     if (!json.empty()) write_text(json, report_json(bench, times, device));
@@ -171,13 +191,17 @@ void run_bench(const BenchOptions& options) {
 }  // namespace
 
 void add_bench(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("bench", "report how fast a device is, on a fixed street or on a run");
+    CLI::App* command =
+        app.add_subcommand("bench", "report how fast a device is, on a fixed street or on a run");
     const auto options = std::make_shared<BenchOptions>();
-    command->add_option("--run", options->run, "time a run instead of the street: its scene and its sensor")->type_name("RUN");
+    command->add_option("--run", options->run, "time a run instead of the street: its scene and its sensor")
+        ->type_name("RUN");
     command->add_option("--json", options->json, "write the report to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
-    command->footer("The street has 100000 surfels; its image has 64 x 1024 rays. Times are wall times until the device is done.\n"
-                    "Examples:\n  relidar bench\n  relidar bench --run run --json bench.json");
+    command->footer(
+        "The street has 100000 surfels; its image has 64 x 1024 rays. Times are wall times until the device "
+        "is done.\n"
+        "Examples:\n  relidar bench\n  relidar bench --run run --json bench.json");
     command->callback([&call, options] { call.run = [options] { run_bench(*options); }; });
 }
 

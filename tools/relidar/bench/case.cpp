@@ -17,7 +17,7 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
     bench.rows = rays.rows;
     bench.columns = rays.columns;
     bench.view_origin_m = rays.origin.front();
-    bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};   // the street's world is the sensor's
+    bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};  // the street's world is the sensor's
     const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
     bench.config = make_preset("paper");
@@ -27,9 +27,10 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
 
 BenchCase make_run_case(const Run& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(
-            fmt::format("{}: a run without frames or surfels, expected at least one of each", run.folder.string()));
-    const Frame& frame = run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
+        throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each",
+                                    run.folder.string()));
+    const Frame& frame =
+        run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
     if (table.size() == 0) table = nominal_rays(run.sequence.lidar_of(frame), frame.time_s);

@@ -13,17 +13,18 @@ namespace relidar::cli {
 
 /// A scene, the rays cast into it, and the settings of its kernels.
 struct BenchCase {
-    std::string name;   ///< "street A", or the folder of the run and the frame
+    std::string name;  ///< "street A", or the folder of the run and the frame
     Scene scene;
     Config config;
     WorldRays rays;
     int rows = 0;
     int columns = 0;
     glm::vec3 view_origin_m{0.0f};
-    std::vector<InstancePose> placed;   ///< [instances]
+    std::vector<InstancePose> placed;  ///< [instances]
 };
 
-/// The benchmark street with the settings of the paper. @param refined  see make_benchmark_street()
+/// The benchmark street with the settings of the paper. @param refined  see
+/// make_benchmark_street()
 BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays);
 
 /// A run, seen by its own sensor at the first held-out frame.

@@ -27,20 +27,23 @@ std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normali
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
                            const std::vector<DeviceTarget>& wanted)
     : renderer(device, bench.scene, bench.config.image, options,
-               {.sums = backward_options(bench.config), .zero_untouched = false}),   // Adam skips the surfels without gradient
+               // Adam skips the surfels without gradient
+               {.sums = backward_options(bench.config), .zero_untouched = false}),
       targets(device, std::span<const DeviceTarget>(wanted), "targets"),
       loss_(device, bench.config.loss),
       adam_(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},
             renderer.scene().parameters().parameters()),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
     for (const DeviceTarget& target : wanted) n_returned_ += target.range_m > 0.0f;
-    if (renderer.batch().geometry) geometry_loss_.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
+    if (renderer.batch().geometry)
+        geometry_loss_.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
 }
 
 void TrainingStep::compare(const RayBatch& rays) {
     const std::uint32_t columns = std::max(rays.columns, 1u);
     const ImageShape image{rays.n_rays / columns, columns, false};
-    const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays), image};
+    const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays),
+                               image};
     loss_.compare(renderer.stream(), renderer.batch(), measured, terms_);
     if (geometry_loss_) geometry_loss_->compare(renderer.stream(), renderer.batch(), measured, terms_);
 }
@@ -48,8 +51,8 @@ void TrainingStep::compare(const RayBatch& rays) {
 void TrainingStep::optimise() {
     constexpr LearningRates kNone{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
     const Gradients& gradients = renderer.gradients();
-    adam_.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, kNone, ++step_,
-               renderer.model().sh_degree);
+    adam_.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, kNone,
+               ++step_, renderer.model().sh_degree);
 }
 
 }  // namespace relidar::cli

@@ -10,11 +10,11 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kPixel_m = 0.02;
-constexpr double kWidest = 400.0;       // pixels of a view
-constexpr double kAround_m = 0.3;       // of the box that is shown too
-constexpr int kGap = 8;                 // pixels between views
+constexpr double kWidest = 400.0;  // pixels of a view
+constexpr double kAround_m = 0.3;  // of the box that is shown too
+constexpr int kGap = 8;            // pixels between views
 constexpr std::uint8_t kBackdrop = 24;
-constexpr float kLeastWeight = 0.5f;    // of a pixel that shows something
+constexpr float kLeastWeight = 0.5f;  // of a pixel that shows something
 
 /// Where one looks along, and what is to the right and up in the picture. Box frame.
 struct AssetView {
@@ -27,7 +27,9 @@ const AssetView kViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
                             {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
                             {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
 
-double extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) { return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m; }
+double extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
+    return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m;
+}
 
 /// Parallel rays in the box's frame, a pixel each, row by row from the upper left.
 RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
@@ -37,7 +39,8 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
     const glm::dvec3 from = -(0.5 * glm::length(size_m) + 1.0) * view.along;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
-            const double right_m = (column + 0.5 - 0.5 * rays.columns) * pixel_m, up_m = (0.5 * rays.rows - row - 0.5) * pixel_m;
+            const double right_m = (column + 0.5 - 0.5 * rays.columns) * pixel_m,
+                         up_m = (0.5 * rays.rows - row - 0.5) * pixel_m;
             rays.origin.push_back(glm::vec3(from + right_m * view.right + up_m * view.up));
             rays.direction.push_back(glm::vec3(view.along));
             rays.time_offset_s.push_back(0.0f);
@@ -48,14 +51,16 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
 }
 
 /// Brightness 0..1 of each pixel, below 0 where there is nothing.
-std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box, float brightest) {
+std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box,
+                          float brightest) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
     const glm::vec3 along(world_from_box * view.along);
     const auto* normals = find_values<glm::vec3>(scan.channels, "normal");
     for (std::size_t i = 0; i < shade.size(); ++i) {
         if (scan.weight[i] < kLeastWeight) continue;
         const float steep = normals ? std::abs(glm::dot((*normals)[i], along)) : 1.0f;
-        shade[i] = (0.3f + 0.7f * std::sqrt(std::clamp(scan.image.intensity[i] / brightest, 0.0f, 1.0f))) * (0.35f + 0.65f * steep);
+        shade[i] = (0.3f + 0.7f * std::sqrt(std::clamp(scan.image.intensity[i] / brightest, 0.0f, 1.0f))) *
+                   (0.35f + 0.65f * steep);
     }
     return shade;
 }
@@ -73,7 +78,8 @@ float bright_intensity(const std::vector<RenderedScan>& scans) {
 }
 
 /// @param row, column  of its upper left pixel in the canvas
-void draw(Image& canvas, int row, int column, const RenderedScan& scan, const std::vector<float>& shade, const BoxSurface& surface) {
+void draw(Image& canvas, int row, int column, const RenderedScan& scan, const std::vector<float>& shade,
+          const BoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {
         for (int c = 0; c < scan.image.columns; ++c) {
             const auto i = std::size_t(r * scan.image.columns + c);
@@ -81,7 +87,8 @@ void draw(Image& canvas, int row, int column, const RenderedScan& scan, const st
             const glm::vec3 point_m = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
             const bool of_mirror = surface.is_mirrored(glm::dvec3(point_m));
             std::uint8_t* pixel = &canvas.rgb[std::size_t(3 * ((row + r) * canvas.columns + column + c))];
-            for (int k = 0; k < 3; ++k) pixel[k] = std::uint8_t(255.0f * shade[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
+            for (int k = 0; k < 3; ++k)
+                pixel[k] = std::uint8_t(255.0f * shade[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
         }
     }
 }
@@ -95,24 +102,29 @@ Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surfac
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const BoxTrack& box = run.sequence.boxes.front();
-    const double pixel_m = std::max(kPixel_m, std::max(box.size_m.x, box.size_m.y) / kWidest), time_s = run.sequence.frames.front().time_s;
+    const double pixel_m = std::max(kPixel_m, std::max(box.size_m.x, box.size_m.y) / kWidest),
+                 time_s = run.sequence.frames.front().time_s;
     Pose dataset_from_box = box.world_from_box.at(time_s);
     dataset_from_box.translation += run.sequence.world_offset_m;
     const PoseTrack stands{{time_s}, {dataset_from_box}};
     std::vector<RenderedScan> scans;
     for (const AssetView& view : kViews)
-        scans.push_back(renderer.render({.rays = parallel_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
-                                        {time_s, stands, ActorPoses{{asset.facts.name, stands}}}));
+        scans.push_back(
+            renderer.render({.rays = parallel_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
+                            {time_s, stands, ActorPoses{{asset.facts.name, stands}}}));
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };
     const int upper = std::max(rows(kLeft), rows(kAbove));
-    Image canvas{upper + rows(kBehind) + 3 * kGap, columns(kLeft) + columns(kRight) + columns(kAbove) + 4 * kGap, {}};
+    Image canvas{
+        upper + rows(kBehind) + 3 * kGap, columns(kLeft) + columns(kRight) + columns(kAbove) + 4 * kGap, {}};
     canvas.rgb.assign(std::size_t(3 * canvas.rows * canvas.columns), kBackdrop);
-    const int second = 2 * kGap + columns(kLeft), third = second + kGap + columns(kRight), below = upper + 2 * kGap;
+    const int second = 2 * kGap + columns(kLeft), third = second + kGap + columns(kRight),
+              below = upper + 2 * kGap;
     const int places[][2] = {{kGap, kGap}, {kGap, second}, {kGap, third}, {below, kGap}, {below, second}};
     const float brightest = bright_intensity(scans);
     for (std::size_t v = 0; v < scans.size(); ++v)
-        draw(canvas, places[v][0], places[v][1], scans[v], shades(scans[v], kViews[v], dataset_from_box.rotation, brightest), surface);
+        draw(canvas, places[v][0], places[v][1], scans[v],
+             shades(scans[v], kViews[v], dataset_from_box.rotation, brightest), surface);
     return canvas;
 }
 

@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar assets: the actors of a run as a folder of assets, to be placed in other runs and by clients of the service.
+// relidar assets: the actors of a run as a folder of assets, to be placed in other runs
+// and by clients of the service.
 #include <filesystem>
 #include <memory>
 #include <set>
 #include <system_error>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "edit/asset_picture.hpp"
-#include "command.hpp"
-#include "console.hpp"
-#include "options.hpp"
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/simulate/assets.hpp>
+#include "command.hpp"
+#include "console.hpp"
+#include "edit/asset_picture.hpp"
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -33,7 +34,8 @@ struct AssetOptions {
 void check_new(const std::string& out) {
     std::error_code failed;
     if (fs::exists(out, failed) && !fs::is_empty(out, failed))
-        throw UsageError(fmt::format("--out {}: there is something of that name, expected a new folder", out));
+        throw UsageError(
+            fmt::format("--out {}: there is something of that name, expected a new folder", out));
 }
 
 std::string sides_text(const AssetFacts& facts) {
@@ -47,26 +49,31 @@ std::string sides_text(const AssetFacts& facts) {
 std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
     if (sightings.points_m.empty()) return "no ray of the training frames meets it";
     if (facts.score() >= least) return "";
-    return fmt::format("score {:.2f}, expected {:.2f} (--least): seen {}{}", facts.score(), least, sides_text(facts),
-                       facts.completed > 0.0 ? fmt::format("; completed by its mirror image {:.2f} of all", facts.completed) : "");
+    return fmt::format(
+        "score {:.2f}, expected {:.2f} (--least): seen {}{}", facts.score(), least, sides_text(facts),
+        facts.completed > 0.0 ? fmt::format("; completed by its mirror image {:.2f} of all", facts.completed)
+                              : "");
 }
 
 std::vector<std::string> actors_of(const Run& run) {
     std::vector<std::string> tracks;
-    std::set<std::uint32_t> models;   // a copy is the same asset
+    std::set<std::uint32_t> models;  // a copy is the same asset
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
-    if (tracks.empty()) throw UsageError(fmt::format("{}: found no actor in it, expected one at least", run.folder.string()));
+    if (tracks.empty())
+        throw UsageError(fmt::format("{}: found no actor in it, expected one at least", run.folder.string()));
     return tracks;
 }
 
-/// A name that no other asset has: classes and tracks may differ in characters that no folder's name has.
+/// A name that no other asset has: classes and tracks may differ in characters that no
+/// folder's name has.
 void make_unique(Asset& asset, std::set<std::string>& taken) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
     for (int n = 2; !taken.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
     if (name == stem) return;
-    asset.facts.name = asset.run.scene.models[1].name = asset.run.scene.instances[1].track = asset.run.sequence.boxes[0].id = name;
+    asset.facts.name = asset.run.scene.models[1].name = asset.run.scene.instances[1].track =
+        asset.run.sequence.boxes[0].id = name;
 }
 
 std::vector<std::string> row_of(const AssetFacts& facts) {
@@ -87,8 +94,8 @@ void run_assets(const AssetOptions& options) {
     Device device(device_options(options.device));
     Progress progress(options.quiet);
     const std::map<std::string, ActorSightings> sightings = sight_actors(device, run, shown_by(progress));
-    std::vector<std::vector<std::string>> rows{
-        {"asset", "class", "score", "front", "rear", "left", "right", "top", "completed", "nearest_m", "surfels"}};
+    std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
+                                                "top", "completed", "nearest_m", "surfels"}};
     std::set<std::string> taken;
     std::string skipped;
     for (const std::string& track : tracks) {
@@ -107,25 +114,35 @@ void run_assets(const AssetOptions& options) {
     }
     end_progress_line();
     if (rows.size() == 1)
-        throw DataError(fmt::format("{}: found no actor that is seen well enough: {}", options.run, one_line(skipped)));
+        throw DataError(
+            fmt::format("{}: found no actor that is seen well enough: {}", options.run, one_line(skipped)));
     folder.finish();
     if (options.quiet) return;
-    print(table(rows) + skipped + fmt::format("{} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
+    print(table(rows) + skipped +
+          fmt::format("{} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
 }
 
 }  // namespace
 
 void add_assets(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("assets", "keep actors of a run that were seen well, to be placed elsewhere");
+    CLI::App* command =
+        app.add_subcommand("assets", "keep actors of a run that were seen well, to be placed elsewhere");
     const auto options = std::make_shared<AssetOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--out", options->out, "new folder, with a folder for each asset in it")->required()->type_name("FOLDER");
-    command->add_option("--least", options->least, "score, 0 to 1, below which an actor is left out (default: 0.5)")->type_name("SCORE");
+    command->add_option("--out", options->out, "new folder, with a folder for each asset in it")
+        ->required()
+        ->type_name("FOLDER");
+    command
+        ->add_option("--least", options->least,
+                     "score, 0 to 1, below which an actor is left out (default: 0.5)")
+        ->type_name("SCORE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "A score is the share of an actor's surface (sides and top of its box) that rays of the training frames meet; of a vehicle also\n"
-        "what the mirror image of its other side stands in for. Each asset is a run of its own, with asset.json (class, size, score)\n"
+        "A score is the share of an actor's surface (sides and top of its box) that rays of the training "
+        "frames meet; of a vehicle also\n"
+        "what the mirror image of its other side stands in for. Each asset is a run of its own, with "
+        "asset.json (class, size, score)\n"
         "and views.png (left, right, above; behind, ahead; bluish what was mirrored).\n"
         "Examples:\n"
         "  relidar assets run --out assets\n"

@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar edit: writes a run as another run with its actors removed, moved, retimed or copied,
-// with actors of other runs, or with surfels read from a PLY file.
+// relidar edit: writes a run as another run with its actors removed, moved, retimed or
+// copied, with actors of other runs, or with surfels read from a PLY file.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/run/run.hpp>
+#include <relidar/scene/surfel_ply.hpp>
 #include "command.hpp"
 #include "console.hpp"
 #include "edit/edit_text.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include <relidar/run/run.hpp>
-#include <relidar/scene/surfel_ply.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -22,8 +22,8 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    std::string ply;                ///< surfels that replace those of the run; empty: none
-    std::vector<TypedEdit> edits;   ///< in the order typed
+    std::string ply;               ///< surfels that replace those of the run; empty: none
+    std::vector<TypedEdit> edits;  ///< in the order typed
     bool force = false;
     bool quiet = false;
 };
@@ -31,11 +31,14 @@ struct EditOptions {
 void check_other_folder(const EditOptions& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
-        throw UsageError(fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
+        throw UsageError(
+            fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
 }
 
 bool is_same(const PoseTrack& a, const PoseTrack& b) {
-    const auto same = [](const Pose& p, const Pose& q) { return p.translation == q.translation && p.rotation == q.rotation; };
+    const auto same = [](const Pose& p, const Pose& q) {
+        return p.translation == q.translation && p.rotation == q.rotation;
+    };
     return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
 }
 
@@ -43,8 +46,10 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
 std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
-        const BoxTrack *now = find_box(driving.sequence, instance.track), *then = find_box(before, instance.track);
-        if (now && (!then || !is_same(now->world_from_box, then->world_from_box))) placed.push_back(instance.track);
+        const BoxTrack *now = find_box(driving.sequence, instance.track),
+                       *then = find_box(before, instance.track);
+        if (now && (!then || !is_same(now->world_from_box, then->world_from_box)))
+            placed.push_back(instance.track);
     }
     return placed;
 }
@@ -55,9 +60,11 @@ std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     for (const std::string& track : placed_tracks(driving, before)) {
         const ActorDetail detail = actor_detail(driving, track);
         if (!detail.is_sparse()) continue;
-        text += fmt::format("note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays meet its box, but it has {} "
-                            "surfels: it was learnt from farther away and will show holes\n",
-                            track, detail.nearest_m, detail.time_s, detail.rays, detail.surfels);
+        text += fmt::format(
+            "note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays meet its box, but "
+            "it has {} "
+            "surfels: it was learnt from farther away and will show holes\n",
+            track, detail.nearest_m, detail.time_s, detail.rays, detail.surfels);
     }
     return text;
 }
@@ -65,12 +72,14 @@ std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
 void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
-            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario, --keep or --from-ply (see "
+            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario, "
+            "--keep or --from-ply (see "
             "`relidar edit --help`)");
     check_other_folder(options);
     const NewRun edited(options.out, options.force);
     Run run = load_run(options.run);
-    if (!options.ply.empty()) run.scene = read_surfel_ply(options.ply, whole_scene(run.scene), run.config.image.primitive);
+    if (!options.ply.empty())
+        run.scene = read_surfel_ply(options.ply, whole_scene(run.scene), run.config.image.primitive);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
     const Sequence before = without_frames(driving.sequence);
@@ -85,14 +94,15 @@ void run_edit(const EditOptions& options) {
     run.replace(std::move(driving));
     edited.save(run);
     if (!options.quiet)
-        print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(), run.scene.models.size(),
-                                 count_surfels(run.scene), options.out));
+        print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(),
+                                 run.scene.models.size(), count_surfels(run.scene), options.out));
 }
 
 }  // namespace
 
 void add_edit(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels back from a PLY");
+    CLI::App* command =
+        app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels back from a PLY");
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
@@ -108,28 +118,38 @@ void add_edit(CLI::App& app, Call& call) {
     }
     command
         ->add_option("--from-ply", options->ply,
-                     "before all edits, replace the surfels by those of a PLY file that `relidar export` wrote and another tool edited")
+                     "before all edits, replace the surfels by those of a PLY file that `relidar export` "
+                     "wrote and another tool edited")
         ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "Edits are repeatable and applied in the order given; `relidar info RUN` lists tracks, with their start as --copy takes it. DIR is "
+        "Edits are repeatable and applied in the order given; `relidar info RUN` lists tracks, with their "
+        "start as --copy takes it. DIR is "
         "a run like\n"
-        "any other: it holds its own surfels (a model once, however often it is placed), moves without RUN, and scene.json tells its "
+        "any other: it holds its own surfels (a model once, however often it is placed), moves without RUN, "
+        "and scene.json tells its "
         "edits.\n"
-        "Places are box centres in the dataset's world, metres; copies and inserted actors start there at the log's first frame and become "
+        "Places are box centres in the dataset's world, metres; copies and inserted actors start there at "
+        "the log's first frame and become "
         "TRACK-copy-1, ...\n"
-        "With `ground` for z, x and y are of that world too; height and tilt come from the surface of the background below the box, and "
+        "With `ground` for z, x and y are of that world too; height and tilt come from the surface of the "
+        "background below the box, and "
         "without yaw_deg\n"
-        "the actor faces as the log's vehicle did where it came nearest. It drives on along the slope on which it starts.\n"
-        "A trajectory's times are those of the log; poses between its lines are interpolated, position linearly, rotation by slerp; actors "
+        "the actor faces as the log's vehicle did where it came nearest. It drives on along the slope on "
+        "which it starts.\n"
+        "A trajectory's times are those of the log; poses between its lines are interpolated, position "
+        "linearly, rotation by slerp; actors "
         "are absent\n"
         "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
-        "Of an OpenSCENARIO (XML 1.x) are read: FollowTrajectoryActions of Init and of a Story's events, their Polyline of vertices with "
+        "Of an OpenSCENARIO (XML 1.x) are read: FollowTrajectoryActions of Init and of a Story's events, "
+        "their Polyline of vertices with "
         "time and\n"
-        "WorldPosition (x, y, z, h, p, r), Timing absolute or relative (scale, offset), SimulationTimeConditions that start acts and "
+        "WorldPosition (x, y, z, h, p, r), Timing absolute or relative (scale, offset), "
+        "SimulationTimeConditions that start acts and "
         "events, $parameters\n"
-        "and BoundingBoxes; a trajectory with anything else is refused, all other actions are named and left out. Its world is the "
+        "and BoundingBoxes; a trajectory with anything else is refused, all other actions are named and left "
+        "out. Its world is the "
         "dataset's, its time 0\n"
         "the log's first frame; an actor stands where the entity's box does, on the same ground.\n"
         "Examples:\n"

@@ -13,15 +13,15 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "options.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/assets.hpp>
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
 
-constexpr double kFarOff_m = 1e6;   // beyond it an offset or a speed is a slip
+constexpr double kFarOff_m = 1e6;  // beyond it an offset or a speed is a slip
 
 [[noreturn]] void refuse(const TypedEdit& edit, const std::string& expected) {
     throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
@@ -29,7 +29,9 @@ constexpr double kFarOff_m = 1e6;   // beyond it an offset or a speed is a slip
 
 const char* form_of(const TypedEdit& edit) {
     const auto& known = edit_options();
-    return std::find_if(known.begin(), known.end(), [&](const EditOption& o) { return edit.option == o.option; })->form;
+    return std::find_if(known.begin(), known.end(),
+                        [&](const EditOption& o) { return edit.option == o.option; })
+        ->form;
 }
 
 /// The parts before and after a separator, neither of them empty.
@@ -38,7 +40,8 @@ std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string
     return {text.substr(0, at), text.substr(at + 1)};
 }
 
-std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std::size_t least, std::size_t most) {
+std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std::size_t least,
+                            std::size_t most) {
     const std::vector<double> values = parse_list(edit.option, text);
     if (values.size() < least || values.size() > most) refuse(edit, form_of(edit));
     for (const double v : values)
@@ -69,31 +72,38 @@ std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string
 struct OwnedActor {
     const DrivingScene& owner;
     const std::string& track;
-    std::optional<double> clearance_m;   ///< above the ground, where it is known
+    std::optional<double> clearance_m;  ///< above the ground, where it is known
 };
 
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
-Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving, const OwnedActor& actor) {
+Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
+               const OwnedActor& actor) {
     const std::size_t colon = text.find(':');
-    const double speed_mps = colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
+    const double speed_mps =
+        colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
     if (std::abs(speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
     const std::string place = text.substr(0, colon);
     if (std::optional<GroundPlace> ground = ground_place(edit, place)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return start_on_ground({driving.scene, driving.sequence}, *ground, {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return start_on_ground({driving.scene, driving.sequence}, *ground,
+                               {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
     const std::vector<double> pose = numbers(edit, place, 4, 6);
     if (pose.size() == 5) refuse(edit, form_of(edit));
     return {pose_of(pose), speed_mps};
 }
 
-/// Where an actor stands, for one that was put on the ground: nothing was typed of its height.
+/// Where an actor stands, for one that was put on the ground: nothing was typed of its
+/// height.
 std::string standing(const Start& start, const std::string& typed) {
     if (typed.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
-    const double tilt_deg = std::acos(std::clamp((start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z, -1.0, 1.0)) * 180.0 / kPi;
-    return fmt::format(", on the ground at {:.2f},{:.2f},{:.2f}, tilted by {:.1f} degrees", p.x, p.y, p.z, tilt_deg);
+    const double tilt_deg =
+        std::acos(std::clamp((start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z, -1.0, 1.0)) * 180.0 /
+        kPi;
+    return fmt::format(", on the ground at {:.2f},{:.2f},{:.2f}, tilted by {:.1f} degrees", p.x, p.y, p.z,
+                       tilt_deg);
 }
 
 const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
@@ -104,16 +114,19 @@ AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
 
 AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, offset] = cut(edit, edit.value, edit.value.rfind(':'));
-    return {move_track(std::move(driving), track, pose_of(numbers(edit, offset, 3, 4))), "moved " + track, ""};
+    return {move_track(std::move(driving), track, pose_of(numbers(edit, offset, 3, 4))), "moved " + track,
+            ""};
 }
 
 /// Whether an actor is there at any frame of the log.
 bool is_ever_present(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    return box && std::ranges::any_of(driving.sequence.frames, [&](const Frame& f) { return box->present(f.time_s); });
+    return box && std::ranges::any_of(driving.sequence.frames,
+                                      [&](const Frame& f) { return box->present(f.time_s); });
 }
 
-/// What the user should know of the frames in which an actor is absent after an edit. @param before  its track; null: it is new
+/// What the user should know of the frames in which an actor is absent after an edit.
+/// @param before  its track; null: it is new
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_ever_present(driving, track))
         return fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
@@ -122,7 +135,7 @@ std::string absence_note(const DrivingScene& driving, const std::string& track, 
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    return box ? *box : BoxTrack{};   // the edit refuses an unknown track
+    return box ? *box : BoxTrack{};  // the edit refuses an unknown track
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
@@ -145,7 +158,8 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
     const Start start = start_of(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
-    return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)), ""};
+    return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)),
+            ""};
 }
 
 /// An actor of another run, or the one of an asset.
@@ -158,7 +172,8 @@ struct Foreigner {
 /// From "RUN#TRACK" or "ASSET".
 Foreigner foreigner_of(const TypedEdit& edit, const std::string& what) {
     const bool named = what.find('#') != std::string::npos;
-    const auto [folder, named_track] = named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
+    const auto [folder, named_track] =
+        named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
     Run run = load_run(folder);
     const std::string track = named ? named_track : only_track(run);
     DrivingScene owner = run.driving();
@@ -167,25 +182,32 @@ Foreigner foreigner_of(const TypedEdit& edit, const std::string& what) {
 
 /// Where an actor's own log was recorded by another sensor.
 std::string sensor_note(const Foreigner& actor, const DrivingScene& driving) {
-    const SpinningSensor &theirs = actor.run.sequence.lidars[0].sensor, &ours = driving.sequence.lidars[0].sensor;
+    const SpinningSensor &theirs = actor.run.sequence.lidars[0].sensor,
+                         &ours = driving.sequence.lidars[0].sensor;
     if (theirs.name == ours.name && theirs.beams.size() == ours.beams.size()) return "";
-    return fmt::format("{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are right, its "
-                       "intensities and ray-drop are those of that sensor",
-                       actor.folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), actor.track);
+    return fmt::format(
+        "{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are "
+        "right, its "
+        "intensities and ray-drop are those of that sensor",
+        actor.folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), actor.track);
 }
 
 AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
     const Foreigner actor = foreigner_of(edit, what);
-    const Start start = start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
+    const Start start =
+        start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
     const std::string note = sensor_note(actor, driving);
     driving = insert_track(std::move(driving), actor.owner, actor.track, start);
     const std::string placed = standing(start, place);
-    return {driving, fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed), note};
+    return {driving,
+            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed),
+            note};
 }
 
 bool has_track(const DrivingScene& driving, const std::string& track) {
-    return std::ranges::any_of(driving.scene.instances, [&](const Instance& i) { return !track.empty() && i.track == track; });
+    return std::ranges::any_of(driving.scene.instances,
+                               [&](const Instance& i) { return !track.empty() && i.track == track; });
 }
 
 glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
@@ -209,7 +231,8 @@ void join_note(std::string& note, const std::string& more) {
 }
 
 /// Has an actor of the run, or one that is put into it, follow what an entity follows.
-void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what, AppliedEdit& applied) {
+void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what,
+            AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
     std::string track = what;
     const bool is_known = has_track(driving, what);
@@ -223,12 +246,14 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
         track = last_track(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
-    driving = replace_trajectory(std::move(driving), track, box_track(entity, begin_s, size_of(driving, track)));
+    driving =
+        replace_trajectory(std::move(driving), track, box_track(entity, begin_s, size_of(driving, track)));
     applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
                                 edit.value.substr(0, edit.value.find('@')));
     join_note(applied.note, absence_note(driving, track, is_known ? &before : nullptr));
     if (!entity.ignored.empty())
-        join_note(applied.note, fmt::format("{} of {} is not read", fmt::join(entity.ignored, ", "), entity.name));
+        join_note(applied.note,
+                  fmt::format("{} of {} is not read", fmt::join(entity.ignored, ", "), entity.name));
 }
 
 AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
@@ -240,21 +265,30 @@ AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
     for (const ScenarioEntity& entity : read_scenario(file)) {
         const auto role = roles.extract(entity.name);
         const bool follows = !entity.world_from_reference.pose.empty();
-        const std::string what = role ? role.mapped() : has_track(applied.driving, entity.name) ? entity.name : "";
+        const std::string what = role                                      ? role.mapped()
+                                 : has_track(applied.driving, entity.name) ? entity.name
+                                                                           : "";
         if (role && what != "-" && !follows)
             refuse(edit, fmt::format("an entity that follows a trajectory, which {} does not", entity.name));
         if (what.empty() && follows)
-            refuse(edit, fmt::format("{0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- too: the run has no actor of that name", entity.name));
+            refuse(edit,
+                   fmt::format(
+                       "{0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- too: the run has no actor of that name",
+                       entity.name));
         if (follows && what != "-") follow(edit, entity, what, applied);
-        else join_note(applied.note, fmt::format("{} {}", entity.name, follows ? "is left out" : "follows no trajectory"));
+        else
+            join_note(applied.note,
+                      fmt::format("{} {}", entity.name, follows ? "is left out" : "follows no trajectory"));
     }
-    if (!roles.empty()) refuse(edit, fmt::format("entities of the file, which {} is not", roles.begin()->first));
+    if (!roles.empty())
+        refuse(edit, fmt::format("entities of the file, which {} is not", roles.begin()->first));
     if (applied.said.empty()) refuse(edit, "a scenario in which somebody follows a trajectory");
     return applied;
 }
 
 AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
-    if (edit.value == "background") return {keep_background(std::move(driving)), "kept the background alone", ""};
+    if (edit.value == "background")
+        return {keep_background(std::move(driving)), "kept the background alone", ""};
     if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept the actors alone", ""};
     refuse(edit, "background or actors");
 }
@@ -264,19 +298,20 @@ AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
 const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "take an actor out; rays continue to what is behind it"},
-        {"--move", "TRACK:dx,dy,dz[,yaw_deg]", "shift an actor in its own frame (forward, left, up) and turn it left, on all its path"},
+        {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
+         "shift an actor in its own frame (forward, left, up) and turn it left, on all its path"},
         {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
-        {"--trajectory", "TRACK:FILE.csv", "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg], or a "
+        {"--trajectory", "TRACK:FILE.csv",
+         "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg], or a "
          "header with these names in any order, _rad for radians"},
-        {"--copy",
-         "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
-         "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the surface below"},
-        {"--insert",
-         "RUN#TRACK@PLACE|ASSET@PLACE",
+        {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
+         "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the "
+         "surface below"},
+        {"--insert", "RUN#TRACK@PLACE|ASSET@PLACE",
          "the same with an actor of another run, or an asset of `relidar assets`; PLACE as of --copy"},
-        {"--scenario",
-         "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
-         "let actors follow the timed polylines of an OpenSCENARIO's entities: those of the same name, those that are named here, or "
+        {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
+         "let actors follow the timed polylines of an OpenSCENARIO's entities: those of the same name, those "
+         "that are named here, or "
          "inserted ones; -: leave it out"},
         {"--keep", "background|actors", "drop the other"}};
     return options;
@@ -285,14 +320,18 @@ const std::vector<EditOption>& edit_options() {
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", remove_one}, {"--move", move},     {"--retime", retime}, {"--trajectory", trajectory},
-        {"--copy", copy},         {"--insert", insert}, {"--scenario", scenario}, {"--keep", keep}};
-    const auto function = std::find_if(functions.begin(), functions.end(), [&](const auto& f) { return f.first == edit.option; });
+        {"--remove", remove_one},     {"--move", move}, {"--retime", retime},
+        {"--trajectory", trajectory}, {"--copy", copy}, {"--insert", insert},
+        {"--scenario", scenario},     {"--keep", keep}};
+    const auto function = std::find_if(functions.begin(), functions.end(),
+                                       [&](const auto& f) { return f.first == edit.option; });
     try {
         return function->second(std::move(driving), edit);
-    } catch (const UsageError& error) {   // which of several edits it was
+    } catch (const UsageError& error) {  // which of several edits it was
         const std::string message = error.what();
-        throw UsageError(message.starts_with(edit.option) ? message : fmt::format("{} {}: {}", edit.option, edit.value, message));
+        throw UsageError(message.starts_with(edit.option)
+                             ? message
+                             : fmt::format("{} {}: {}", edit.option, edit.value, message));
     }
 }
 

@@ -1,38 +1,39 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar eval: renders the held-out frames of a run and scores them against the log. Scores the baseline, which needs a log only. Puts
-// the scores of several runs into a table.
+// relidar eval: renders the held-out frames of a run and scores them against the log.
+// Scores the baseline, which needs a log only. Puts the scores of several runs into a
+// table.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <memory>
 #include <optional>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "browser.hpp"
-#include "command.hpp"
-#include "console.hpp"
-#include "evaluate/evaluation.hpp"
-#include "interrupt.hpp"
-#include "options.hpp"
-#include "output_folder.hpp"
-#include "evaluate/pictures.hpp"
-#include "ranks.hpp"
-#include "render/recast.hpp"
-#include "evaluate/run_report.hpp"
-#include "evaluate/score_table.hpp"
 #include <relidar/base/files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/report.hpp>
+#include "browser.hpp"
+#include "command.hpp"
+#include "console.hpp"
+#include "evaluate/evaluation.hpp"
+#include "evaluate/pictures.hpp"
+#include "evaluate/run_report.hpp"
+#include "evaluate/score_table.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "ranks.hpp"
+#include "render/recast.hpp"
 
 namespace relidar::cli {
 namespace {
 
 struct EvalOptions {
-    std::vector<std::string> targets;   ///< what the user typed
-    std::string target;                 ///< the run or log to score
+    std::vector<std::string> targets;  ///< what the user typed
+    std::string target;                ///< the run or log to score
     std::vector<std::string> tables;
     std::string out;
     LogPart part;
@@ -45,23 +46,24 @@ struct EvalOptions {
     bool quiet = false;
 };
 
-void apply_options(Config& config, const EvalOptions& options) {
-    apply_sets(config, options.sets);
-}
+void apply_options(Config& config, const EvalOptions& options) { apply_sets(config, options.sets); }
 
 void check_held_out(const Split& split, const std::string& where) {
-    if (split.test.empty()) throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
+    if (split.test.empty())
+        throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
 }
 
-/// Where results go, proved writable before the work begins: by the first process, before another goes on.
+/// Where results go, proved writable before the work begins: by the first process, before
+/// another goes on.
 struct Output {
-    std::filesystem::path file, pictures;      ///< empty: none
+    std::filesystem::path file, pictures;  ///< empty: none
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 
     Output(const std::filesystem::path& metrics, const std::string& picture_folder, const Ranks& ranks)
         : file(metrics), pictures(picture_folder) {
-        if (ranks.is_first() && !file.empty()) of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
+        if (ranks.is_first() && !file.empty())
+            of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
         if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
         ranks.wait_for_all();
     }
@@ -71,15 +73,16 @@ struct Output {
     }
 };
 
-void write_results(const Output& output, const Evaluation& evaluation, const Config& config, const MetricsOrigin& origin, bool quiet) {
+void write_results(const Output& output, const Evaluation& evaluation, const Config& config,
+                   const MetricsOrigin& origin, bool quiet) {
     end_progress_line();
     if (!output.file.empty()) write_text(output.file, metrics_json(evaluation, config, origin));
     if (quiet) return;
     print(metric_table(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
-        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory", evaluation.trace_ms,
-                          evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
+        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory",
+                          evaluation.trace_ms, evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
     if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
     print("\n");
 }
@@ -99,24 +102,28 @@ void open_page(const std::filesystem::path& page, const Report& report, bool qui
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
-        return "note: the street was cast again with the run's edits, without noise; edited/* is over the pixels they change\n";
-    return "note: the run is edited, but the log's scans show what was there before: where they differ, the numbers do not say how good "
+        return "note: the street was cast again with the run's edits, without noise; edited/* is over the "
+               "pixels they change\n";
+    return "note: the run is edited, but the log's scans show what was there before: where they differ, the "
+           "numbers do not say how good "
            "the edit is\n";
 }
 
 /// Scores of the pixels an edit changes. @param before  the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
-    frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real, {edited_region(frame.real, real_image(config, before))}));
+    frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
+                                         {edited_region(frame.real, real_image(config, before))}));
 }
 
 /// Leaves the frames that this process scores.
 void keep_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
-    positions = {positions.begin() + std::ptrdiff_t(share.begin), positions.begin() + std::ptrdiff_t(share.end)};
+    positions = {positions.begin() + std::ptrdiff_t(share.begin),
+                 positions.begin() + std::ptrdiff_t(share.end)};
 }
 
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    std::optional<FolderLock> lock;   // its metrics.json belongs to what is scored
+    std::optional<FolderLock> lock;  // its metrics.json belongs to what is scored
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset."});
@@ -125,7 +132,9 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     apply_options(run.config, options);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
-    const Output output(options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out), options.pictures, ranks);
+    const Output output(
+        options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
+        options.pictures, ranks);
     check_held_out(run.split, run.folder.string());
     keep_share(run.split.test, ranks);
     Device device(device_options(options.device));
@@ -140,21 +149,23 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     Progress progress(options.quiet);
     std::optional<Evaluation> baseline;
     if (!options.baseline.empty())
-        baseline =
-            joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split, shown_until_interrupted(progress)), ranks);
+        baseline = joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split,
+                                            shown_until_interrupted(progress)),
+                          ranks);
     ScanRenderer renderer(device, run);
     std::size_t n_seen = 0;
     const auto see = [&](ScoredFrame& frame) {
         if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
         output.draw(frame, run.config);
     };
-    Evaluation evaluation =
-        joined(evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress), see), ranks);
+    Evaluation evaluation = joined(evaluate_frames(renderer, run.config, run.sequence, run.split.test,
+                                                   shown_until_interrupted(progress), see),
+                                   ranks);
     if (!ranks.is_first()) return;
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
-                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds_since(start),
-                   baseline ? &*baseline : nullptr},
+                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
+                   seconds_since(start), baseline ? &*baseline : nullptr},
                   options.quiet);
     if (!options.open) return;
     const Report report = make_evaluation_report(run, evaluation, device, command_line);
@@ -163,9 +174,10 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
 
 /// Settings that change the scores of a baseline.
 const std::vector<std::string> kBaselineSettings = {
-    "dataset.sequence", "dataset.lidars",      "dataset.frames_begin", "dataset.frames_end",  "dataset.test_every",
-    "dataset.poses",    "dataset.test_frames", "dataset.poses_from",   "dataset.skip_broken", "dataset.min_range_m",
-    "dataset.memory_mib", "dataset.max_range_m", "dataset.waymo_intensity", "sensor.grid", "sensor.rolling_shutter"};
+    "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",  "dataset.frames_end",
+    "dataset.test_every",      "dataset.poses",       "dataset.test_frames",   "dataset.poses_from",
+    "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
+    "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
 /// The baseline alone: a log, no run, no device.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
@@ -187,9 +199,11 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
     const auto see = [&](const ScoredFrame& frame) { output.draw(frame, config); };
-    const Evaluation evaluation =
-        joined(evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress), see), ranks);
-    if (ranks.is_first()) write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
+    const Evaluation evaluation = joined(
+        evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress), see),
+        ranks);
+    if (ranks.is_first())
+        write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
 void run_eval(const EvalOptions& given, const std::string& command_line) {
@@ -203,28 +217,38 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
         return;
     }
     if (options.targets.size() > 1)
-        throw UsageError(fmt::format("RUN: found {} runs, expected one, or --table for a table of their scores", options.targets.size()));
+        throw UsageError(
+            fmt::format("RUN: found {} runs, expected one, or --table for a table of their scores",
+                        options.targets.size()));
     options.target = options.targets.front();
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
-        throw UsageError(fmt::format("--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
-    if (!options.baseline.empty()) (void)find_baseline(options.baseline);   // a wrong name is found before the log is read
+        throw UsageError(fmt::format(
+            "--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
+    // a wrong name is found before the log is read
+    if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
-        if (options.open) throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
+        if (options.open)
+            throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
         return score_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
-        throw UsageError(fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with --baseline and a log",
-                                     options.part.frames.empty() ? "--sequence" : "--frames"));
+        throw UsageError(
+            fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with "
+                        "--baseline and a log",
+                        options.part.frames.empty() ? "--sequence" : "--frames"));
     score_run(options, ranks, command_line);
 }
 
 /// @throws UsageError if --table was given with an option for scoring
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
-        if (option->count() == 0 || option->get_positional() || option->check_lname("table") || option->check_lname("quiet")) continue;
-        throw UsageError(fmt::format("{}: found it with --table, which only reads scores; expected it in `relidar eval RUN`",
-                                     option->get_name()));
+        if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
+            option->check_lname("quiet"))
+            continue;
+        throw UsageError(fmt::format(
+            "{}: found it with --table, which only reads scores; expected it in `relidar eval RUN`",
+            option->get_name()));
     }
 }
 
@@ -233,36 +257,51 @@ void check_table_options(const CLI::App& command) {
 void add_eval(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<EvalOptions>();
-    command->add_option("RUN", options->targets, "run folder of `relidar train`; with --baseline also a log; with --table several runs")
+    command
+        ->add_option("RUN", options->targets,
+                     "run folder of `relidar train`; with --baseline also a log; with --table several runs")
         ->required();
-    command->add_option("--out", options->out, "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")->type_name("FILE");
+    command
+        ->add_option("--out", options->out,
+                     "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")
+        ->type_name("FILE");
     command
         ->add_option("--baseline", options->baseline,
-                     "score the two neighbouring real scans too, moved by the poses: nearest, or nearest-actors, which moves boxes with "
+                     "score the two neighbouring real scans too, moved by the poses: nearest, or "
+                     "nearest-actors, which moves boxes with "
                      "their tracks")
         ->type_name("NAME");
     add_log_part_options(*command, options->part);
-    command->add_option("--pictures", options->pictures, "folder for pictures of each held-out frame: real, rendered, error")
+    command
+        ->add_option("--pictures", options->pictures,
+                     "folder for pictures of each held-out frame: real, rendered, error")
         ->type_name("DIR");
-    command->add_flag("--open", options->open, "make a page of it, evaluation.html beside the JSON file, and open a browser");
+    command->add_flag("--open", options->open,
+                      "make a page of it, evaluation.html beside the JSON file, and open a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
+    command->add_flag("--no-refine", options->no_refine,
+                      "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command
         ->add_option("--table", options->tables,
-                     "write the scores that the runs have already as a table; the extension decides: .md, .csv, or .html for a page; "
+                     "write the scores that the runs have already as a table; the extension decides: .md, "
+                     ".csv, or .html for a page; "
                      "repeatable")
         ->type_name("FILE")
         ->type_size(1)
         ->allow_extra_args(false);
     command->footer(
-        "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
-        "The variable RELIDAR_LPIPS_WEIGHTS names a file with the weights of LPIPS (tools/lpips_weights makes it); without it there is no "
+        "The log is read from where it was when the run was trained; --set dataset.path=... names another "
+        "place.\n"
+        "The variable RELIDAR_LPIPS_WEIGHTS names a file with the weights of LPIPS (tools/lpips_weights "
+        "makes it); without it there is no "
         "LPIPS.\n"
-        "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* and so on by region; units in "
+        "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* "
+        "and so on by region; units in "
         "the names.\n"
-        "An edited run of a synthetic street is scored against the street cast again with the same edits (edited/*: the pixels they "
+        "An edited run of a synthetic street is scored against the street cast again with the same edits "
+        "(edited/*: the pixels they "
         "change);\n"
         "one of a real log against the log's scans, which show what was there before.\n"
         "Examples:\n"

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluations as tables and as metrics.json. No number goes without its protocol and hit threshold.
+// Evaluations as tables and as metrics.json. No number goes without its protocol and hit
+// threshold.
 #include "evaluate/evaluation.hpp"
 
 #include <algorithm>
@@ -18,25 +19,35 @@ using Json = nlohmann::ordered_json;
 using Rows = std::vector<std::vector<std::string>>;
 
 constexpr const char* kPeer =
-    "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak max_range_m and 1; SSIM 7 x 7 "
+    "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak "
+    "max_range_m and 1; SSIM 7 x 7 "
     "uniform; "
-    "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: drop_prob < 0.4";
+    "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: "
+    "drop_prob < 0.4";
 constexpr const char* kStrict =
-    "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels returned in both; Chamfer distance: "
+    "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels "
+    "returned in both; Chamfer distance: "
     "both ways summed; "
-    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive; drop_rmse: of the drop probabilities, all pixels, no threshold";
+    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive; drop_rmse: of the drop probabilities, all "
+    "pixels, no threshold";
 constexpr const char* kPoints =
-    "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the dominant surface; strict/* is of "
+    "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the "
+    "dominant surface; strict/* is of "
     "the image, render.range";
 constexpr const char* kRegions =
-    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them with drop_prob < 0.5; "
+    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them "
+    "with drop_prob < 0.5; "
     "moving_boxes: labelled ones; discovered_boxes: those without a label that training found";
 constexpr const char* kActors =
-    "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at another time of the log but none is "
-    "now; tail_share_real: of the log's; people_*: people and cyclists that move and really return 10 points, in their boxes grown by "
-    "0.1 m and above the ground: Chamfer distance, both ways summed; share of the simulated points within 3 cm of a real one; F1 of the "
+    "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at "
+    "another time of the log but none is "
+    "now; tail_share_real: of the log's; people_*: people and cyclists that move and really return 10 "
+    "points, in their boxes grown by "
+    "0.1 m and above the ground: Chamfer distance, both ways summed; share of the simulated points within 3 "
+    "cm of a real one; F1 of the "
     "rays that return from a box grown by 0.3 m";
-constexpr const char* kColumns[] = {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
+constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
+                                    "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json protocol_json(const Config& config) {
     const std::string lpips = lpips_weights_file();
@@ -48,7 +59,10 @@ Json protocol_json(const Config& config) {
         {"points_range", config.render.points == "median" ? "median" : config.render.range},
         {"min_range_m", config.dataset.min_range_m},
         {"max_range_m", config.dataset.max_range_m},
-        {"lpips", lpips.empty() ? "no weights" : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
+        {"lpips",
+         lpips.empty()
+             ? "no weights"
+             : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
         {"peer", kPeer},
         {"strict", kStrict},
         {"points", kPoints},
@@ -58,7 +72,8 @@ Json protocol_json(const Config& config) {
 }
 
 bool of_protocol(const std::string& name) {
-    return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") || name.starts_with("actors/");
+    return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") ||
+           name.starts_with("actors/");
 }
 
 /// Lowest and highest of a metric over the frames that have it.
@@ -73,7 +88,9 @@ std::pair<double, double> spread_of(const Evaluation& evaluation, const std::str
     return {low, high};
 }
 
-std::string cell(const MetricRow& row, const std::string& name) { return row.contains(name) ? number(row.at(name)) : "-"; }
+std::string cell(const MetricRow& row, const std::string& name) {
+    return row.contains(name) ? number(row.at(name)) : "-";
+}
 
 Rows protocol_rows(const Evaluation& evaluation, const Evaluation* baseline) {
     const bool spread = evaluation.frames.size() > 1;
@@ -98,7 +115,8 @@ Rows region_rows(const Evaluation& evaluation) {
         if (!of_protocol(name)) regions.insert(name.substr(0, name.find('/')));
     for (const std::string& region : regions) {
         rows.push_back({region});
-        for (const char* column : kColumns) rows.back().push_back(cell(evaluation.mean, region + "/" + column));
+        for (const char* column : kColumns)
+            rows.back().push_back(cell(evaluation.mean, region + "/" + column));
     }
     return rows;
 }
@@ -114,8 +132,8 @@ relidar::Progress shown_until_interrupted(Progress& progress) {
 
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
     Rows rows = protocol_rows(evaluation, baseline);
-    const bool lpips =
-        std::any_of(evaluation.mean.begin(), evaluation.mean.end(), [](const auto& metric) { return metric.first.ends_with("_lpips"); });
+    const bool lpips = std::any_of(evaluation.mean.begin(), evaluation.mean.end(),
+                                   [](const auto& metric) { return metric.first.ends_with("_lpips"); });
     if (!lpips)
         for (const char* name : {"peer/depth_lpips", "peer/intensity_lpips"}) {
             rows.push_back({name, "no weights"});
@@ -123,8 +141,8 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
         }
     std::string text = table(rows) + "\n" + table(region_rows(evaluation));
     if (baseline) text += "\n" + table(region_rows(*baseline));
-    return text +
-           fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer, kStrict, kPoints, kRegions, kActors);
+    return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
+                              kStrict, kPoints, kRegions, kActors);
 }
 
 Json frames_json(const Evaluation& evaluation) {
@@ -157,7 +175,9 @@ std::string metrics_json(const Evaluation& evaluation, const Config& config, con
                  {"device", origin.device},
                  {"peak_device_bytes", origin.peak_device_bytes}};
     if (origin.baseline)
-        json["baseline"] = {{"scored", origin.baseline->title}, {"mean", origin.baseline->mean}, {"frames", frames_json(*origin.baseline)}};
+        json["baseline"] = {{"scored", origin.baseline->title},
+                            {"mean", origin.baseline->mean},
+                            {"frames", frames_json(*origin.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -7,10 +7,10 @@
 
 #include <fmt/format.h>
 
-#include "evaluate/evaluation.hpp"
 #include <relidar/base/math.hpp>
 #include <relidar/log/sensor.hpp>
 #include <relidar/simulate/scan_files.hpp>
+#include "evaluate/evaluation.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -31,12 +31,13 @@ std::vector<float> distance(const std::vector<float>& a, const std::vector<float
 
 }  // namespace
 
-std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title, const std::string& real_caption,
-                                             double max_range_m) {
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
+                                             const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
     const std::vector<float> mask = both(returned_pixels(real), returned_pixels(rendered));
-    const auto error = [&](const std::vector<float>& a, const std::vector<float>& b, float scale, const std::vector<float>& shown) {
+    const auto error = [&](const std::vector<float>& a, const std::vector<float>& b, float scale,
+                           const std::vector<float>& shown) {
         return colour_map(distance(a, b), real.rows, real.columns, 0.0f, scale, "heat", shown);
     };
     ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", drop_picture(real)}}};
@@ -45,11 +46,13 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
         surfels.drop_prob = *of_surfels;
         drops.images.emplace_back("drop probability of the surfels", drop_picture(surfels));
         drops.images.emplace_back("its absolute error", error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
-        drops.images.emplace_back("rendered drop probability, corrected by the network", drop_picture(rendered));
+        drops.images.emplace_back("rendered drop probability, corrected by the network",
+                                  drop_picture(rendered));
     } else {
         drops.images.emplace_back("rendered drop probability", drop_picture(rendered));
     }
-    drops.images.emplace_back("absolute error, black 0 to white 1", error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
+    drops.images.emplace_back("absolute error, black 0 to white 1",
+                              error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     std::vector<ReportFigure> figures = {
         {title + ": range",
          {{real_caption, range_picture(real, max_range_m)},
@@ -57,36 +60,40 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
           {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
            error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}}};
     if (has_intensities(real))
-        figures.push_back({title + ": intensity",
-                           {{real_caption, intensity_picture(real)},
-                            {"rendered", intensity_picture(rendered)},
-                            {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
-                             error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
+        figures.push_back(
+            {title + ": intensity",
+             {{real_caption, intensity_picture(real)},
+              {"rendered", intensity_picture(rendered)},
+              {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
+               error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
     figures.push_back(std::move(drops));
     return figures;
 }
 
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
-    std::vector<const char*> names = {"range", "intensity", "drop"};   // in the order of comparison_figures
+    std::vector<const char*> names = {"range", "intensity", "drop"};  // in the order of comparison_figures
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
     for (std::size_t k = 0; k < figures.size(); ++k) {
         std::vector<Image> strip;
         for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
-        write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame), stack(strip, picture_stretch(frame.real)));
+        write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame),
+                  stack(strip, picture_stretch(frame.real)));
     }
 }
 
 Image range_pair(const ScoredFrame& frame, double max_range_m) {
-    return stack({range_picture(frame.real, max_range_m), range_picture(frame.rendered.image, max_range_m)}, picture_stretch(frame.real));
+    return stack({range_picture(frame.real, max_range_m), range_picture(frame.rendered.image, max_range_m)},
+                 picture_stretch(frame.real));
 }
 
 Image ray_picture(const RayTable& rays) {
     constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kWidth = 1200, kDot = 2;
-    std::vector<glm::dvec2> angle;   // azimuth, elevation
+    std::vector<glm::dvec2> angle;  // azimuth, elevation
     for (const glm::vec3& d : rays.direction)
-        angle.emplace_back(std::atan2(double(d.y), double(d.x)), std::asin(std::clamp(double(d.z), -1.0, 1.0)));
+        angle.emplace_back(std::atan2(double(d.y), double(d.x)),
+                           std::asin(std::clamp(double(d.z), -1.0, 1.0)));
     glm::dvec2 low = angle.front(), high = angle.front();
     for (const glm::dvec2& a : angle) low = glm::min(low, a), high = glm::max(high, a);
     if (high.x - low.x > 1.9 * kPi) low.x = -kSector_rad, high.x = kSector_rad;
@@ -107,7 +114,8 @@ Image ray_picture(const RayTable& rays) {
     float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
     for (const float value : seconds)
         if (drawn(value)) earliest = std::min(earliest, value), latest = std::max(latest, value);
-    return colour_map(seconds, rows, kWidth, earliest, std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
+    return colour_map(seconds, rows, kWidth, earliest, std::max(latest, std::nextafter(earliest, 1e30f)),
+                      "turbo");
 }
 
 }  // namespace relidar::cli

@@ -6,22 +6,26 @@
 
 #include <fmt/format.h>
 
-#include "evaluate/evaluation.hpp"
 #include <relidar/simulate/render.hpp>
+#include "evaluate/evaluation.hpp"
 
 namespace relidar::cli {
 
-ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title, const std::string& real_name) {
+ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title,
+                         const std::string& real_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
     const std::vector<float>& range_m = point_ranges(frame.rendered, config);
     FiringPoses sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
     ReportCloud measured{real_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const bool has_real = real.range_m[i] > 0.0f, has_simulated = returned(rendered.drop_prob[i], range_m[i]);
+        const bool has_real = real.range_m[i] > 0.0f,
+                   has_simulated = returned(rendered.drop_prob[i], range_m[i]);
         const Pose& sensor_from_firing = sensor.at(i);
-        const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i] : std::numeric_limits<float>::quiet_NaN();
+        const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i]
+                                                        : std::numeric_limits<float>::quiet_NaN();
         const auto add = [&](ReportCloud& cloud, const RangeImage& image, float range) {
-            cloud.position_m.push_back(glm::vec3(sensor_from_firing * glm::dvec3(image.origin[i] + range * image.direction[i])));
+            cloud.position_m.push_back(
+                glm::vec3(sensor_from_firing * glm::dvec3(image.origin[i] + range * image.direction[i])));
             cloud.intensity.push_back(image.intensity[i]);
             cloud.error_m.push_back(error_m);
         };
@@ -38,7 +42,8 @@ ReportBars errors_by_range(const Evaluation& evaluation, const std::string& titl
                     {}};
     constexpr auto& kEdges_m = RangeErrorCounts::kRangeEdges_m;
     for (std::size_t r = 0; r + 1 < kEdges_m.size(); ++r) {
-        ReportBars::Row row{fmt::format("{} to {} m", kEdges_m[r], kEdges_m[r + 1]), 0.0, std::vector<double>(RangeErrorCounts::kBands)};
+        ReportBars::Row row{fmt::format("{} to {} m", kEdges_m[r], kEdges_m[r + 1]), 0.0,
+                            std::vector<double>(RangeErrorCounts::kBands)};
         for (const ScoredFrame& frame : evaluation.frames)
             for (std::size_t band = 0; band < row.share.size(); ++band) {
                 row.count += frame.range_errors.rays[r][band];
@@ -52,24 +57,35 @@ ReportBars errors_by_range(const Evaluation& evaluation, const std::string& titl
 
 std::vector<ReportKeyMetric> key_metrics() {
     return {
-        {"strict/depth_medae_m", "Typical range error, m", "half of the rays that return in both are nearer than this; less is better"},
-        {"strict/depth_rmse_m", "Range error with outliers, m", "root of the mean square: missed edges count most; less is better"},
-        {"moving_boxes/depth_medae_m", "Typical range error on what moves, m", "inside boxes of moving cars and people; less is better"},
+        {"strict/depth_medae_m", "Typical range error, m",
+         "half of the rays that return in both are nearer than this; less is better"},
+        {"strict/depth_rmse_m", "Range error with outliers, m",
+         "root of the mean square: missed edges count most; less is better"},
+        {"moving_boxes/depth_medae_m", "Typical range error on what moves, m",
+         "inside boxes of moving cars and people; less is better"},
         {"range_40_80_m/depth_medae_m", "Typical range error far away, m", "from 40 to 80 m; less is better"},
-        {"strict/intensity_mae", "Intensity error", "mean over rays that return in both, of intensities from 0 to 1; less is better"},
+        {"strict/intensity_mae", "Intensity error",
+         "mean over rays that return in both, of intensities from 0 to 1; less is better"},
         {"strict/drop_accuracy", "Rays that return or drop as the real ones", "share of all rays; 1 is best"},
-        {"strict/drop_rmse", "Error of drop probabilities", "root of the mean square over all rays; less is better"},
-        {"strict/drop_recall", "Dropped rays that were found", "share of the rays that really did not return; 1 is best"},
-        {"points/cd_mean_m", "Distance of the two point clouds, m", "to the nearest point of the other, both ways added; less is better"},
-        {"points/f_22cm", "Points with a real one within 22 cm", "and real ones with a simulated one, as F-score; 1 is best"},
-        {"peer/depth_psnr_db", "Range image as publications score it, dB", "peak signal to noise, dropped rays as 0 m; more is better"}};
+        {"strict/drop_rmse", "Error of drop probabilities",
+         "root of the mean square over all rays; less is better"},
+        {"strict/drop_recall", "Dropped rays that were found",
+         "share of the rays that really did not return; 1 is best"},
+        {"points/cd_mean_m", "Distance of the two point clouds, m",
+         "to the nearest point of the other, both ways added; less is better"},
+        {"points/f_22cm", "Points with a real one within 22 cm",
+         "and real ones with a simulated one, as F-score; 1 is best"},
+        {"peer/depth_psnr_db", "Range image as publications score it, dB",
+         "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 
 std::string how_good(const MetricRow& mean) {
     const auto error = mean.find("strict/depth_medae_m"), drops = mean.find("strict/drop_accuracy");
     if (error == mean.end() || drops == mean.end()) return "";
-    return fmt::format("half of all ranges are within {:.1f} cm of the real ones, and {:.1f} % of all rays return or drop as they did",
-                       100.0 * error->second, 100.0 * drops->second);
+    return fmt::format(
+        "half of all ranges are within {:.1f} cm of the real ones, and {:.1f} % of all rays return or drop "
+        "as they did",
+        100.0 * error->second, 100.0 * drops->second);
 }
 
 }  // namespace relidar::cli

@@ -3,12 +3,12 @@
 
 #include <fmt/format.h>
 
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
 #include "console.hpp"
 #include "evaluate/evaluation.hpp"
 #include "evaluate/pictures.hpp"
 #include "evaluate/report_parts.hpp"
-#include <relidar/run/run.hpp>
-#include <relidar/train/train.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -36,29 +36,34 @@ std::vector<ReportCurve> loss_curves(const TrainResult& result) {
 
 }  // namespace
 
-Report make_report(const Run& run, const TrainResult& result, const Device& device, const std::string& command_line) {
+Report make_report(const Run& run, const TrainResult& result, const Device& device,
+                   const std::string& command_line) {
     const int done = result.log.empty() ? 0 : result.log.back().iteration;
     const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
     Report report;
     report.title = "relidar: " + run.sequence.name;
-    report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.", frame_count(run.split.train.size()),
-                                 sensor.beams.size(), sensor.columns, count_surfels(run.scene), duration(result.train_s));
-    report.facts = {
-        {"Command", command_line},
-        {"Log", run.sequence.source},
-        {"Preset", run.config.preset},
-        {"Image", run.config.sensor.grid == "native" ? "native" : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
-        {"Range", run.config.render.range},
-        {"Surfels", fmt::format("{}", count_surfels(run.scene))},
-        {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
-        {"Initialisation", duration(result.initialise_s)},
-        {"Training", fmt::format("{} ({:.2f} iterations/s)", duration(result.train_s), result.train_s > 0.0 ? done / result.train_s : 0.0)},
-        {"Device", device.info().name},
-        {"Driver", device.info().driver},
-        {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
-        {"Peak device memory", byte_size(result.peak_device_bytes)},
-        {"relidar", RELIDAR_VERSION}};
-    if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init); !masked.empty())
+    report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.",
+                                 frame_count(run.split.train.size()), sensor.beams.size(), sensor.columns,
+                                 count_surfels(run.scene), duration(result.train_s));
+    report.facts = {{"Command", command_line},
+                    {"Log", run.sequence.source},
+                    {"Preset", run.config.preset},
+                    {"Image", run.config.sensor.grid == "native"
+                                  ? "native"
+                                  : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
+                    {"Range", run.config.render.range},
+                    {"Surfels", fmt::format("{}", count_surfels(run.scene))},
+                    {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
+                    {"Initialisation", duration(result.initialise_s)},
+                    {"Training", fmt::format("{} ({:.2f} iterations/s)", duration(result.train_s),
+                                             result.train_s > 0.0 ? done / result.train_s : 0.0)},
+                    {"Device", device.info().name},
+                    {"Driver", device.info().driver},
+                    {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
+                    {"Peak device memory", byte_size(result.peak_device_bytes)},
+                    {"relidar", RELIDAR_VERSION}};
+    if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init);
+        !masked.empty())
         report.facts.emplace_back("Moving boxes masked out", names_of(masked));
     report.curves = loss_curves(result);
     if (const MetricRow times = mean_times(result.times); !times.empty())
@@ -66,32 +71,36 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     return report;
 }
 
-Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device, const std::string& command_line) {
+Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
+                              const std::string& command_line) {
     Report report;
     report.title = "relidar: " + run.sequence.name + ", scored";
-    report.summary =
-        fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.", count_surfels(run.scene), evaluation.trace_ms / 1000.0);
-    report.facts = {{"Command", command_line},
-                    {"Run", run.folder.string()},
-                    {"Log", run.sequence.source},
-                    {"Device", device.info().name},
-                    {"Driver", device.info().driver},
-                    {"relidar", RELIDAR_VERSION}};
+    report.summary = fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.",
+                                 count_surfels(run.scene), evaluation.trace_ms / 1000.0);
+    report.facts = {{"Command", command_line},        {"Run", run.folder.string()},
+                    {"Log", run.sequence.source},     {"Device", device.info().name},
+                    {"Driver", device.info().driver}, {"relidar", RELIDAR_VERSION}};
     add_evaluation(report, evaluation, run, {"held out", "real"});
     return report;
 }
 
-void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run, const EvaluationTitle& title) {
+void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
+                    const EvaluationTitle& title) {
     if (evaluation.frames.empty()) return;
-    if (const std::string good = how_good(evaluation.mean); report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
+    if (const std::string good = how_good(evaluation.mean);
+        report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
-        report.summary += fmt::format("; on {} it never saw, {}.", frame_count(evaluation.frames.size()), good);
+        report.summary +=
+            fmt::format("; on {} it never saw, {}.", frame_count(evaluation.frames.size()), good);
     }
     report.key_metrics = key_metrics();
-    report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())), evaluation.mean);
-    report.facts.emplace_back(fmt::format("Rendering, {}", title.column), fmt::format("{:.1f} ms a frame", evaluation.trace_ms));
+    report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())),
+                                evaluation.mean);
+    report.facts.emplace_back(fmt::format("Rendering, {}", title.column),
+                              fmt::format("{:.1f} ms a frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
-        report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column), evaluation.kernel_ms);
+        report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column),
+                                       evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
     report.views.push_back(points_beside(shown, run.config, name + ": points", title.real));

@@ -9,14 +9,14 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include "evaluate/report_parts.hpp"
-#include "console.hpp"
-#include "output_folder.hpp"
-#include "train/training.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>
+#include "console.hpp"
+#include "evaluate/report_parts.hpp"
+#include "output_folder.hpp"
+#include "train/training.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -25,20 +25,22 @@ namespace fs = std::filesystem;
 using Cells = std::vector<std::string>;
 
 struct ScoredRun {
-    std::string name;          ///< path of the run, as the user typed it
+    std::string name;  ///< path of the run, as the user typed it
     std::string log;
     std::size_t n_frames = 0;  ///< held-out frames that were scored
     double training_s = 0.0;
-    MetricRow mean;            ///< over those frames; empty if the run has no scores
+    MetricRow mean;  ///< over those frames; empty if the run has no scores
     nlohmann::json protocol;
 };
 
 ScoredRun read_scores(const std::string& path) {
     const fs::path folder = path;
-    if (!holds_run(folder)) throw DataError(fmt::format("{}: not a run folder, expected one of `relidar train`", path));
+    if (!holds_run(folder))
+        throw DataError(fmt::format("{}: not a run folder, expected one of `relidar train`", path));
     ScoredRun run;
     run.name = path.substr(0, path.find_last_not_of('/') + 1);
-    if (const std::vector<TrainProgress> log = read_log(folder); !log.empty()) run.training_s = log.back().seconds;
+    if (const std::vector<TrainProgress> log = read_log(folder); !log.empty())
+        run.training_s = log.back().seconds;
     std::ifstream file(folder / "metrics.json", std::ios::binary);
     const nlohmann::json json = nlohmann::json::parse(file, nullptr, false);
     if (!json.is_object() || !json.contains("mean") || !json.contains("frames")) return run;
@@ -57,7 +59,8 @@ std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
     return rows;
 }
 
-/// Keys of the protocol that differ between runs: "grid, range". Scores of different protocols are not comparable.
+/// Keys of the protocol that differ between runs: "grid, range". Scores of different
+/// protocols are not comparable.
 std::string protocol_differences(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -86,7 +89,8 @@ std::vector<std::string> table_metrics(const MetricRow& mean) {
 std::string markdown_line(const Cells& cells) {
     std::string line = "|";
     for (std::string cell : cells) {
-        for (std::size_t at = 0; (at = cell.find('|', at)) != std::string::npos; at += 2) cell.insert(at, "\\");
+        for (std::size_t at = 0; (at = cell.find('|', at)) != std::string::npos; at += 2)
+            cell.insert(at, "\\");
         line += " " + one_line(cell) + " |";
     }
     return line + "\n";
@@ -97,7 +101,8 @@ std::string markdown(const std::vector<ScoredRun>& runs) {
     const MetricRow mean_row = mean(rows);
     const std::vector<std::string> metrics = table_metrics(mean_row);
     const auto line = [&](Cells cells, const MetricRow& values) {
-        for (const std::string& name : metrics) cells.push_back(values.contains(name) ? number(values.at(name)) : "-");
+        for (const std::string& name : metrics)
+            cells.push_back(values.contains(name) ? number(values.at(name)) : "-");
         return markdown_line(cells);
     };
     Cells head{"run", "log", "held-out frames", "training s"}, rule{"---", "---", "--:", "--:"};
@@ -105,8 +110,10 @@ std::string markdown(const std::vector<ScoredRun>& runs) {
     rule.resize(head.size(), "--:");
     std::string text = markdown_line(head) + markdown_line(rule);
     for (const ScoredRun& run : runs)
-        text += run.mean.empty() ? line({run.name, "no scores", "-", number(run.training_s)}, {})
-                                 : line({run.name, run.log, fmt::format("{}", run.n_frames), number(run.training_s)}, run.mean);
+        text += run.mean.empty()
+                    ? line({run.name, "no scores", "-", number(run.training_s)}, {})
+                    : line({run.name, run.log, fmt::format("{}", run.n_frames), number(run.training_s)},
+                           run.mean);
     if (rows.size() > 1) text += line({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
     const std::string note = protocol_note(runs);
     return note.empty() ? text : text + "\n" + note + "\n";
@@ -124,8 +131,10 @@ std::string csv(const std::vector<ScoredRun>& runs) {
     for (const auto& [name, value] : metrics) text += "," + name;
     text += "\n";
     for (const ScoredRun& run : runs) {
-        text += fmt::format("{},{},{},{}", csv_text(run.name), csv_text(run.log), run.n_frames, run.training_s);
-        for (const auto& [name, value] : metrics) text += run.mean.contains(name) ? fmt::format(",{}", run.mean.at(name)) : ",";
+        text +=
+            fmt::format("{},{},{},{}", csv_text(run.name), csv_text(run.log), run.n_frames, run.training_s);
+        for (const auto& [name, value] : metrics)
+            text += run.mean.contains(name) ? fmt::format(",{}", run.mean.at(name)) : ",";
         text += "\n";
     }
     return text;
@@ -135,13 +144,15 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
     const std::vector<MetricRow> rows = scored_rows(runs);
     Report report;
     report.title = fmt::format("relidar: scores of {} runs", runs.size());
-    report.summary = fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), protocol_note(runs));
+    report.summary =
+        fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), protocol_note(runs));
     report.key_metrics = key_metrics();
     std::set<std::string> logs;
     for (const ScoredRun& run : runs) {
-        report.facts.emplace_back(run.name, run.mean.empty() ? "no scores"
-                                                             : fmt::format("{}, {} held-out frames, {} of training", run.log, run.n_frames,
-                                                                           duration(run.training_s)));
+        report.facts.emplace_back(
+            run.name, run.mean.empty() ? "no scores"
+                                       : fmt::format("{}, {} held-out frames, {} of training", run.log,
+                                                     run.n_frames, duration(run.training_s)));
         if (run.mean.empty()) continue;
         logs.insert(fmt::format("{} {}", run.log, run.n_frames));
         report.metrics.emplace_back(run.name, run.mean);
@@ -153,10 +164,12 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
 
 /// Fails if the runs that have no scores are not empty.
 void check_scored(const std::vector<ScoredRun>& runs) {
-    const auto missing = std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });
+    const auto missing =
+        std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });
     if (missing == runs.end()) return;
-    throw DataError(fmt::format("{} of {} runs have no scores in their metrics.json, the first is {}; `relidar eval {}` scores it",
-                                runs.size() - scored_rows(runs).size(), runs.size(), missing->name, shell_word(missing->name)));
+    throw DataError(fmt::format(
+        "{} of {} runs have no scores in their metrics.json, the first is {}; `relidar eval {}` scores it",
+        runs.size() - scored_rows(runs).size(), runs.size(), missing->name, shell_word(missing->name)));
 }
 
 }  // namespace
@@ -164,7 +177,8 @@ void check_scored(const std::vector<ScoredRun>& runs) {
 void write_score_tables(const std::vector<std::string>& runs, const std::vector<std::string>& files) {
     for (const fs::path file : files)
         if (file.extension() != ".md" && file.extension() != ".csv" && file.extension() != ".html")
-            throw UsageError(fmt::format("--table: found {}, expected a file that ends in .md, .csv or .html", file.string()));
+            throw UsageError(fmt::format("--table: found {}, expected a file that ends in .md, .csv or .html",
+                                         file.string()));
     std::vector<ScoredRun> scored;
     for (const std::string& run : runs) scored.push_back(read_scores(run));
     for (const fs::path file : files) {

@@ -15,19 +15,21 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::size_t kFrames = 8, kFewestPoints = 20;   // of a strip; of a frame, on average
+constexpr std::size_t kFrames = 8, kFewestPoints = 20;  // of a strip; of a frame, on average
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;
 
 /// A frame's rays that may meet a box, as a scan without image order.
 Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
-    const Pose sensor = run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
+    const Pose sensor =
+        run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
     const glm::dvec3 about = inverse(sensor) * box.world_from_box.at(frame.time_s).translation;
     const double distance = glm::length(about), reach = 0.5 * glm::length(box.size_m) + kWider_m;
     const double cosine = distance > reach ? std::cos(std::asin(reach / distance)) : -1.0;
     std::vector<std::size_t> wanted;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
-        if (glm::dot(glm::dvec3(frame.scan.rays.direction[i]), about) > cosine * distance) wanted.push_back(i);
+        if (glm::dot(glm::dvec3(frame.scan.rays.direction[i]), about) > cosine * distance)
+            wanted.push_back(i);
     Scan scan{some_rays(frame.scan.rays, wanted), {}, {}};
     for (const std::size_t i : wanted) {
         scan.range_m.push_back(frame.scan.range_m[i]);
@@ -40,18 +42,20 @@ Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
 std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : run.sequence.frames)
-        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.present(frame.time_s)) frames.push_back(&frame);
+        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.present(frame.time_s))
+            frames.push_back(&frame);
     return frames;
 }
 
 double distance_of(const Run& run, const Frame& frame, const BoxTrack& box) {
-    return glm::distance(run.sequence.world_from_vehicle.at(frame.time_s).translation, box.world_from_box.at(frame.time_s).translation);
+    return glm::distance(run.sequence.world_from_vehicle.at(frame.time_s).translation,
+                         box.world_from_box.at(frame.time_s).translation);
 }
 
 struct Walk {
     const BoxTrack* box = nullptr;
     std::vector<const Frame*> frames;
-    double distance_m = std::numeric_limits<double>::max();   ///< mean
+    double distance_m = std::numeric_limits<double>::max();  ///< mean
 };
 
 /// Who comes nearest for so long, and when: there are the most points.
@@ -62,7 +66,8 @@ Walk nearest_walk(const Run& run) {
         if (!box || !(run.scene.models[std::size_t(instance.model)].stride_m > 0.0f)) continue;
         const std::vector<const Frame*> frames = frames_of(run, *box);
         for (std::size_t first = 0; first + kFrames <= frames.size(); ++first) {
-            const std::vector<const Frame*> some(frames.begin() + std::ptrdiff_t(first), frames.begin() + std::ptrdiff_t(first + kFrames));
+            const std::vector<const Frame*> some(frames.begin() + std::ptrdiff_t(first),
+                                                 frames.begin() + std::ptrdiff_t(first + kFrames));
             double sum = 0.0;
             for (const Frame* frame : some) sum += distance_of(run, *frame, *box);
             if (sum / double(kFrames) < nearest.distance_m) nearest = {box, some, sum / double(kFrames)};
@@ -71,18 +76,22 @@ Walk nearest_walk(const Run& run) {
     return nearest;
 }
 
-/// Panels side by side, a dot a point: forward to the right, up, coloured by how far to the left it is.
+/// Panels side by side, a dot a point: forward to the right, up, coloured by how far to
+/// the left it is.
 Image drawn(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3& size_m) {
-    const int width = int((size_m.x + 2.0 * kBeside_m) * kPixels_per_m), rows = int((size_m.z + 2.0 * kBeside_m) * kPixels_per_m);
+    const int width = int((size_m.x + 2.0 * kBeside_m) * kPixels_per_m),
+              rows = int((size_m.z + 2.0 * kBeside_m) * kPixels_per_m);
     const int columns = width * int(panels.size());
-    std::vector<float> left(std::size_t(rows) * std::size_t(columns), std::numeric_limits<float>::quiet_NaN());
+    std::vector<float> left(std::size_t(rows) * std::size_t(columns),
+                            std::numeric_limits<float>::quiet_NaN());
     for (std::size_t k = 0; k < panels.size(); ++k)
         for (const glm::dvec3& p : panels[k]) {
             const int x = int((p.x + 0.5 * size_m.x + kBeside_m) * kPixels_per_m);
             const int y = int((0.5 * size_m.z + kBeside_m - p.z) * kPixels_per_m);
             for (int row = std::max(y, 0); row < std::min(y + kDot, rows); ++row)
                 for (int column = std::max(x, 0); column < std::min(x + kDot, width - 1); ++column)
-                    left[std::size_t(row) * std::size_t(columns) + k * std::size_t(width) + std::size_t(column)] = float(p.y);
+                    left[std::size_t(row) * std::size_t(columns) + k * std::size_t(width) +
+                         std::size_t(column)] = float(p.y);
         }
     const float half = float(0.5 * size_m.y);
     return colour_map(left, rows, columns, -half, half, "turbo");
@@ -107,16 +116,18 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
         sensor.follows_sweeps = false;
         sensor.rolling_shutter = run.sequence.rolling_shutter;
         const RenderedScan rendered = renderer.render(sensor, frame->time_s);
-        const PeoplePoints points =
-            people_points(rendered.image, point_ranges(rendered, config), measured, run.sequence, moment_of(*frame), *walk.box);
+        const PeoplePoints points = people_points(rendered.image, point_ranges(rendered, config), measured,
+                                                  run.sequence, moment_of(*frame), *walk.box);
         n += points.real_m.size();
         real.push_back(points.real_m);
         simulated.push_back(points.simulated_m);
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
     return ReportFigure{
-        fmt::format("{} {} {}, {:.0f} m away: successive frames, of training too, from the right, coloured from right to left",
-                    walk.box->category, walk.box->id, object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
+        fmt::format("{} {} {}, {:.0f} m away: successive frames, of training too, from the right, coloured "
+                    "from right to left",
+                    walk.box->category, walk.box->id,
+                    object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walk.distance_m),
         {{"real", drawn(real, walk.box->size_m)}, {"simulated", drawn(simulated, walk.box->size_m)}}};
 }

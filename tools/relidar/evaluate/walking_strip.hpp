@@ -9,12 +9,14 @@
 namespace relidar {
 class Device;
 struct Run;
-}
+}  // namespace relidar
 
 namespace relidar::cli {
 
-/// The actor with a gait that the log has the most points of, in eight successive frames, from its right side.
-/// @param run  whose sequence has its scans @return nothing where nobody walks, or is seen so long
+/// The actor with a gait that the log has the most points of, in eight successive frames,
+/// from its right side.
+/// @param run  whose sequence has its scans @return nothing where nobody walks, or is
+/// seen so long
 std::optional<ReportFigure> walking_strip(Device& device, const Run& run);
 
 }  // namespace relidar::cli

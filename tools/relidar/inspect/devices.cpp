@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list devices: every Vulkan device of the machine, what it has, which traversal relidar would use and why not ray query.
+// relidar list devices: every Vulkan device of the machine, what it has, which traversal
+// relidar would use and why not ray query.
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
-#include "inspect/list.hpp"
-#include "console.hpp"
 #include <relidar/gpu/device.hpp>
+#include "console.hpp"
+#include "inspect/list.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -16,21 +17,33 @@ namespace {
 /// What --traversal auto picks on a device.
 std::string traversal_of(const DeviceInfo& info) {
     switch (best_traversal(info)) {
-        case Traversal::ray_query: return "ray_query";
-        case Traversal::software: return "software";
-        default: return "none";
+        case Traversal::ray_query:
+            return "ray_query";
+        case Traversal::software:
+            return "software";
+        default:
+            return "none";
     }
 }
 
 void print_json(const std::vector<DeviceInfo>& devices) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const DeviceInfo& d : devices) {
-        json.push_back({{"index", d.index}, {"name", d.name}, {"type", d.type}, {"driver", d.driver}, {"api_version", d.api_version},
-                        {"memory_bytes", d.memory_bytes}, {"ray_query", d.ray_query}, {"why_not_ray_query", d.why_not_ray_query},
-                        {"software", d.software}, {"why_not_software", d.why_not_software},
+        json.push_back({{"index", d.index},
+                        {"name", d.name},
+                        {"type", d.type},
+                        {"driver", d.driver},
+                        {"api_version", d.api_version},
+                        {"memory_bytes", d.memory_bytes},
+                        {"ray_query", d.ray_query},
+                        {"why_not_ray_query", d.why_not_ray_query},
+                        {"software", d.software},
+                        {"why_not_software", d.why_not_software},
                         {"float_atomics", d.float_atomics},
-                        {"timestamps", d.timestamps}, {"usable", d.why_not_usable.empty()},
-                        {"why_not_usable", d.why_not_usable}, {"traversal", traversal_of(d)}});
+                        {"timestamps", d.timestamps},
+                        {"usable", d.why_not_usable.empty()},
+                        {"why_not_usable", d.why_not_usable},
+                        {"traversal", traversal_of(d)}});
     }
     print(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }
@@ -40,13 +53,17 @@ void print_table(const std::vector<DeviceInfo>& devices) {
         {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
-        rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version, byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
-                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no", traversal_of(d)});
+        rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version, byte_size(d.memory_bytes),
+                        d.ray_query ? "yes" : "no", d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
+                        traversal_of(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
         if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: it lacks {}", d.why_not_usable);
-        if (!d.why_not_ray_query.empty()) notes += fmt::format("\n   no ray query: it lacks {}", d.why_not_ray_query);
-        if (!d.why_not_software.empty()) notes += fmt::format("\n   no software traversal: it lacks {}", d.why_not_software);
-        if (d.why_not_usable.empty() && !d.float_atomics) notes += "\n   no float atomics: gradients are added by compare-and-swap, slower";
+        if (!d.why_not_ray_query.empty())
+            notes += fmt::format("\n   no ray query: it lacks {}", d.why_not_ray_query);
+        if (!d.why_not_software.empty())
+            notes += fmt::format("\n   no software traversal: it lacks {}", d.why_not_software);
+        if (d.why_not_usable.empty() && !d.float_atomics)
+            notes += "\n   no float atomics: gradients are added by compare-and-swap, slower";
     }
     print(table(rows) + notes + "\n");
 }
@@ -54,7 +71,8 @@ void print_table(const std::vector<DeviceInfo>& devices) {
 }  // namespace
 
 void add_device_list(CLI::App& list, Call& call) {
-    CLI::App* command = list.add_subcommand("devices", "list every Vulkan device, what it offers and which traversal relidar would use");
+    CLI::App* command = list.add_subcommand(
+        "devices", "list every Vulkan device, what it offers and which traversal relidar would use");
     const auto json = std::make_shared<bool>(false);
     command->add_flag("--json", *json, "print JSON");
     command->footer("The number in the first column is what --device takes.\nExample: relidar list devices");
@@ -63,7 +81,8 @@ void add_device_list(CLI::App& list, Call& call) {
             const std::vector<DeviceInfo> devices = list_devices();
             if (devices.empty())
                 throw DeviceError(
-                    "listing devices: found no Vulkan device, expected at least one; tools/dev/setup installs a software driver");
+                    "listing devices: found no Vulkan device, expected at least one; tools/dev/setup "
+                    "installs a software driver");
             *json ? print_json(devices) : print_table(devices);
         };
     });

@@ -4,8 +4,8 @@
 #include <filesystem>
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include "command.hpp"
 #include "console.hpp"
@@ -34,19 +34,23 @@ void show_run(const InfoOptions& options) {
 void show_unfinished(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
-                      FolderLock::is_held(folder) ? "a run in training" : "a run that was interrupted", last_logged_iteration(folder),
-                      config.train.iterations, config.dataset.path));
-    if (!FolderLock::is_held(folder)) print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
+                      FolderLock::is_held(folder) ? "a run in training" : "a run that was interrupted",
+                      last_logged_iteration(folder), config.train.iterations, config.dataset.path));
+    if (!FolderLock::is_held(folder))
+        print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
 }
 
 void show_log(const InfoOptions& options) {
-    constexpr std::size_t kMostScans = 64;   // of a LiDAR: a bag of an hour has 36,000
+    constexpr std::size_t kMostScans = 64;  // of a LiDAR: a bag of an hour has 36,000
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
-    LogSummary summary = summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
-    const bool is_long = std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
-    summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;   // some readers read all the same
+    LogSummary summary =
+        summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
+    const bool is_long =
+        std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
+    // some readers read all the same
+    summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
@@ -59,15 +63,18 @@ void add_info(CLI::App& app, Call& call) {
     add_log_part_options(*command, options->part);
     add_set_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
-    command->add_flag("--all", options->all, "read every scan of a log, to see whether all can be read; else 64 spread over it");
-    command->footer("Examples:\n"
-                    "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
-                    "  relidar info run --json");
+    command->add_flag("--all", options->all,
+                      "read every scan of a log, to see whether all can be read; else 64 spread over it");
+    command->footer(
+        "Examples:\n"
+        "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
+        "  relidar info run --json");
     command->callback([&call, options] {
         call.run = [options] {
             const bool is_of_run = is_run(options->path) || holds_run(options->path);
             check_sets(options->settings.sets,
-                       is_of_run ? std::vector<std::string>{} : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
+                       is_of_run ? std::vector<std::string>{}
+                                 : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
                        is_of_run ? "info RUN" : "info");
             if (is_run(options->path)) show_run(*options);
             else if (holds_run(options->path)) show_unfinished(options->path);

@@ -17,7 +17,8 @@ using Json = nlohmann::ordered_json;
 
 double path_length_m(const PoseTrack& track) {
     double length = 0.0;
-    for (std::size_t i = 1; i < track.pose.size(); ++i) length += glm::length(track.pose[i].translation - track.pose[i - 1].translation);
+    for (std::size_t i = 1; i < track.pose.size(); ++i)
+        length += glm::length(track.pose[i].translation - track.pose[i - 1].translation);
     return length;
 }
 
@@ -31,12 +32,17 @@ std::optional<double> returns_share(const Sequence& sequence) {
     return static_cast<double>(n_returns) / static_cast<double>(n_rays);
 }
 
-std::string line(const std::string& name, const std::string& value) { return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value); }
+std::string line(const std::string& name, const std::string& value) {
+    return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
+}
 
 /// Class, and what its size is a guess for.
-std::string class_text(const BoxSummary& b) { return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess); }
+std::string class_text(const BoxSummary& b) {
+    return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
+}
 
-/// Which actors go on without their labels, and which sizes are guesses; a line each, where there are any.
+/// Which actors go on without their labels, and which sizes are guesses; a line each,
+/// where there are any.
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
@@ -44,8 +50,10 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
         if (b.n_beside > 0) continued.push_back(fmt::format("{} ({} frames)", b.id, b.n_beside));
     }
     std::string text;
-    if (!guesses.empty()) text += fmt::format("size is a guess, only a side was seen: {}\n", fmt::join(guesses, ", "));
-    if (!continued.empty()) text += fmt::format("found beside their labels too: {}\n", fmt::join(continued, ", "));
+    if (!guesses.empty())
+        text += fmt::format("size is a guess, only a side was seen: {}\n", fmt::join(guesses, ", "));
+    if (!continued.empty())
+        text += fmt::format("found beside their labels too: {}\n", fmt::join(continued, ", "));
     return text;
 }
 
@@ -55,13 +63,16 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
         {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
     if (of_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, class_text(b), fmt::format("{:.2f} m", b.size_m.x), fmt::format("{:.2f} m", b.size_m.y),
-                        fmt::format("{:.2f} m", b.size_m.z), b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
-                        fmt::format("{:.1f} m", b.path_m), b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
-                        fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z, b.start_yaw_deg)});
+        rows.push_back({b.id, class_text(b), fmt::format("{:.2f} m", b.size_m.x),
+                        fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
+                        b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
+                        fmt::format("{:.1f} m", b.path_m),
+                        b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
+                        fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z,
+                                    b.start_yaw_deg)});
         if (of_run)
-            rows.back().insert(rows.back().end(),
-                               {b.instance ? fmt::format("{}", *b.instance) : "-", b.instance ? fmt::format("{}", b.n_surfels) : "-"});
+            rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-",
+                                                   b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
     return "\n" + table(rows) + box_notes(boxes);
 }
@@ -117,7 +128,9 @@ Json json_of(const LogSummary& log) {
     return json;
 }
 
-std::string dumped(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"; }
+std::string dumped(const Json& json) {
+    return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
 
 BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     BoxSummary summary;
@@ -146,47 +159,66 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
 LidarSummary summarise(const Sequence& sequence, int which) {
     const Lidar& lidar = sequence.lidars[std::size_t(which)];
     const SpinningSensor& sensor = lidar.sensor;
-    LidarSummary l{lidar.name, sensor.name, sensor.beams.size(), sensor.columns, 0.0, 0.0, sensor.period_s, sensor.max_range_m, 0, 0};
+    LidarSummary l{lidar.name,
+                   sensor.name,
+                   sensor.beams.size(),
+                   sensor.columns,
+                   0.0,
+                   0.0,
+                   sensor.period_s,
+                   sensor.max_range_m,
+                   0,
+                   0};
     const auto lower = [](const Beam& a, const Beam& b) { return a.elevation_rad < b.elevation_rad; };
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
-    if (low != sensor.beams.end()) l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
-    if (lidar.pattern) {   // what is nominal of one that does not spin
+    if (low != sensor.beams.end())
+        l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
+    if (lidar.pattern) {  // what is nominal of one that does not spin
         const RayTable rays = nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
-        l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi, l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
+        l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi,
+        l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
     for (const Frame& frame : sequence.frames) {
         if (frame.lidar != which) continue;
         ++l.n_frames;
         for (const SecondReturn& f : frame.scan.second_returns)
-            l.n_second_returns += std::size_t(std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
+            l.n_second_returns += std::size_t(
+                std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
     }
     return l;
 }
 
 std::string text_of(const LidarSummary& l) {
     const std::string name = l.name.empty() ? "" : fmt::format("{}, {} frames, ", l.name, l.n_frames);
-    const std::string second = l.n_second_returns == 0 ? "" : fmt::format(", {} second returns", l.n_second_returns);
-    if (l.n_beams == 0) return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, second);
-    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}", name, l.sensor, l.n_beams,
-                       l.columns, l.top_deg, l.bottom_deg, l.period_s, l.max_range_m, second);
+    const std::string second =
+        l.n_second_returns == 0 ? "" : fmt::format(", {} second returns", l.n_second_returns);
+    if (l.n_beams == 0)
+        return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, second);
+    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}",
+                       name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s,
+                       l.max_range_m, second);
 }
 
 std::string text_of(const LogSummary& log, bool of_run) {
-    std::string text = line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
+    std::string text =
+        line("log", log.name) + line("source", log.source) + line("conventions", log.conventions);
     for (const std::string& note : log.notes) text += line("note", note);
     const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
     for (const LidarSummary& lidar : log.lidars) text += line("sensor", text_of(lidar) + shutter);
-    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames, log.first_frame, log.last_frame,
-                                       log.seconds, log.path_m));
+    text += line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames,
+                                       log.first_frame, log.last_frame, log.seconds, log.path_m));
     if (log.returns_share)
-        text += line("returns", fmt::format("{:.1f} % of all rays{}", 100.0 * *log.returns_share,
-                                            log.is_look
-                                                ? fmt::format(" of {} scans spread over the log; --all reads every scan", log.n_scans_read)
-                                                : ""));
+        text += line(
+            "returns",
+            fmt::format("{:.1f} % of all rays{}", 100.0 * *log.returns_share,
+                        log.is_look ? fmt::format(" of {} scans spread over the log; --all reads every scan",
+                                                  log.n_scans_read)
+                                    : ""));
     const auto n_moving = std::ranges::count_if(log.boxes, &BoxSummary::moves);
-    text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving, std::ssize(log.boxes) - n_moving));
+    text += line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving,
+                                      std::ssize(log.boxes) - n_moving));
     text += line("masked", log.masked);
     return text + box_table(log.boxes, of_run);
 }
@@ -199,7 +231,8 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
     log.source = sequence.source;
     log.conventions = sequence.conventions;
     log.notes = sequence.notes;
-    for (std::size_t i = 0; i < sequence.lidars.size(); ++i) log.lidars.push_back(summarise(sequence, int(i)));
+    for (std::size_t i = 0; i < sequence.lidars.size(); ++i)
+        log.lidars.push_back(summarise(sequence, int(i)));
     log.rolling_shutter = sequence.rolling_shutter;
     log.n_frames = sequence.frames.size();
     if (!sequence.frames.empty()) {
@@ -209,7 +242,8 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
     }
     log.path_m = path_length_m(sequence.world_from_vehicle);
     log.returns_share = returns_share(sequence);
-    log.n_scans_read = std::size_t(std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
+    log.n_scans_read = std::size_t(
+        std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
     log.masked = names_of(unwanted_boxes(sequence, options));
     return log;
@@ -219,7 +253,8 @@ RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
     // what an edit removed is told by it
-    summary.log.masked = run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
+    summary.log.masked =
+        run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = count_surfels(run.scene);
@@ -239,9 +274,11 @@ RunSummary summarise(const Run& run) {
     for (const SceneBlock& block : run.scene.blocks) summary.models.front().second += block.count;
     summary.n_blocks = run.scene.blocks.size();
     summary.n_train = run.split.train.size();
-    for (const int position : run.split.test) summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
+    for (const int position : run.split.test)
+        summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
     for (const auto& entry : std::filesystem::directory_iterator(run.folder)) {
-        if (entry.is_regular_file()) summary.files.emplace_back(entry.path().filename().string(), entry.file_size());
+        if (entry.is_regular_file())
+            summary.files.emplace_back(entry.path().filename().string(), entry.file_size());
     }
     std::sort(summary.files.begin(), summary.files.end());
     return summary;
@@ -250,18 +287,22 @@ RunSummary summarise(const Run& run) {
 std::string to_text(const LogSummary& log) { return text_of(log, false); }
 
 std::string to_text(const RunSummary& run) {
-    const std::string other = run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
+    const std::string other =
+        run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
     std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, other));
-    if (run.n_blocks > 0) text += line("blocks", fmt::format("{} of the background, read as scans need them", run.n_blocks));
-    for (const auto& [name, count] : run.models) text += line("  model", fmt::format("{}: {} surfels", name, count));
+    if (run.n_blocks > 0)
+        text += line("blocks", fmt::format("{} of the background, read as scans need them", run.n_blocks));
+    for (const auto& [name, count] : run.models)
+        text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
     if (run.n_drop_parameters > 0)
-        text += line("ray drop", fmt::format("corrected by a network of {} parameters that looks at {} images", run.n_drop_parameters,
-                                             run.drop_image));
+        text +=
+            line("ray drop", fmt::format("corrected by a network of {} parameters that looks at {} images",
+                                         run.n_drop_parameters, run.drop_image));
     for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
-    text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(),
-                                      fmt::join(run.test_frames, ", ")));
+    text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
+                                      run.test_frames.size(), fmt::join(run.test_frames, ", ")));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
     for (const auto& [name, size] : run.files) rows.push_back({name, byte_size(size)});
     return text + text_of(run.log, true) + "\n" + table(rows);
@@ -275,10 +316,13 @@ std::string to_json(const RunSummary& run) {
                  {"models", Json::array()},        {"train_frames", run.n_train},
                  {"test_frames", run.test_frames}, {"files", Json::object()},
                  {"log", json_of(run.log)}};
-    for (const auto& [name, count] : run.models) json["models"].push_back({{"name", name}, {"surfels", count}});
+    for (const auto& [name, count] : run.models)
+        json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;
     if (run.n_blocks > 0) json["blocks"] = run.n_blocks;
-    json["drop_network"] = run.n_drop_parameters > 0 ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}} : Json();
+    json["drop_network"] = run.n_drop_parameters > 0
+                               ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}}
+                               : Json();
     json["edits"] = Json::array();
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     for (const auto& [name, size] : run.files) json["files"][name] = size;

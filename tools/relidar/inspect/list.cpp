@@ -8,15 +8,17 @@
 namespace relidar::cli {
 
 void add_list(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings, with their properties");
+    CLI::App* command =
+        app.add_subcommand("list", "list devices, sensors or settings, with their properties");
     command->require_subcommand(1);
     add_device_list(*command, call);
     add_sensor_list(*command, call);
     add_setting_list(*command, call);
-    command->footer("Examples:\n"
-                    "  relidar list devices\n"
-                    "  relidar list sensors OS1-128\n"
-                    "  relidar list settings --preset quick");
+    command->footer(
+        "Examples:\n"
+        "  relidar list devices\n"
+        "  relidar list sensors OS1-128\n"
+        "  relidar list settings --preset quick");
 }
 
 }  // namespace relidar::cli

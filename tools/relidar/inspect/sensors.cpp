@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list sensors: the sensors that can be simulated, where their figures are from, and pictures of their patterns.
+// relidar list sensors: the sensors that can be simulated, where their figures are from,
+// and pictures of their patterns.
 #include <algorithm>
 #include <cmath>
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/images.hpp>
 #include <relidar/log/sensor_files.hpp>
-#include "inspect/list.hpp"
 #include "console.hpp"
 #include "evaluate/pictures.hpp"
+#include "inspect/list.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -50,43 +51,56 @@ double period_of(const SensorModel& sensor, const RayTable& rays) {
 }
 
 std::string divergence_text(const RayTable& rays) {
-    const double least = rays.ray_divergence_rad.empty() ? rays.largest_divergence() : double(std::ranges::min(rays.ray_divergence_rad));
-    return least < rays.largest_divergence() ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.largest_divergence())
-                                             : fmt::format("{:.3g} mrad", 1e3 * least);
+    const double least = rays.ray_divergence_rad.empty() ? rays.largest_divergence()
+                                                         : double(std::ranges::min(rays.ray_divergence_rad));
+    return least < rays.largest_divergence()
+               ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.largest_divergence())
+               : fmt::format("{:.3g} mrad", 1e3 * least);
 }
 
 void list_sensors() {
-    std::vector<std::vector<std::string>> rows{{"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
+    std::vector<std::vector<std::string>> rows{
+        {"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
     for (const std::string& name : sensor_names()) {
         const SensorModel sensor = *known_sensor(name);
         const RayTable rays = make_rays(sensor);
         const Extent e = extent_of(rays);
         const bool round = e.left_deg - e.right_deg > 350.0;
-        rows.push_back({name, rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
-                        round ? "all round" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
-                        fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg), fmt::format("{:.0f} ms", 1e3 * period_of(sensor, rays)),
-                        fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
-                        rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-", sensor.about});
+        rows.push_back(
+            {name,
+             rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
+             round ? "all round" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
+             fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg),
+             fmt::format("{:.0f} ms", 1e3 * period_of(sensor, rays)),
+             fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
+             rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
+             sensor.about});
     }
-    print(table(rows) + "\nAngles in degrees, left and up positive. A divergence of - is one that no source stated.\n");
+    print(table(rows) +
+          "\nAngles in degrees, left and up positive. A divergence of - is one that no source stated.\n");
 }
 
 void describe_sensor(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
     const Extent e = extent_of(rays);
-    print(fmt::format("{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
-                      "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} m\ndivergence  {}\n",
-                      sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns, e.left_deg, e.right_deg,
-                      e.top_deg, e.bottom_deg, period_of(sensor, rays), sensor.limits.min_m, sensor.limits.max_m,
-                      divergence_text(rays)));
+    print(fmt::format(
+        "{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
+        "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} "
+        "m\ndivergence  {}\n",
+        sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
+        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, period_of(sensor, rays), sensor.limits.min_m,
+        sensor.limits.max_m, divergence_text(rays)));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
-        std::vector<std::vector<std::string>> rows{{"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};
+        std::vector<std::vector<std::string>> rows{
+            {"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};
         for (std::size_t b = 0; b < spinning->beams.size(); ++b) {
             const Beam& beam = spinning->beams[b];
             rows.push_back({fmt::format("{}", b), fmt::format("{:+.3f}", beam.elevation_rad * 180.0 / kPi),
-                            fmt::format("{:+.3f}", beam.azimuth_offset_rad * 180.0 / kPi), fmt::format("{:.4f} m", beam.origin_offset_m),
-                            fmt::format("{:.4f} m", beam.origin_up_m), fmt::format("{:.4f} m", beam.origin_left_m)});
+                            fmt::format("{:+.3f}", beam.azimuth_offset_rad * 180.0 / kPi),
+                            fmt::format("{:.4f} m", beam.origin_offset_m),
+                            fmt::format("{:.4f} m", beam.origin_up_m),
+                            fmt::format("{:.4f} m", beam.origin_left_m)});
         }
         print("\n" + table(rows));
     }
@@ -97,25 +111,33 @@ void describe_sensor(const SensorsOptions& options) {
 }
 
 void run_sensors(const SensorsOptions& options) {
-    if (!options.out.empty() && options.sensor.empty()) throw UsageError("--out: found no sensor, expected the one to draw");
-    if (!(std::abs(options.time_s) <= 1e10)) throw UsageError(fmt::format("--time: found {}, expected seconds", options.time_s));
+    if (!options.out.empty() && options.sensor.empty())
+        throw UsageError("--out: found no sensor, expected the one to draw");
+    if (!(std::abs(options.time_s) <= 1e10))
+        throw UsageError(fmt::format("--time: found {}, expected seconds", options.time_s));
     options.sensor.empty() ? list_sensors() : describe_sensor(options);
 }
 
 }  // namespace
 
 void add_sensor_list(CLI::App& list, Call& call) {
-    CLI::App* command = list.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
+    CLI::App* command =
+        list.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
     const auto options = std::make_shared<SensorsOptions>();
     command->add_option("SENSOR", options->sensor, "a name, or a file (default: list all names)");
-    command->add_option("--out", options->out, "picture of the pattern: azimuth by elevation, colour by firing time")
+    command
+        ->add_option("--out", options->out,
+                     "picture of the pattern: azimuth by elevation, colour by firing time")
         ->type_name("FILE.png");
-    command->add_option("--time", options->time_s, "of the scan, for a sensor whose rays differ from scan to scan (default: 0)")
+    command
+        ->add_option("--time", options->time_s,
+                     "of the scan, for a sensor whose rays differ from scan to scan (default: 0)")
         ->type_name("SECONDS");
-    command->footer(std::string(kSensorFileHelp) +
-                    "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
-                    "  relidar list sensors metadata.json\n"
-                    "  relidar render run --out scans --sensor OS1-128:2048x10");
+    command->footer(
+        std::string(kSensorFileHelp) +
+        "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
+        "  relidar list sensors metadata.json\n"
+        "  relidar render run --out scans --sensor OS1-128:2048x10");
     command->callback([&call, options] { call.run = [options] { run_sensors(*options); }; });
 }
 

@@ -32,12 +32,16 @@ std::vector<int> positions_in(const Run& run, const FrameRange& range) {
 
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet) {
     if (!wanted && run.split.test.empty()) {
-        if (!quiet) note(fmt::format("{} held no frame out: rendering all {}", run.folder.string(), run.sequence.frames.size()));
+        if (!quiet)
+            note(fmt::format("{} held no frame out: rendering all {}", run.folder.string(),
+                             run.sequence.frames.size()));
         return all_positions(run);
     }
     const std::string which = wanted.value_or("test");
     const std::string name = known_name(which, {"test", "train", "all"}).value_or("");
-    std::vector<int> positions = name == "all" ? all_positions(run) : name == "train" ? run.split.train : run.split.test;
+    std::vector<int> positions = name == "all"     ? all_positions(run)
+                                 : name == "train" ? run.split.train
+                                                   : run.split.test;
     const int last = run.sequence.frames.back().index;
     if (name.empty()) {
         const FrameRange range = parse_frames(which);
@@ -45,8 +49,9 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
         if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
     }
     if (positions.empty()) {
-        throw UsageError(fmt::format("--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all", which,
-                                     run.folder.string(), run.sequence.frames.front().index, last));
+        throw UsageError(fmt::format(
+            "--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all",
+            which, run.folder.string(), run.sequence.frames.front().index, last));
     }
     return positions;
 }

@@ -10,8 +10,9 @@
 
 namespace relidar::cli {
 
-/// Positions of the wanted frames: "first:end" by the dataset's own numbers, "test", "train" or "all". Where nobody says which, those held
-/// out, or all where none was. @throws UsageError where there is none
+/// Positions of the wanted frames: "first:end" by the dataset's own numbers, "test",
+/// "train" or "all". Where nobody says which, those held out, or all where none was.
+/// @throws UsageError where there is none
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet);
 
 }  // namespace relidar::cli

@@ -38,14 +38,16 @@ void run_convert(const ConvertOptions& options) {
     Progress progress(options.quiet);
     const relidar::Progress shown = shown_by(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
-    save_folder(sequence, options.out, {options.overwrite, has_poses, [&](std::string_view what, double done) {
-                                            stop_if_interrupted();
-                                            shown(what, done);
-                                        }});
+    save_folder(sequence, options.out,
+                {options.overwrite, has_poses, [&](std::string_view what, double done) {
+                     stop_if_interrupted();
+                     shown(what, done);
+                 }});
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out), sequence.frames.size(),
-                          sequence.lidars.size(), sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
+        print(fmt::format("{}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
+                          sequence.frames.size(), sequence.lidars.size(),
+                          sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
 }
 
 }  // namespace
@@ -55,12 +57,14 @@ void add_convert(CLI::App& app, Call& call) {
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log (path, or kind:path)")->required();
     command->add_option("--out", options->out, "folder to make")->required()->type_name("FOLDER");
-    command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")->type_name("A:B");
+    command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
+        ->type_name("A:B");
     add_set_option(*command, options->settings.sets);
     command->add_flag("--force", options->overwrite, "replace a plain folder of that name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "Every ray is kept, dropped ones and second returns too, with beams, mountings, poses and boxes: the folder is read back as the "
+        "Every ray is kept, dropped ones and second returns too, with beams, mountings, poses and boxes: the "
+        "folder is read back as the "
         "same\n"
         "log. docs/datasets.md has the format, which a few lines of Python write as well.\n"
         "Examples:\n"

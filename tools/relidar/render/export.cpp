@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar export: writes the surfels of a run as a PLY file that tools for 3D Gaussian splatting open, or
-// one file for each frame, or the path of the sensor. relidar edit --from-ply reads the file back.
+// relidar export: writes the surfels of a run as a PLY file that tools for 3D Gaussian
+// splatting open, or one file for each frame, or the path of the sensor. relidar edit
+// --from-ply reads the file back.
 #include <memory>
 #include <optional>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/log/trajectory_csv.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/scene/surfel_ply.hpp>
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "render/choose_frames.hpp"
-#include <relidar/log/trajectory_csv.hpp>
-#include <relidar/run/run.hpp>
-#include <relidar/scene/surfel_ply.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -28,7 +29,8 @@ struct ExportOptions {
 };
 
 std::string sizes(const Scene& scene) {
-    return fmt::format("{} surfels, {} model{}", count_surfels(scene), scene.models.size(), scene.models.size() == 1 ? "" : "s");
+    return fmt::format("{} surfels, {} model{}", count_surfels(scene), scene.models.size(),
+                       scene.models.size() == 1 ? "" : "s");
 }
 
 /// Where the log's first sensor was, in the dataset's world.
@@ -36,7 +38,8 @@ PoseTrack sensor_path(const Sequence& sequence) {
     return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
-/// The scene as it is when the head faces forward in each frame, in relidar's world: FOLDER/000010.ply.
+/// The scene as it is when the head faces forward in each frame, in relidar's world:
+/// FOLDER/000010.ply.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
@@ -56,53 +59,67 @@ void export_frames(const ExportOptions& options) {
     }
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} file{}\n", absolute_path(options.out), positions.size(), positions.size() == 1 ? "" : "s"));
+        print(fmt::format("{}: {} file{}\n", absolute_path(options.out), positions.size(),
+                          positions.size() == 1 ? "" : "s"));
 }
 
 void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
     if (options.frames) {
         if (out.has_extension())
-            throw UsageError(fmt::format("--out {}: found the ending {}, expected the name of a folder, for --frames writes a file a frame",
-                                         options.out, out.extension().string()));
+            throw UsageError(
+                fmt::format("--out {}: found the ending {}, expected the name of a folder, for --frames "
+                            "writes a file a frame",
+                            options.out, out.extension().string()));
         return export_frames(options);
     }
     const std::optional<std::string> format = known_name(out.extension().string(), {".ply", ".csv"});
     if (!format) {
-        const std::string found = out.has_extension() ? "the ending " + out.extension().string() : "no ending";
-        throw UsageError(
-            fmt::format("--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)", options.out, found));
+        const std::string found =
+            out.has_extension() ? "the ending " + out.extension().string() : "no ending";
+        throw UsageError(fmt::format(
+            "--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)",
+            options.out, found));
     }
     const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     if (*format == ".ply") write_surfel_ply(out, whole_scene(run.scene));
     else write_trajectory(out, sensor_path(run.sequence));
-    const std::string written = *format == ".ply" ? sizes(run.scene) : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
+    const std::string written = *format == ".ply"
+                                    ? sizes(run.scene)
+                                    : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
 
 }  // namespace
 
 void add_export(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand(
-        "export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
+    CLI::App* command =
+        app.add_subcommand("export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
     const auto options = std::make_shared<ExportOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command->add_option("--out", options->out, "file to write: surfels, or the sensor's path; with --frames a folder")
+    command
+        ->add_option("--out", options->out,
+                     "file to write: surfels, or the sensor's path; with --frames a folder")
         ->required()
         ->type_name("FILE.ply|FILE.csv|FOLDER");
     command
         ->add_option("--frames", options->frames,
-                     "write the scene as it is in each of these frames, first:end, test, train or all: actors where they are, those that "
+                     "write the scene as it is in each of these frames, first:end, test, train or all: "
+                     "actors where they are, those that "
                      "walk bent")
         ->type_name("A:B");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold hit_0..15, drop_0..15 and model, so "
+        "Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold "
+        "hit_0..15, drop_0..15 and model, so "
         "that\n"
-        "`relidar edit --from-ply` gives back the same scene bit by bit. Actors are in the frames of their boxes, at the origin, in\n"
-        "the shape in which they rest. With --frames everything is where it is in the world; such files are not read back.\n"
-        "The path is time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world, as render --trajectory and edit --trajectory read "
+        "`relidar edit --from-ply` gives back the same scene bit by bit. Actors are in the frames of their "
+        "boxes, at the origin, in\n"
+        "the shape in which they rest. With --frames everything is where it is in the world; such files are "
+        "not read back.\n"
+        "The path is time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world, as render --trajectory "
+        "and edit --trajectory read "
         "it.\n"
         "Examples:\n"
         "  relidar export run --out scene.ply\n"

@@ -28,8 +28,10 @@ std::size_t car_of(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
-        throw DataError(fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a car of the street",
-                                    track, model.name));
+        throw DataError(
+            fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a "
+                        "car of the street",
+                        track, model.name));
     return car;
 }
 
@@ -55,7 +57,7 @@ std::vector<Scan> attach_recast(Run& run) {
     const std::vector<StreetCar> cars = cars_of(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = configured_sensor(run.config, run.sequence).limits;
-    const PoseTrack track = run.sequence.world_from_sensor(0);   // a street that is made again has one LiDAR
+    const PoseTrack track = run.sequence.world_from_sensor(0);  // a street that is made again has one LiDAR
     std::vector<Scan> before;
     for (const int position : run.split.test) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];

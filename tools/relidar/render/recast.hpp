@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The exact answer for an edited run of a synthetic street: the street cast again with its cars where the edits put them.
+// The exact answer for an edited run of a synthetic street: the street cast again with
+// its cars where the edits put them.
 #pragma once
 
 #include <vector>
@@ -18,7 +19,8 @@ bool is_recastable(const Run& run);
 /// @throws DataError where an actor has the model of no car of the street
 std::vector<Scan> attach_recast(Run& run);
 
-/// The pixels that an edit changes: those whose exact range is another one with the edit than without. Its metrics are edited/*.
+/// The pixels that an edit changes: those whose exact range is another one with the edit
+/// than without. Its metrics are edited/*.
 Region edited_region(const RangeImage& edited, const RangeImage& before);
 
 }  // namespace relidar::cli

@@ -3,8 +3,8 @@
 
 #include <algorithm>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/scan_files.hpp>
@@ -15,7 +15,8 @@ namespace {
 constexpr std::string_view kName = "{name}";
 
 std::string with_name(std::string text, const std::string& name) {
-    for (std::size_t at = 0; (at = text.find(kName, at)) != std::string::npos; at += name.size()) text.replace(at, kName.size(), name);
+    for (std::size_t at = 0; (at = text.find(kName, at)) != std::string::npos; at += name.size())
+        text.replace(at, kName.size(), name);
     return text;
 }
 
@@ -24,22 +25,29 @@ std::string with_name(std::string text, const std::string& name) {
 void add_recording_options(CLI::App& command, RecordingNames& names) {
     command
         .add_option("--topic", names.topic,
-                    "of the clouds in mcap and rosbag; {name} is the sensor's in a rig or the log (default: /lidar/points, with a name "
+                    "of the clouds in mcap and rosbag; {name} is the sensor's in a rig or the log (default: "
+                    "/lidar/points, with a name "
                     "/lidar/{name}/points)")
         ->type_name("NAME");
-    command.add_option("--frame-id", names.frame_id, "of the sensor in mcap and rosbag, likewise (default: lidar, or {name})")
+    command
+        .add_option("--frame-id", names.frame_id,
+                    "of the sensor in mcap and rosbag, likewise (default: lidar, or {name})")
         ->type_name("NAME");
 }
 
-void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats, bool is_rig) {
+void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats,
+                           bool is_rig) {
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
         if (std::ranges::none_of(formats, is_recording))
             throw UsageError(
-                fmt::format("{}: found no recording in --format, expected mcap or rosbag: other files have no topics and frames", option));
+                fmt::format("{}: found no recording in --format, expected mcap or rosbag: other files have "
+                            "no topics and frames",
+                            option));
         if (is_rig && text.find(kName) == std::string::npos)
-            throw UsageError(fmt::format("{}: found \"{}\" for all sensors of a rig, expected {} in it, which is each sensor's name",
-                                         option, text, kName));
+            throw UsageError(fmt::format(
+                "{}: found \"{}\" for all sensors of a rig, expected {} in it, which is each sensor's name",
+                option, text, kName));
     };
     check("--topic", names.topic), check("--frame-id", names.frame_id);
 }

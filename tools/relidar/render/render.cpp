@@ -1,14 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar render: scans of a run, from where the sensor was, beside it, or along a path of one's own, by its own sensor or another, as
-// files.
+// relidar render: scans of a run, from where the sensor was, beside it, or along a path
+// of one's own, by its own sensor or another, as files.
 #include <algorithm>
 #include <cmath>
 #include <memory>
 #include <optional>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/log/sensor_files.hpp>
+#include <relidar/run/edit.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -16,15 +22,9 @@
 #include "output_folder.hpp"
 #include "ranks.hpp"
 #include "render/choose_frames.hpp"
-#include "render/render_notes.hpp"
 #include "render/recording_names.hpp"
+#include "render/render_notes.hpp"
 #include "render/trajectory.hpp"
-#include <relidar/log/sensor_files.hpp>
-#include <relidar/run/edit.hpp>
-#include <relidar/run/run.hpp>
-#include <relidar/run/stage_options.hpp>
-#include <relidar/simulate/render.hpp>
-#include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -53,21 +53,24 @@ struct RenderOptions {
     bool quiet = false;
 };
 
-constexpr double kFarthestOffset_m = 10'000.0;   // beyond it a number is a slip, and float positions lose millimetres
+// beyond it a number is a slip, and float positions lose millimetres
+constexpr double kFarthestOffset_m = 10'000.0;
 
 /// "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
     if (v.size() != 3 && v.size() != 4)
-        throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(), text));
+        throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg",
+                                     v.size(), text));
     for (std::size_t i = 0; i < 3; ++i)
         if (std::abs(v[i]) > kFarthestOffset_m) {
-            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}", v[i], text, kFarthestOffset_m,
-                                         kFarthestOffset_m));
+            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}",
+                                         v[i], text, kFarthestOffset_m, kFarthestOffset_m));
         }
     if (v.size() == 4 && std::abs(v[3]) > 360.0) {
-        throw UsageError(fmt::format("--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
+        throw UsageError(fmt::format(
+            "--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
     }
     const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
@@ -81,8 +84,8 @@ std::vector<std::string> parse_formats(const std::string& list) {
         const std::string name = without_blanks(word);
         const std::optional<std::string> format = known_name(name, known);
         if (!format)
-            throw UsageError(fmt::format("--format: found \"{}\"{} (known: {})", name, did_you_mean(name, known),
-                                         fmt::join(known, ", ")));
+            throw UsageError(fmt::format("--format: found \"{}\"{} (known: {})", name,
+                                         did_you_mean(name, known), fmt::join(known, ", ")));
         wanted.push_back(*format);
     }
     return wanted;
@@ -91,7 +94,8 @@ std::vector<std::string> parse_formats(const std::string& list) {
 PointFrame parse_point_frame(const std::string& name) {
     if (known_name(name, {"sensor"})) return PointFrame::sensor;
     if (known_name(name, {"world"})) return PointFrame::world;
-    throw UsageError(fmt::format("--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
+    throw UsageError(fmt::format(
+        "--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
 }
 
 /// Actors that are not rendered have no boxes in recordings.
@@ -106,11 +110,12 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
 }
 
 /// What the files hold. @param name  of the sensor in a rig; empty: it stands alone
-ScanFormat wanted_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor, const Pose& offset,
-                         const std::string& name) {
+ScanFormat wanted_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
+                         const Pose& offset, const std::string& name) {
     ScanFormat format = scan_format(run, sensor);
     format.offset = offset;
-    name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name, options.names);
+    name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name,
+                       options.names);
     if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
     format.frame = parse_point_frame(options.point_frame);
@@ -122,13 +127,18 @@ ScanFormat wanted_format(const RenderOptions& options, const Run& run, const Sen
     return format;
 }
 
-/// @throws UsageError where an earlier rendering would be overwritten unasked, or a run would get files that are not its own
+/// @throws UsageError where an earlier rendering would be overwritten unasked, or a run
+/// would get files that are not its own
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
-    if (holds_run(folder)) throw UsageError(fmt::format("--out {}: found a run, expected another folder for its scans", folder.string()));
-    const std::vector<std::filesystem::path> files = options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
+    if (holds_run(folder))
+        throw UsageError(
+            fmt::format("--out {}: found a run, expected another folder for its scans", folder.string()));
+    const std::vector<std::filesystem::path> files =
+        options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
     if (!files.empty()) {
         throw UsageError(
-            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new one; --force replaces it",
+            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new "
+                        "one; --force replaces it",
                         folder.string(), files.size(), files.front().filename().string()));
     }
 }
@@ -138,7 +148,8 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
             throw UsageError(
-                fmt::format("--format {}: found {} processes, expected one: it is one file of all scans", format, ranks.size()));
+                fmt::format("--format {}: found {} processes, expected one: it is one file of all scans",
+                            format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
     if (ranks.is_first()) check_empty(options.out, options);
@@ -146,13 +157,17 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
         throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
     const TrajectoryChoice& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
-        throw UsageError("--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
+        throw UsageError(
+            "--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
     if (!t.file.empty() && options.frames)
-        throw UsageError("--frames: found --trajectory too, expected one of them; --times chooses moments on a trajectory");
+        throw UsageError(
+            "--frames: found --trajectory too, expected one of them; --times chooses moments on a "
+            "trajectory");
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
 }
 
-/// A scan that is wanted: its number in file names, and the moment at which the head faces forward.
+/// A scan that is wanted: its number in file names, and the moment at which the head
+/// faces forward.
 struct Sweep {
     int number;
     double time_s;
@@ -165,22 +180,25 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, i
         if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
-        throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar, run.folder.string()));
+        throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar,
+                                     run.folder.string()));
     return sweeps;
 }
 
-std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, const PoseTrack& track, int lidar) {
-    const std::vector<double> times_s =
-        scan_times(options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
+std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, const PoseTrack& track,
+                                int lidar) {
+    const std::vector<double> times_s = scan_times(
+        options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
     if (!options.quiet) note_beyond_log(run, track, times_s);
     std::vector<Sweep> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
     return sweeps;
 }
 
-/// A sensor that is simulated, and where it is in the place of the log's, or on its own path.
+/// A sensor that is simulated, and where it is in the place of the log's, or on its own
+/// path.
 struct Wanted {
-    std::string folder;   ///< of its files, in that of the rendering; empty: that itself
+    std::string folder;  ///< of its files, in that of the rendering; empty: that itself
     SensorChoice sensor;
     Pose mounting;
 };
@@ -191,30 +209,33 @@ std::vector<Wanted> wanted_sensors(const RenderOptions& options, const Rig& rig,
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
     std::vector<Wanted> wanted;
-    for (const MountedSensor& mounted : *rig) wanted.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
+    for (const MountedSensor& mounted : *rig)
+        wanted.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
     return wanted;
 }
 
 /// Format of the files that a rig's sensors share.
-ScanFormat merged_format(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset) {
+ScanFormat merged_format(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
+                         const Pose& offset) {
     SensorChoice rig = wanted.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
     for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
     for (const Wanted& w : wanted)
-        rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m), std::max(rig.limits.max_m, w.sensor.limits.max_m)};
+        rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
+                      std::max(rig.limits.max_m, w.sensor.limits.max_m)};
     return wanted_format(options, run, rig, offset, "");
 }
 
-/// Where scans go: a folder for each sensor, or one for all that are merged; and of a rig, whose sensors go to folders of their own, the
-/// recordings of all of them.
+/// Where scans go: a folder for each sensor, or one for all that are merged; and of a
+/// rig, whose sensors go to folders of their own, the recordings of all of them.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
 };
 
 /// The first process makes the folders before the others join.
-Output make_output(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted, const Pose& offset,
-                   const Ranks& ranks) {
+Output make_output(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
+                   const Pose& offset, const Ranks& ranks) {
     Output output;
     std::vector<ScanFormat> sensors;
     if (!ranks.is_first()) ranks.wait_for_all();
@@ -225,12 +246,15 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     };
     if (options.merge) sensors = {merged_format(options, run, wanted, offset)};
     else
-        for (const Wanted& w : wanted) sensors.push_back(wanted_format(options, run, w.sensor, offset * w.mounting, w.folder));
+        for (const Wanted& w : wanted)
+            sensors.push_back(wanted_format(options, run, w.sensor, offset * w.mounting, w.folder));
     const bool is_rig = !options.merge && !wanted.front().folder.empty();
     if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         if (is_rig) std::erase_if(sensors[s].formats, is_recording);
-        add(is_rig ? std::filesystem::path(options.out) / wanted[s].folder : std::filesystem::path(options.out), sensors[s]);
+        add(is_rig ? std::filesystem::path(options.out) / wanted[s].folder
+                   : std::filesystem::path(options.out),
+            sensors[s]);
     }
     if (ranks.is_first()) ranks.wait_for_all();
     return output;
@@ -253,8 +277,8 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
 /// Renders and writes scans, one sweep after the other.
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options, const std::vector<Wanted>& wanted, const Pose& offset,
-                  const PoseTrack& track)
+    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options, const std::vector<Wanted>& wanted,
+                  const Pose& offset, const PoseTrack& track)
         : renderer_(renderer), options_(options), wanted_(wanted), offset_(offset), track_(track) {
         for (const Wanted& w : wanted) mountings_.push_back(w.mounting);
     }
@@ -263,8 +287,10 @@ public:
         std::vector<RenderedScan> scans;
         for (const Wanted& w : wanted_) {
             stop_if_interrupted();
-            scans.push_back(drives() ? renderer_.render(w.sensor, {sweep.time_s, moved_track(track_, w.mounting)}, options_.sample)
-                                     : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
+            scans.push_back(
+                drives() ? renderer_.render(w.sensor, {sweep.time_s, moved_track(track_, w.mounting)},
+                                            options_.sample)
+                         : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
             n_rays_ += double(scans.back().image.range_m.size());
             count(scans.back());
@@ -274,14 +300,19 @@ public:
         if (output.recordings) output.recordings->write(scans);
     }
     bool drives() const { return !options_.trajectory.file.empty(); }
-    /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by all
+    /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by
+    /// all
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
-        return fmt::format("{} scans of {:.0f} rays in {} ({}): {:.1f} % return{}; tracing {:.1f} ms a scan, {:.3f} Mrays/s{}\n", n_all,
-                           n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "), 100.0 * n_returns_ / n_rays_,
-                           knows_seen_ ? fmt::format(", {:.1f} % look where the log did not", 100.0 * n_unseen_ / n_rays_) : "",
-                           trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
-                           n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
+        return fmt::format(
+            "{} scans of {:.0f} rays in {} ({}): {:.1f} % return{}; tracing {:.1f} ms a scan, {:.3f} "
+            "Mrays/s{}\n",
+            n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
+            100.0 * n_returns_ / n_rays_,
+            knows_seen_ ? fmt::format(", {:.1f} % look where the log did not", 100.0 * n_unseen_ / n_rays_)
+                        : "",
+            trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
+            n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
 
 private:
@@ -295,7 +326,8 @@ private:
     bool knows_seen_ = false;
 
     void count(const RenderedScan& scan) {
-        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) n_returns_ += returned(scan.image.drop_prob[i], scan.image.range_m[i]);
+        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
+            n_returns_ += returned(scan.image.drop_prob[i], scan.image.range_m[i]);
         if (!scan.unseen_share) return;
         knows_seen_ = true;
         n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
@@ -311,9 +343,11 @@ void run_render(const RenderOptions& given) {
     check_options(options, rig.has_value(), ranks);
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
-    const PoseTrack track = drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
+    const PoseTrack track =
+        drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    if (ranks.is_first()) folder.emplace(options.out);   // which goes again where nothing was written: not for each process to decide
+    // which goes again where nothing was written: not for each process to decide
+    if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
@@ -321,7 +355,8 @@ void run_render(const RenderOptions& given) {
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar(run.sequence, options.lidar);
-    const std::vector<Sweep> sweeps = drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
+    const std::vector<Sweep> sweeps =
+        drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
     const std::vector<Wanted> wanted = wanted_sensors(options, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
@@ -330,7 +365,8 @@ void run_render(const RenderOptions& given) {
     renderer.set_weather(parse_weather(options.weather));
     Output output = make_output(options, run, wanted, offset, ranks);
 
-    if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() && !options.quiet)
+    if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
+        !options.quiet)
         note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
     if (options.sample && !options.quiet) note_unscattered(run, lidar);
     if (!options.quiet) note_weather(parse_weather(options.weather));
@@ -342,8 +378,8 @@ void run_render(const RenderOptions& given) {
     const ProcessGroup::Share share = ranks.group().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], output);
-        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
-                       share.end - share.begin);
+        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number),
+                       i + 1 - share.begin, share.end - share.begin);
     }
     end_progress_line();
     finish(output, ranks, options.quiet);
@@ -353,54 +389,73 @@ void run_render(const RenderOptions& given) {
 void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
     command
         .add_option("--trajectory", trajectory.file,
-                     "drive the sensor along a path of its own: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world "
-                     "and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with --offset beside it")
+                    "drive the sensor along a path of its own: lines of "
+                    "time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world "
+                    "and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with "
+                    "--offset beside it")
         ->type_name("FILE.csv");
-    command.add_option("--rate", trajectory.rate_hz, "scans a second on the trajectory (default: as the log's sensor turns)")
+    command
+        .add_option("--rate", trajectory.rate_hz,
+                    "scans a second on the trajectory (default: as the log's sensor turns)")
         ->type_name("HZ");
     command
         .add_option("--times", trajectory.times,
-                     "when scans are taken on the trajectory instead: from, to and every so many seconds")
+                    "when scans are taken on the trajectory instead: from, to and every so many seconds")
         ->type_name("FIRST:LAST:STEP");
 }
 
 /// What is written, in which frame of reference.
 void add_file_options(CLI::App& command, RenderOptions& options) {
-    command.add_option("--format", options.formats, "npz, exr, ply, pcd, bin, png, mcap, rosbag, parted by commas (default: npz)")
+    command
+        .add_option("--format", options.formats,
+                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, parted by commas (default: npz)")
         ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
-                     "frame of reference of points: sensor, each point at its own firing time; or world, the dataset's (default: sensor)")
+                    "frame of reference of points: sensor, each point at its own firing time; or world, the "
+                    "dataset's (default: sensor)")
         ->type_name("WHAT");
     add_channels_option(command, options.channels);
     command.add_flag("--deskew", options.deskew,
-                      "bring all points of a scan to the sensor's frame at the scan's time, as a motion-compensated log has them; in mcap "
-                      "and rosbag to that at the stamp");
+                     "bring all points of a scan to the sensor's frame at the scan's time, as a "
+                     "motion-compensated log has them; in mcap "
+                     "and rosbag to that at the stamp");
     add_recording_options(command, options.names);
-    command.add_flag("--merge", options.merge, "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
+    command.add_flag(
+        "--merge", options.merge,
+        "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
     command.add_flag("--force", options.overwrite, "replace the rendering in DIR");
 }
 
 constexpr const char* kFilesHelp =
-    "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from 0), and "
+    "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from "
+    "0), and "
     "DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
-    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin [rows,columns,3];\n"
-    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with drop_prob < 0.5, of "
+    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin "
+    "[rows,columns,3];\n"
+    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with "
+    "drop_prob < 0.5, of "
     "the dominant\n"
-    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at edges). ring: beam, 0 the "
+    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at "
+    "edges). ring: beam, 0 the "
     "highest;\n"
     "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 background, -1 nothing; "
+    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 "
+    "background, -1 nothing; "
     "npz has instance_names.\n"
-    "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag of ROS 2. Both have\n"
-    "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to the first ray's time.\n"
+    "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag "
+    "of ROS 2. Both have\n"
+    "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to "
+    "the first ray's time.\n"
     "scans.json has the share of rays of whose way less than half was seen by the log: unseen.\n";
 
 /// What --channels takes.
 std::string channels_help() {
-    std::string text = "Channels of --channels, an entry a ray in npz and exr, a point in ply, pcd, mcap and rosbag:\n";
+    std::string text =
+        "Channels of --channels, an entry a ray in npz and exr, a point in ply, pcd, mcap and rosbag:\n";
     for (const ChannelInfo& channel : optional_channels())
-        text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning, channel.unit.empty() ? "" : " [" + channel.unit + "]");
+        text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
+                            channel.unit.empty() ? "" : " [" + channel.unit + "]");
     return text;
 }
 
@@ -413,48 +468,56 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
     command
         ->add_option("--frames", options->frames,
-                     "first:end by the dataset's numbers, or test, train or all (default: test; all where none was held out)")
+                     "first:end by the dataset's numbers, or test, train or all (default: test; all where "
+                     "none was held out)")
         ->type_name("WHICH");
-    command->add_option("--offset", options->offset, "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")
+    command
+        ->add_option("--offset", options->offset,
+                     "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")
         ->type_name("X,Y,Z,YAW_DEG");
     add_trajectory_options(*command, options->trajectory);
-    command->add_option("--lidar", options->lidar, "whose frames and place, by its name in `relidar info` (default: the first of the log)")
+    command
+        ->add_option("--lidar", options->lidar,
+                     "whose frames and place, by its name in `relidar info` (default: the first of the log)")
         ->type_name("NAME");
     command
         ->add_option("--sensor", options->sensor,
-                     "another sensor: native (the log's), one of `relidar list sensors`, or the file of a sensor or rig, see below")
+                     "another sensor: native (the log's), one of `relidar list sensors`, or the file of a "
+                     "sensor or rig, see below")
         ->type_name("NAME|FILE");
-    command->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
+    command
+        ->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
         ->type_name("WHAT")
         ->type_size(1)
         ->allow_extra_args(false);
     command
         ->add_option("--sample", options->sample,
-                     "draw each scan from the likely ones: drops by their probability, ranges and intensities with the noise of the log "
+                     "draw each scan from the likely ones: drops by their probability, ranges and "
+                     "intensities with the noise of the log "
                      "(default: the likeliest scan, free of noise)")
         ->check([](const std::string& text) {
-            return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text) : std::string();
+            return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text)
+                                         : std::string();
         })
         ->type_name("SEED");
     add_weather_option(*command, options->weather, "all scans; drawn by the seed of --sample, 0 without");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
+    command->add_flag("--no-refine", options->no_refine,
+                      "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        std::string(kFilesHelp) + channels_help() +
-        kSensorFileHelp +
-        "\n"
-        "Examples:\n"
-        "  relidar render run --out scans\n"
-        "  relidar render run --out cars --only actors --format ply\n"
-        "  relidar render run --out map --frames all --frame world --format pcd\n"
-        "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
-        "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
-        "  relidar render run --out small --sensor VLP-16 --format png\n"
-        "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
-        "  mpirun -n 8 relidar render run --out scans --frames all");
+    command->footer(std::string(kFilesHelp) + channels_help() + kSensorFileHelp +
+                    "\n"
+                    "Examples:\n"
+                    "  relidar render run --out scans\n"
+                    "  relidar render run --out cars --only actors --format ply\n"
+                    "  relidar render run --out map --frames all --frame world --format pcd\n"
+                    "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
+                    "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
+                    "  relidar render run --out small --sensor VLP-16 --format png\n"
+                    "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
+                    "  mpirun -n 8 relidar render run --out scans --frames all");
     command->callback([&call, options] { call.run = [options] { run_render(*options); }; });
 }
 

@@ -9,29 +9,38 @@
 namespace relidar::cli {
 
 void note_compensated(const Run& run, const SensorChoice& sensor) {
-    if (run.config.sensor.rolling_shutter != RollingShutter::automatic || has_rolling_shutter(sensor, run.config)) return;
-    note(fmt::format("scans of {} are motion-compensated like those of the log: all rays are fired at the scan's time; --set "
-                     "sensor.rolling_shutter=true fires each at its firing time",
-                     sensor.name));
+    if (run.config.sensor.rolling_shutter != RollingShutter::automatic ||
+        has_rolling_shutter(sensor, run.config))
+        return;
+    note(
+        fmt::format("scans of {} are motion-compensated like those of the log: all rays are fired at the "
+                    "scan's time; --set "
+                    "sensor.rolling_shutter=true fires each at its firing time",
+                    sensor.name));
 }
 
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.refines(sensor)) return;
-    note(fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as the surfels have them",
-                     run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(), run.drop_network.smallest_side(),
-                     sensor.name));
+    note(
+        fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as "
+                    "the surfels have them",
+                    run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(),
+                    run.drop_network.smallest_side(), sensor.name));
 }
 
 void note_unscattered(const Run& run, int lidar) {
     const auto at = std::size_t(lidar);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    note(fmt::format("{} does not know how intensities scatter: sampled ones are the likeliest", run.folder.string()));
+    note(fmt::format("{} does not know how intensities scatter: sampled ones are the likeliest",
+                     run.folder.string()));
 }
 
 void note_weather(const Weather& weather) {
     if (weather.clear()) return;
-    note(fmt::format("weather {}: no sensor states its wavelength: 905 nm; beams whose divergence is not known have 3 mrad",
-                     to_text(weather)));
+    note(
+        fmt::format("weather {}: no sensor states its wavelength: 905 nm; beams whose divergence is not "
+                    "known have 3 mrad",
+                    to_text(weather)));
 }
 
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
@@ -47,9 +56,11 @@ void note_unseen(const std::vector<std::string>& entries, const std::string& fol
         if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
     }
     if (n_unseen == 0) return;
-    note(fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, in number {} {:.1f} %: what "
-                     "they meet there is extrapolated (scans.json: unseen; --channels seen: by ray)",
-                     folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+    note(
+        fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, "
+                    "in number {} {:.1f} %: what "
+                    "they meet there is extrapolated (scans.json: unseen; --channels seen: by ray)",
+                    folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 
 }  // namespace relidar::cli

@@ -10,13 +10,15 @@
 
 namespace relidar::cli {
 
-/// Says that scans of the log's sensor have no rolling shutter, because the log is motion-compensated.
+/// Says that scans of the log's sensor have no rolling shutter, because the log is
+/// motion-compensated.
 void note_compensated(const Run& run, const SensorChoice& sensor);
 
 /// Says that the run's network does not fit the scans of a sensor, where it does not.
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
 
-/// Says that sampled intensities are the likeliest, where nothing is known of how those of a LiDAR scatter.
+/// Says that sampled intensities are the likeliest, where nothing is known of how those
+/// of a LiDAR scatter.
 void note_unscattered(const Run& run, int lidar);
 
 /// Says what is taken for granted of sensors in weather.

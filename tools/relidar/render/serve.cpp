@@ -9,9 +9,9 @@
 #include <malloc.h>
 #endif
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <CLI/CLI.hpp>
 
 #include "../../network/descriptors.hpp"
 #include "../../network/host_port.hpp"
@@ -36,26 +36,30 @@ struct ServeOptions {
 };
 
 constexpr int kLongestQueue = 10'000;
-constexpr std::chrono::seconds kPatience{30};   // for calls in work when Ctrl-C comes
+constexpr std::chrono::seconds kPatience{30};  // for calls in work when Ctrl-C comes
 constexpr std::chrono::milliseconds kLook{100};
-constexpr std::chrono::seconds kFarewell{2};    // for clients to hear of a lost device
+constexpr std::chrono::seconds kFarewell{2};  // for clients to hear of a lost device
 
 /// Of the interface beside ours, where one is wanted.
 std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
-    if (!offered && !options.api.empty()) throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
+    if (!offered && !options.api.empty())
+        throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
     if (!offered && !options.pose_order.empty())
         throw UsageError("--sensorsim-poses: found it without --api sensorsim, expected both or none");
     if (!offered) return {};
-    if (options.pose_order.empty() || options.pose_order == "rotation-first") return serve::PoseOrder::rotation_first;
+    if (options.pose_order.empty() || options.pose_order == "rotation-first")
+        return serve::PoseOrder::rotation_first;
     if (options.pose_order == "translation-first") return serve::PoseOrder::translation_first;
-    throw UsageError(fmt::format("--sensorsim-poses: found '{}', expected rotation-first or translation-first", options.pose_order));
+    throw UsageError(fmt::format(
+        "--sensorsim-poses: found '{}', expected rotation-first or translation-first", options.pose_order));
 }
 
 serve::ServerOptions server_options(const ServeOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         throw UsageError(fmt::format("--queue: found {}, expected 1 to {}", options.queue, kLongestQueue));
-    if (options.memory_mib < 0) throw UsageError(fmt::format("--memory-mib: found {}, expected 0 or more", options.memory_mib));
+    if (options.memory_mib < 0)
+        throw UsageError(fmt::format("--memory-mib: found {}, expected 0 or more", options.memory_mib));
     if (options.server.tls_cert.empty() != options.server.tls_key.empty())
         throw UsageError("--tls-cert and --tls-key: found one of them, expected both or none");
     serve::ServerOptions server = options.server;
@@ -68,8 +72,10 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     return server;
 }
 
-/// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own: scans and sensors that are made on one thread and
-/// let go on another leave gaps in each, so that the process grows for hours although what it uses does not (docs/reliability.md).
+/// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own:
+/// scans and sensors that are made on one thread and let go on another leave gaps in
+/// each, so that the process grows for hours although what it uses does not
+/// (docs/reliability.md).
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -83,14 +89,16 @@ void run_serve(const ServeOptions& options) {
     if (!options.quiet) note_weather(wanted.weather);
     const std::string host = wanted.listen.substr(0, wanted.listen.rfind(':'));
     if (!is_loopback(host))
-        note(fmt::format("--listen {}: whoever reaches this address can render and upload, there is no authentication{}", wanted.listen,
-                         wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
+        note(fmt::format(
+            "--listen {}: whoever reaches this address can render and upload, there is no authentication{}",
+            wanted.listen,
+            wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
     catch_interrupts();
     serve::ScanServer server(wanted);
     if (!options.quiet) {
-        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host, server.port(),
-                          server.device_name()));
-        std::fflush(stdout);   // for who waits for the line through a pipe
+        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
+                          server.port(), server.device_name()));
+        std::fflush(stdout);  // for who waits for the line through a pipe
     }
     while (!interrupted()) {
         if (const std::optional<std::string> loss = server.device_loss()) {
@@ -108,48 +116,64 @@ void run_serve(const ServeOptions& options) {
 void add_serve(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators, by gRPC");
     const auto options = std::make_shared<ServeOptions>();
-    command->add_option("RUN", options->server.runs, "run folders of `relidar train`; clients call each by its folder's name, or by NAME")
+    command
+        ->add_option("RUN", options->server.runs,
+                     "run folders of `relidar train`; clients call each by its folder's name, or by NAME")
         ->required()
         ->type_name("[NAME=]RUN");
     command
-        ->add_option("--listen", options->server.listen, "address and port; port 0 takes a free one (default: 127.0.0.1:50051)")
+        ->add_option("--listen", options->server.listen,
+                     "address and port; port 0 takes a free one (default: 127.0.0.1:50051)")
         ->type_name("HOST:PORT");
     command
         ->add_option("--memory-mib", options->memory_mib,
-                     "device memory that scenes may hold together; beyond it the one used longest ago goes (default: half of the device's)")
+                     "device memory that scenes may hold together; beyond it the one used longest ago goes "
+                     "(default: half of the device's)")
         ->type_name("N");
     command
-        ->add_option("--assets", options->server.assets,
-                     "folders of `relidar assets`: what is in them can be put into any scene by clients (repeatable)")
+        ->add_option(
+            "--assets", options->server.assets,
+            "folders of `relidar assets`: what is in them can be put into any scene by clients (repeatable)")
         ->type_name("FOLDER")
         ->allow_extra_args(false);
     command
         ->add_option("--api", options->api,
-                     "sensorsim: answer, beside our own calls and at the same port, the LiDAR calls of SensorsimService, by which AlpaSim "
+                     "sensorsim: answer, beside our own calls and at the same port, the LiDAR calls of "
+                     "SensorsimService, by which AlpaSim "
                      "and CARLA call NVIDIA's renderer")
         ->type_name("NAME");
     command
         ->add_option("--sensorsim-poses", options->pose_order,
-                     "what a pose of SensorsimService does to a point first: rotation-first (R p + t, the default) or translation-first "
+                     "what a pose of SensorsimService does to a point first: rotation-first (R p + t, the "
+                     "default) or translation-first "
                      "(R (p + t))")
         ->type_name("ORDER");
     add_channels_option(*command, options->server.channels);
-    add_weather_option(*command, options->weather, "scans whose request names none, drawn by its sample_seed, 0 without");
-    command->add_option("--queue", options->queue, "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
+    add_weather_option(*command, options->weather,
+                       "scans whose request names none, drawn by its sample_seed, 0 without");
+    command
+        ->add_option("--queue", options->queue,
+                     "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
-    command->add_option("--tls-cert", options->server.tls_cert, "certificate chain in PEM: encrypts, with --tls-key")->type_name("FILE");
+    command
+        ->add_option("--tls-cert", options->server.tls_cert,
+                     "certificate chain in PEM: encrypts, with --tls-key")
+        ->type_name("FILE");
     command->add_option("--tls-key", options->server.tls_key, "its key in PEM")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
     command->footer(
-        "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health service and reflection are\n"
-        "there too; what other simulators call, CARLA and ROS 2 are in docs/simulators.md. Ctrl-C finishes calls in work, a second one\n"
+        "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health "
+        "service and reflection are\n"
+        "there too; what other simulators call, CARLA and ROS 2 are in docs/simulators.md. Ctrl-C finishes "
+        "calls in work, a second one\n"
         "ends at once.\n"
         "Examples:\n"
         "  relidar serve run\n"
         "  relidar serve run --assets assets\n"
         "  relidar serve run --api sensorsim\n"
-        "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem");
+        "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key "
+        "key.pem");
     command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });
 }
 

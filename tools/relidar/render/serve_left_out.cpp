@@ -7,13 +7,16 @@
 namespace relidar::cli {
 
 void add_serve(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("serve", "render scans for simulators, by gRPC (left out of this build)");
+    CLI::App* command =
+        app.add_subcommand("serve", "render scans for simulators, by gRPC (left out of this build)");
     command->allow_extras();
-    command->footer("Example:\n  tools/dev/setup --serve && cmake --preset release && cmake --build --preset release");
+    command->footer(
+        "Example:\n  tools/dev/setup --serve && cmake --preset release && cmake --build --preset release");
     command->callback([&call] {
         call.run = [] {
-            throw UsageError("serve: this program was built without gRPC, expected one with it: "
-                             "`tools/dev/setup --serve`, then build again");
+            throw UsageError(
+                "serve: this program was built without gRPC, expected one with it: "
+                "`tools/dev/setup --serve`, then build again");
         };
     });
 }

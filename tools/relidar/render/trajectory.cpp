@@ -6,17 +6,17 @@
 
 #include <fmt/format.h>
 
-#include "console.hpp"
-#include "options.hpp"
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
+#include "console.hpp"
+#include "options.hpp"
 
 namespace relidar::cli {
 namespace {
 
 constexpr double kMostScans = 1e6;
-constexpr double kFar_m = 50.0;        // from everything the log has driven by: little is to be seen from there
-constexpr double kSlack = 1e-6;        // of a step: the last moment of 0:1:0.1 is 1
+constexpr double kFar_m = 50.0;  // from everything the log has driven by: little is to be seen from there
+constexpr double kSlack = 1e-6;  // of a step: the last moment of 0:1:0.1 is 1
 
 struct Steps {
     double first, last, step;
@@ -24,7 +24,9 @@ struct Steps {
 
 Steps parse_times(const std::string& text) {
     const std::vector<std::string> words = split(text, ':');
-    if (words.size() != 3) throw UsageError(fmt::format("--times: found \"{}\", expected first:last:step in seconds, as 2:4:0.05", text));
+    if (words.size() != 3)
+        throw UsageError(
+            fmt::format("--times: found \"{}\", expected first:last:step in seconds, as 2:4:0.05", text));
     const auto number = [&](std::size_t i) { return parse_list("--times", words[i]).at(0); };
     return {number(0), number(1), number(2)};
 }
@@ -41,17 +43,21 @@ std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& 
     const double begin = track.time_s.front(), end = track.time_s.back();
     if (choice.rate_hz && !(*choice.rate_hz > 0.0 && std::isfinite(*choice.rate_hz)))
         throw UsageError(fmt::format("--rate: found {}, expected scans a second above 0", *choice.rate_hz));
-    const Steps steps = choice.times.empty() ? Steps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)} : parse_times(choice.times);
+    const Steps steps = choice.times.empty() ? Steps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)}
+                                             : parse_times(choice.times);
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
-        throw UsageError(fmt::format("--times: found \"{}\", expected times that rise by a step above 0", choice.times));
+        throw UsageError(
+            fmt::format("--times: found \"{}\", expected times that rise by a step above 0", choice.times));
     if (steps.first < begin || steps.last > end) {
         throw UsageError(
-            fmt::format("--times: found {} to {} s, expected times of the trajectory, {} to {} s", steps.first, steps.last, begin, end));
+            fmt::format("--times: found {} to {} s, expected times of the trajectory, {} to {} s",
+                        steps.first, steps.last, begin, end));
     }
     const double n = std::floor((steps.last - steps.first) / steps.step + kSlack) + 1.0;
     if (n > kMostScans)
-        throw UsageError(fmt::format("--trajectory: found {:.3g} scans from {} to {} s, expected at most {:.0e}", n, steps.first,
-                                     steps.last, kMostScans));
+        throw UsageError(
+            fmt::format("--trajectory: found {:.3g} scans from {} to {} s, expected at most {:.0e}", n,
+                        steps.first, steps.last, kMostScans));
     std::vector<double> times;
     for (int i = 0; i < static_cast<int>(n); ++i) times.push_back(steps.first + i * steps.step);
     return times;
@@ -61,17 +67,21 @@ void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<d
     const Sequence& log = run.sequence;
     double farthest = 0.0;
     for (const double t : times_s)
-        farthest = std::max(farthest, nearest_m(log.world_from_vehicle, track.at(t).translation - log.world_offset_m));
+        farthest = std::max(farthest,
+                            nearest_m(log.world_from_vehicle, track.at(t).translation - log.world_offset_m));
     if (farthest > kFar_m) {
         note(
-            fmt::format("the trajectory goes {:.0f} m away from where the log's sensor was; it is read in the dataset's world, as `relidar "
+            fmt::format("the trajectory goes {:.0f} m away from where the log's sensor was; it is read in "
+                        "the dataset's world, as `relidar "
                         "export {} --out FILE.csv` writes it",
                         farthest, run.folder.string()));
     }
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;
-    const auto beyond = std::count_if(times_s.begin(), times_s.end(), [&](double t) { return t < begin || t > end; });
+    const auto beyond =
+        std::count_if(times_s.begin(), times_s.end(), [&](double t) { return t < begin || t > end; });
     if (beyond > 0 && run.scene.instances.size() > 1)
-        note(fmt::format("{} of {} scans are taken outside the log's {} to {} s: no actor is there", beyond, times_s.size(), begin, end));
+        note(fmt::format("{} of {} scans are taken outside the log's {} to {} s: no actor is there", beyond,
+                         times_s.size(), begin, end));
 }
 
 }  // namespace relidar::cli

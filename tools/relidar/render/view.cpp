@@ -5,9 +5,11 @@
 #include <filesystem>
 #include <memory>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/base/error.hpp>
+#include <relidar/run/stage_options.hpp>
 #include "../../network/descriptors.hpp"
 #include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
@@ -20,15 +22,13 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
-#include <relidar/base/error.hpp>
-#include <relidar/run/stage_options.hpp>
 
 namespace relidar::cli {
 namespace {
 
 struct ViewOptions {
     std::string run;
-    std::vector<std::string> inserts;   ///< other runs, whose actors the page can insert
+    std::vector<std::string> inserts;  ///< other runs, whose actors the page can insert
     std::string save_to;
     std::string address = "127.0.0.1";
     int port = 8080;
@@ -40,12 +40,14 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-constexpr std::chrono::milliseconds kViewPatience{50};  // between looks at whether the user has pressed Ctrl-C
-constexpr std::chrono::seconds kGoodbye{5};              // for tabs that read slowly what is on its way to them
+// between looks at whether the user has pressed Ctrl-C
+constexpr std::chrono::milliseconds kViewPatience{50};
+constexpr std::chrono::seconds kGoodbye{5};  // for tabs that read slowly what is on its way to them
 
 /// Where edited runs go.
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
-    const std::filesystem::path folder = options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
+    const std::filesystem::path folder =
+        options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
@@ -58,8 +60,8 @@ view::OtherRuns other_runs(const std::vector<std::string>& folders) {
 
 view::ServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
-        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 takes any that is free", options.port,
-                                     kLastPort));
+        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 takes any that is free",
+                                     options.port, kLastPort));
     view::ServerOptions server;
     server.address = options.address;
     server.port = options.port;
@@ -71,29 +73,33 @@ view::ServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
-    const view::ServerOptions wanted = server_options(options);   // a wrong address is found before the run is read
+    // a wrong address is found before the run is read
+    const view::ServerOptions wanted = server_options(options);
     check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;   // removed if no run was saved
+    std::optional<OutputFolder> made;  // removed if no run was saved
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
-    view::Server* out = nullptr;   // the server calls the session, and has to be gone before it: it is made after it
-    view::Session session(std::move(run), other_runs(options.inserts), device, folder,
-                          {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
-                           [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
+    // the server calls the session, and has to be gone before it: it is made after it
+    view::Server* out = nullptr;
+    view::Session session(
+        std::move(run), other_runs(options.inserts), device, folder,
+        {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
+         [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
     view::Server server(wanted, {[&](view::ClientId tab) { session.open(tab); },
                                  [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
                                  [&](view::ClientId tab) { session.close(tab); }});
-    out = &server;   // before work(), which alone answers
+    out = &server;  // before work(), which alone answers
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);
-    const char* who = wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
+    const char* who =
+        wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kViewPatience);
@@ -107,33 +113,42 @@ void add_view(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("view", "look at a run in the browser, and drive the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: any that is free)")->type_name("N");
+    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: any that is free)")
+        ->type_name("N");
     command
         ->add_option("--bind", options->address,
-                     "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address that is printed holds a token "
+                     "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address "
+                     "that is printed holds a token "
                      "without which nobody is let in)")
         ->type_name("ADDRESS");
     command
-        ->add_option("--save-to", options->save_to,
-                     "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
+        ->add_option(
+            "--save-to", options->save_to,
+            "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
         ->type_name("DIR");
-    command->add_option("--insert", options->inserts, "another run, whose actors the page can put on the ground; repeatable")
+    command
+        ->add_option("--insert", options->inserts,
+                     "another run, whose actors the page can put on the ground; repeatable")
         ->type_name("RUN")
         ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
     add_channels_option(*command, options->channels);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-refine", options->no_refine, "ray-drop as the surfels have it, without the run's network");
+    command->add_flag("--no-refine", options->no_refine,
+                      "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
     command->footer(
-        "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its keys. It has the log's own\n"
-        "scans too where the log is still at its place. Its address holds what it shows, edits included; it goes on when the program has\n"
+        "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its "
+        "keys. It has the log's own\n"
+        "scans too where the log is still at its place. Its address holds what it shows, edits included; it "
+        "goes on when the program has\n"
         "been started again. docs/viewer.md says more.\n"
         "Examples:\n"
         "  relidar view run\n"
         "  relidar view run --port 0 --open\n"
-        "  relidar view run --insert other                            # its actors can be put on the ground, too\n"
+        "  relidar view run --insert other                            # its actors can be put on the ground, "
+        "too\n"
         "  ssh -L 8080:127.0.0.1:8080 machine relidar view run       # then http://127.0.0.1:8080/ here");
     command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
 }

@@ -11,8 +11,10 @@ void add_view(CLI::App& app, Call& call) {
     command->allow_extras();
     command->callback([&call] {
         call.run = [] {
-            throw UsageError("view: this relidar was built without it, expected Boost.Beast while building: install libboost-dev (Debian), "
-                             "then cmake with -DRELIDAR_VIEW=ON");
+            throw UsageError(
+                "view: this relidar was built without it, expected Boost.Beast while building: install "
+                "libboost-dev (Debian), "
+                "then cmake with -DRELIDAR_VIEW=ON");
         };
     });
 }

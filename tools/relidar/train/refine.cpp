@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar refine: the ray-drop network of a run, trained alone, and what it is worth on the held-out frames.
+// relidar refine: the ray-drop network of a run, trained alone, and what it is worth on
+// the held-out frames.
 #include <memory>
 #include <optional>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
+#include <relidar/base/files.hpp>
+#include <relidar/run/checkpoint.hpp>
+#include <relidar/run/stage_options.hpp>
 #include "command.hpp"
 #include "console.hpp"
 #include "evaluate/evaluation.hpp"
@@ -13,9 +17,6 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "train/training.hpp"
-#include <relidar/base/files.hpp>
-#include <relidar/run/checkpoint.hpp>
-#include <relidar/run/stage_options.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -29,17 +30,22 @@ struct RefineOptions {
     bool quiet = false;
 };
 
-/// The checkpoint to continue from. @return nothing where training starts from the beginning
+/// The checkpoint to continue from. @return nothing where training starts from the
+/// beginning
 std::optional<Checkpoint> find_start(const RefineOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
-            note(fmt::format("{} holds the checkpoint of a network that was not finished: it is given up, --resume would have gone on",
-                             options.run));
+            note(
+                fmt::format("{} holds the checkpoint of a network that was not finished: it is given up, "
+                            "--resume would have gone on",
+                            options.run));
         return std::nullopt;
     }
     std::optional<Checkpoint> start = load_newest_checkpoint(folder, note);
-    if (!start) note(fmt::format("{} holds no checkpoint of its network: training starts from the beginning", options.run));
+    if (!start)
+        note(fmt::format("{} holds no checkpoint of its network: training starts from the beginning",
+                         options.run));
     return start;
 }
 
@@ -57,8 +63,9 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     catch_interrupts();
     if (!refine_shown(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
-        throw Error(ExitCode::interrupted, fmt::format("interrupted: {} has the network it had{}", run.folder.string(),
-                                                       can_go_on ? "; continue with: " + resume_command(options) : ""));
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted: {} has the network it had{}", run.folder.string(),
+                                can_go_on ? "; continue with: " + resume_command(options) : ""));
     }
     save_run(run);
 }
@@ -68,15 +75,18 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
     Progress progress(quiet);
-    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
+    return evaluate_frames(renderer, run.config, run.sequence, run.split.test,
+                           shown_until_interrupted(progress));
 }
 
 /// What the network is worth, told and written.
 void score_both(Device& device, const Run& run, const RefineOptions& options) {
-    const Evaluation before = score(device, run, false, options.quiet), after = score(device, run, true, options.quiet);
+    const Evaluation before = score(device, run, false, options.quiet),
+                     after = score(device, run, true, options.quiet);
     end_progress_line();
-    write_text(run.folder / "metrics.json",
-               metrics_json(after, run.config, {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text(run.folder / "metrics.json", metrics_json(after, run.config,
+                                                         {absolute_path(run.folder.string()),
+                                                          device.info().name, device.peak_bytes(), 0.0}));
     if (!options.quiet) print(metric_table(after, &before) + "\n\"baseline\" is without the network\n");
 }
 
@@ -102,7 +112,8 @@ void run_refine(const RefineOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
-    remove_network_checkpoints(run.folder);   // last: until then --resume has no step to do again, whenever this process is killed
+    // last: until then --resume has no step to do again, whenever this process is killed
+    remove_network_checkpoints(run.folder);
 }
 
 }  // namespace
@@ -111,16 +122,20 @@ void add_refine(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects a run's ray-drop");
     const auto options = std::make_shared<RefineOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
-    command->add_flag("--resume", options->resume, "continue an interrupted training, with its settings, from its newest checkpoint");
+    command->add_flag("--resume", options->resume,
+                      "continue an interrupted training, with its settings, from its newest checkpoint");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
         "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*.\n"
-        "Ctrl-C stops training and leaves a checkpoint (RUN/checkpoints/drop_network), as every epoch does; --resume goes on as if\n"
-        "nothing had happened: training frames are rendered again, the network ends the same to the last bit.\n"
-        "The log is read from where it was when the run was trained; --set dataset.path=... names another place.\n"
+        "Ctrl-C stops training and leaves a checkpoint (RUN/checkpoints/drop_network), as every epoch does; "
+        "--resume goes on as if\n"
+        "nothing had happened: training frames are rendered again, the network ends the same to the last "
+        "bit.\n"
+        "The log is read from where it was when the run was trained; --set dataset.path=... names another "
+        "place.\n"
         "Examples:\n"
         "  relidar refine run\n"
         "  relidar refine run --set refine.network=paper --set refine.epochs=100\n"

@@ -1,27 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar train: a log becomes a run, or a run goes on. What can fail early does: settings, weights of LPIPS, output folder, checkpoint,
-// device, then the log.
+// relidar train: a log becomes a run, or a run goes on. What can fail early does:
+// settings, weights of LPIPS, output folder, checkpoint, device, then the log.
 #include <memory>
 #include <optional>
 #include <string_view>
 #include <tuple>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "command.hpp"
-#include "console.hpp"
-#include "evaluate/evaluation.hpp"
-#include "interrupt.hpp"
-#include "options.hpp"
-#include "output_folder.hpp"
-#include "evaluate/run_report.hpp"
-#include "evaluate/walking_strip.hpp"
-#include "train/train_blocks.hpp"
-#include "train/training.hpp"
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "command.hpp"
+#include "console.hpp"
+#include "evaluate/evaluation.hpp"
+#include "evaluate/run_report.hpp"
+#include "evaluate/walking_strip.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+#include "train/train_blocks.hpp"
+#include "train/training.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -35,10 +35,12 @@ struct TrainOptions {
     Settings settings;
     DeviceChoice device;
     std::string seed;
-    std::string blocks;          ///< length of a block: "60m"
-    std::string resume_folder;   ///< what stood after --resume
+    std::string blocks;         ///< length of a block: "60m"
+    std::string resume_folder;  ///< what stood after --resume
     bool resume = false;
-    bool from_preset = false;    ///< --preset or --config was given: they, not the run, say where the settings start from
+    /// --preset or --config was given: they, not the run, say where the settings start
+    /// from
+    bool from_preset = false;
     bool force = false;
     bool no_eval = false;
     bool quiet = false;
@@ -54,13 +56,17 @@ bool is_file(const fs::path& path) {
 /// Which words are the log and the folder: `--resume` may stand before either.
 TrainOptions sorted_out(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
-    else if (options.dataset.empty()) options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
-    if (!options.resume && options.dataset.empty()) throw UsageError("DATASET is required (see `relidar train --help`)");
-    if (options.out.empty()) throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
+    else if (options.dataset.empty())
+        options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
+    if (!options.resume && options.dataset.empty())
+        throw UsageError("DATASET is required (see `relidar train --help`)");
+    if (options.out.empty())
+        throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
     const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
     if (options.dataset.empty() && !knows_log)
-        throw UsageError(
-            fmt::format("DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)", options.out));
+        throw UsageError(fmt::format(
+            "DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)",
+            options.out));
     return options;
 }
 
@@ -75,8 +81,10 @@ Config start_settings(const TrainOptions& options) {
 
 Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
-    if (const fs::path saved = fs::path(options.out) / kConfigFile; options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;   // the length that 0 stands for
+    if (const fs::path saved = fs::path(options.out) / kConfigFile;
+        options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
+        // the length that 0 stands for
+        config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
     apply_log_part(config, options.part);
@@ -88,9 +96,11 @@ Config config_of(const TrainOptions& options) {
     return config;
 }
 
-/// Whether a run has everything that training leaves, at as many iterations as are wanted.
+/// Whether a run has everything that training leaves, at as many iterations as are
+/// wanted.
 bool is_finished(const fs::path& folder, const Config& config) {
-    return is_file(folder / "scene.json") && is_file(folder / "report.html") && last_logged_iteration(folder) >= config.train.iterations;
+    return is_file(folder / "scene.json") && is_file(folder / "report.html") &&
+           last_logged_iteration(folder) >= config.train.iterations;
 }
 
 /// Whether settings of a group are the same.
@@ -101,7 +111,8 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
     return true;
 }
 
-/// Of a finished run. @throws UsageError if a setting differs from those that it was trained with
+/// Of a finished run. @throws UsageError if a setting differs from those that it was
+/// trained with
 void check_unchanged(const fs::path& folder, const Config& config) {
     const Config trained = load_saved_config(folder / kConfigFile);
     std::string key = differing_setting(trained, config);
@@ -110,37 +121,42 @@ void check_unchanged(const fs::path& folder, const Config& config) {
     for (const char* group : {"refine.", "render."})
         if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
-        throw UsageError(fmt::format("resuming {}: its training is finished with another setting {}, expected the same; --force "
-                                     "trains anew, and `relidar refine` trains the ray-drop network alone",
-                                     folder.string(), key));
+        throw UsageError(fmt::format(
+            "resuming {}: its training is finished with another setting {}, expected the same; --force "
+            "trains anew, and `relidar refine` trains the ray-drop network alone",
+            folder.string(), key));
 }
 
-/// Whether a run has its scene, of these settings and this log, and lacks what comes after it: held-out scans on it, the scatter of its
-/// intensities, the network, scores, the report.
+/// Whether a run has its scene, of these settings and this log, and lacks what comes
+/// after it: held-out scans on it, the scatter of its intensities, the network, scores,
+/// the report.
 bool has_scene(const fs::path& folder, const Config& config) {
-    if (!is_file(folder / "scene.json") || is_file(folder / "report.html") || last_logged_iteration(folder) < config.train.iterations)
+    if (!is_file(folder / "scene.json") || is_file(folder / "report.html") ||
+        last_logged_iteration(folder) < config.train.iterations)
         return false;
     const Config trained = load_saved_config(folder / kConfigFile);
     const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
     return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
 }
 
-/// The checkpoint to continue from. @return nothing where training starts from the beginning
+/// The checkpoint to continue from. @return nothing where training starts from the
+/// beginning
 std::optional<Checkpoint> find_start(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
-            fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on from; --force trains anew",
+            fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on "
+                        "from; --force trains anew",
                         folder.string()));
     note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
 void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
-    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name, sequence.frames.size(),
-                      split.train.size(), split.test.size(), device.info().name,
+    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
+                      sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
                       device.traversal() == Traversal::software ? "software traversal" : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
     if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
@@ -155,24 +171,28 @@ std::string resume_command(const TrainOptions& options) {
 }
 
 /// Training; whatever ends it early, the message says what is left and how to go on.
-TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options, const Checkpoint* start, StageTimes& stages) {
+TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options,
+                          const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
-        return train_logged(device, run.sequence, run.split, run.config, run.folder, options.quiet,
-                            {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
+        return train_logged(
+            device, run.sequence, run.split, run.config, run.folder, options.quiet,
+            {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
     } catch (const Error& error) {
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
-                                              has_checkpoint ? "the last checkpoint is kept, continue with" : "start again with",
+                                              has_checkpoint ? "the last checkpoint is kept, continue with"
+                                                             : "start again with",
                                               resume_command(options)));
     }
 }
 
 /// What Ctrl-C ends once the scene is saved.
 Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
-    return Error(ExitCode::interrupted, fmt::format("interrupted while {}; {} holds the scene; continue with: {}", what,
-                                                    run.folder.string(), resume_command(options)));
+    return Error(ExitCode::interrupted,
+                 fmt::format("interrupted while {}; {} holds the scene; continue with: {}", what,
+                             run.folder.string(), resume_command(options)));
 }
 
 /// What a trained scene gets before its network.
@@ -181,7 +201,8 @@ void complete_or_tell(Device& device, Run& run, const TrainOptions& options, Sta
         throw interrupted_while("held-out scans were placed and scatter was learnt", run, options);
 }
 
-/// Scores the held-out frames and writes metrics.json. @return nothing scored where no frame is held out
+/// Scores the held-out frames and writes metrics.json. @return nothing scored where no
+/// frame is held out
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
@@ -189,46 +210,51 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     const auto start = std::chrono::steady_clock::now();
     Evaluation evaluation;
     try {
-        evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress));
+        evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
+                                     shown_until_interrupted(progress));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
         throw interrupted_while("held-out frames were scored", run, options);
     }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text(run.folder / "metrics.json",
-               metrics_json(evaluation, run.config,
-                            {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
+    write_text(run.folder / "metrics.json", metrics_json(evaluation, run.config,
+                                                         {absolute_path(run.folder.string()),
+                                                          device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
 }
 
 /// Report and, unless training was interrupted, scores.
-void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options, const std::string& command_line,
-            StageTimes& stages) {
+void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
+            const std::string& command_line, StageTimes& stages) {
     stages.begin("report");
     Report report = make_report(run, result, device, command_line);
     if (result.interrupted) {
         write_report(run.folder / "report.html", report);
-        throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}", result.iterations,
-                                run.config.train.iterations, run.folder.string(), resume_command(options)));
+        throw Error(
+            ExitCode::interrupted,
+            fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}",
+                        result.iterations, run.config.train.iterations, run.folder.string(),
+                        resume_command(options)));
     }
     stages.begin("evaluate");
     const Evaluation evaluation = score(device, run, options);
     stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
-    if (std::optional<ReportFigure> strip = walking_strip(device, run)) report.figures.push_back(std::move(*strip));
+    if (std::optional<ReportFigure> strip = walking_strip(device, run))
+        report.figures.push_back(std::move(*strip));
     report.facts.emplace_back("Stages", stages_text(stages));
     write_report(run.folder / "report.html", report);
     stages.end();
     log_stages(run.folder, stages);
     if (options.quiet) return;
     if (!evaluation.frames.empty()) print("\n" + metric_table(evaluation) + "\n");
-    print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n", count_surfels(run.scene),
-                      duration(result.train_s), byte_size(result.peak_device_bytes), stages_text(stages),
-                      absolute_path((run.folder / "report.html").string())));
+    print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n",
+                      count_surfels(run.scene), duration(result.train_s), byte_size(result.peak_device_bytes),
+                      stages_text(stages), absolute_path((run.folder / "report.html").string())));
 }
 
-/// The checkpoint that the network goes on from. One of another scene or other settings is told, and nothing is lost but its steps.
+/// The checkpoint that the network goes on from. One of another scene or other settings
+/// is told, and nothing is lost but its steps.
 std::optional<Checkpoint> find_network_start(const Run& run) {
     try {
         std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
@@ -240,12 +266,13 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
     }
 }
 
-/// Trains the ray-drop network of a scene that has been saved, and saves it. A log that has nothing to teach it is no error, nor is a
-/// device that cannot run its layers.
+/// Trains the ray-drop network of a scene that has been saved, and saves it. A log that
+/// has nothing to teach it is no error, nor is a device that cannot run its layers.
 void refine_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
-    else if (!options.quiet) print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
+    else if (!options.quiet)
+        print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
     const auto leave_out = [](const Error& error) {
         end_progress_line();
         note(error.what());
@@ -257,7 +284,7 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
                            .stages = &stages}))
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        remove_network_checkpoints(run.folder);   // it would end the same
+        remove_network_checkpoints(run.folder);  // it would end the same
         return leave_out(error);
     } catch (const DeviceError& error) {
         return leave_out(error);
@@ -294,7 +321,8 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
-    if (has_network) remove_network_checkpoints(run.folder);   // where a process was killed just before it would have done so
+    // where a process was killed just before it would have done so
+    if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
@@ -307,13 +335,14 @@ void clear_folder(const fs::path& folder, const Config& config, bool keeps_block
     remove_network_checkpoints(folder);
     if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
-    write_text(folder / kConfigFile, to_toml(config));   // what a killed run is resumed from
+    write_text(folder / kConfigFile, to_toml(config));  // what a killed run is resumed from
 }
 
 void check_ranks(const Ranks& ranks, bool in_blocks) {
     if (ranks.size() > 1 && !in_blocks)
-        throw UsageError(
-            fmt::format("training by {} processes: found a log in one piece, expected --blocks, which they share", ranks.size()));
+        throw UsageError(fmt::format(
+            "training by {} processes: found a log in one piece, expected --blocks, which they share",
+            ranks.size()));
 }
 
 void run_train(const TrainOptions& given, const std::string& command_line) {
@@ -325,8 +354,9 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (options.resume && !options.force && is_finished(options.out, config)) {
         check_unchanged(options.out, config);
         if (!options.quiet)
-            print(fmt::format("{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n", options.out,
-                              config.train.iterations));
+            print(fmt::format(
+                "{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n",
+                options.out, config.train.iterations));
         return;
     }
     const bool resume = options.resume && !options.force;
@@ -338,7 +368,10 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     const bool in_blocks = config.blocks.length_m > 0.0;
     check_ranks(ranks, in_blocks);
     std::optional<RunFolder> folder;
-    if (ranks.is_first()) folder.emplace(options.out, resume ? Existing::keep : options.force ? Existing::replace : Existing::refuse);
+    if (ranks.is_first())
+        folder.emplace(options.out, resume          ? Existing::keep
+                                    : options.force ? Existing::replace
+                                                    : Existing::refuse);
     if (resume && in_blocks) check_trained_blocks(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
     Device device(device_options(options.device));
@@ -356,8 +389,9 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     ranks.wait_for_all();
     Run run{options.out, config, std::move(sequence), split, {}, {}};
     if (in_blocks) stages.begin("train");
-    TrainResult result = in_blocks ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
-                                   : train_or_tell(device, run, options, start ? &*start : nullptr, stages);
+    TrainResult result = in_blocks
+                             ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
+                             : train_or_tell(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress_line();
     start.reset();
@@ -372,7 +406,8 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
     command
         .add_option("--resume", options->resume_folder,
-                    "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are the run's unless given")
+                    "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are "
+                    "the run's unless given")
         ->type_name("[RUN]")
         ->expected(0, 1);
 }
@@ -386,10 +421,12 @@ void add_train(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
     add_log_part_options(*command, options->part);
     add_settings_options(*command, options->settings);
-    command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")->type_name("S");
+    command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
+        ->type_name("S");
     command
         ->add_option("--blocks", options->blocks,
-                     "train a long log in blocks of at most so many metres of its trajectory, as 60m: memory does not grow with the log "
+                     "train a long log in blocks of at most so many metres of its trajectory, as 60m: memory "
+                     "does not grow with the log "
                      "(blocks.length_m)")
         ->type_name("LENGTH");
     add_device_options(*command, options->device);
@@ -398,15 +435,20 @@ void add_train(CLI::App& app, Call& call) {
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(
-        "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and checkpoints/ where training takes "
+        "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and "
+        "checkpoints/ where training takes "
         "long.\n"
-        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had happened, with the ray-drop\n"
-        "network too. Settings refine.* and render.* may be changed then; other refine.* train the network from the beginning.\n"
-        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar list settings` lists them.\n"
+        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had "
+        "happened, with the ray-drop\n"
+        "network too. Settings refine.* and render.* may be changed then; other refine.* train the network "
+        "from the beginning.\n"
+        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar list "
+        "settings` lists them.\n"
         "Examples:\n"
         "  relidar train data/street --out run --preset quick\n"
         "  relidar train --resume run\n"
-        "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 --set dataset.poses=poses.txt");
+        "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 "
+        "--set dataset.poses=poses.txt");
     command->callback([&call, options, command] {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;

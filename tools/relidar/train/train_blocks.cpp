@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A block that is complete has a scene.json; one that was interrupted has a checkpoint. Nothing else has to be kept to go on.
+// A block that is complete has a scene.json; one that was interrupted has a checkpoint.
+// Nothing else has to be kept to go on.
 #include "train/train_blocks.hpp"
 
 #include <algorithm>
@@ -9,13 +10,13 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/error.hpp>
+#include <relidar/run/blocks.hpp>
+#include <relidar/run/checkpoint.hpp>
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "output_folder.hpp"
 #include "train/training.hpp"
-#include <relidar/base/error.hpp>
-#include <relidar/run/blocks.hpp>
-#include <relidar/run/checkpoint.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -26,11 +27,12 @@ using Clock = std::chrono::steady_clock;
 /// Of settings that a block's surfels do not depend on.
 bool is_free(const std::string& key) {
     // a block names those actors that it has
-    constexpr std::array kFree{"dataset.path", "dataset.memory_mib", "train.log_every", "train.frame_memory_mib",
-                               "init.actor_classes", "init.actor_tracks"};
+    constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
+                               "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
     return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
-           std::any_of(kFreeGroups.begin(), kFreeGroups.end(), [&](const char* group) { return key.starts_with(group); });
+           std::any_of(kFreeGroups.begin(), kFreeGroups.end(),
+                       [&](const char* group) { return key.starts_with(group); });
 }
 
 /// @throws DataError where a block was trained with other settings
@@ -38,19 +40,25 @@ void check_settings(const fs::path& block, const Config& trained, const Config& 
     const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!is_free(is[i].key) && was[i].value != is[i].value)
-            throw DataError(fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force trains all anew)",
-                                        block.string(), is[i].key, was[i].value, is[i].value));
+            throw DataError(
+                fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force "
+                            "trains all anew)",
+                            block.string(), is[i].key, was[i].value, is[i].value));
 }
 
 /// @throws DataError where it was trained on other frames
 void check_frames(const Run& trained, const BlockLog& log) {
-    const auto is_same = [](const Frame& a, const Frame& b) { return a.index == b.index && a.lidar == b.lidar; };
+    const auto is_same = [](const Frame& a, const Frame& b) {
+        return a.index == b.index && a.lidar == b.lidar;
+    };
     const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
-    if (trained.split.train != log.split.train || !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
-        throw DataError(fmt::format("resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, expected the same "
-                                    "(--force trains all anew)",
-                                    trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(), is.front().index,
-                                    is.back().index));
+    if (trained.split.train != log.split.train ||
+        !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
+        throw DataError(fmt::format(
+            "resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, expected the same "
+            "(--force trains all anew)",
+            trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
+            is.front().index, is.back().index));
 }
 
 /// Sums and means over blocks.
@@ -97,15 +105,19 @@ private:
 class BlockTrainer {
 public:
     BlockTrainer(Device& device, Run& run, const BlockTraining& how)
-        : device_(device), run_(run), how_(how), blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
+        : device_(device),
+          run_(run),
+          how_(how),
+          blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
 
     TrainResult train() {
         if (!how_.quiet)
-            print(fmt::format("blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them{}\n", blocks_.size(),
-                              blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
-                              how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
+            print(fmt::format(
+                "blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them{}\n", blocks_.size(),
+                blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
+                how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
         std::vector<fs::path> folders;
-        std::vector<std::size_t> others;   // not trained here
+        std::vector<std::size_t> others;  // not trained here
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
             if (!train(k, folders.back())) others.push_back(k);
@@ -121,17 +133,19 @@ public:
     }
 
 private:
-    /// @return whether it was trained here and now: not before, and not by another process
+    /// @return whether it was trained here and now: not before, and not by another
+    /// process
     bool train(std::size_t k, const fs::path& folder) {
         std::error_code failed;
-        fs::create_directories(folder, failed);   // taking the lock says why where it cannot be
+        fs::create_directories(folder, failed);  // taking the lock says why where it cannot be
         const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
         if (!lock) return false;
         BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
-            remove_checkpoints(checkpoint_folder(folder));   // where a process was killed just before it would have done so
+            // where a process was killed just before it would have done so
+            remove_checkpoints(checkpoint_folder(folder));
             return false;
         }
         tell(k, log);
@@ -154,13 +168,14 @@ private:
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
-            progress.show(fmt::format("actors before the joined background, step {}/{}  {:.2f} it/s  eta {}", step, n_steps, step / s,
-                                      duration(s / step * (n_steps - step))),
+            progress.show(fmt::format("actors before the joined background, step {}/{}  {:.2f} it/s  eta {}",
+                                      step, n_steps, step / s, duration(s / step * (n_steps - step))),
                           step == n_steps);
         };
         try {
             if (!relidar::train_actors(device_, run_, {show, interrupted}))
-                throw Error(ExitCode::interrupted, "interrupted while actors learn before the joined background");
+                throw Error(ExitCode::interrupted,
+                            "interrupted while actors learn before the joined background");
         } catch (const Error& error) {
             throw Error(error.code(), kept(error.what()));
         }
@@ -186,17 +201,19 @@ private:
         const fs::path checkpoints = checkpoint_folder(folder);
         const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
-        TrainResult result = train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
+        TrainResult result =
+            train_logged(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
         if (!result.interrupted) return result;
-        throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted after iteration {} of {}", result.iterations, log.config.train.iterations));
+        throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}",
+                                                       result.iterations, log.config.train.iterations));
     }
 
     void tell(std::size_t k, const BlockLog& log) const {
         if (how_.quiet) return;
         const double left_s = trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - k) : 0.0;
-        print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n", k + 1, blocks_.size(),
-                          blocks_[k].begin_m, blocks_[k].end_m, log.split.train.size(), log.split.test.size(),
+        print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n",
+                          k + 1, blocks_.size(), blocks_[k].begin_m, blocks_[k].end_m, log.split.train.size(),
+                          log.split.test.size(),
                           left_s > 0.0 ? fmt::format("; about {} left", duration(left_s)) : ""));
         std::fflush(stdout);
     }
@@ -223,6 +240,8 @@ void check_trained_blocks(const fs::path& run, const Config& config) {
     }
 }
 
-TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how) { return BlockTrainer(device, run, how).train(); }
+TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how) {
+    return BlockTrainer(device, run, how).train();
+}
 
 }  // namespace relidar::cli

@@ -8,11 +8,11 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
 #include "console.hpp"
 #include "freed_memory.hpp"
 #include "interrupt.hpp"
-#include <relidar/base/error.hpp>
-#include <relidar/base/files.hpp>
 
 namespace relidar::cli {
 namespace {
@@ -20,13 +20,16 @@ namespace {
 namespace fs = std::filesystem;
 
 std::string log_line(const TrainProgress& p) {
-    nlohmann::ordered_json json = {
-        {"iteration", p.iteration}, {"seconds", p.seconds}, {"iterations_per_second", p.iterations_per_second}, {"loss", p.loss}};
+    nlohmann::ordered_json json = {{"iteration", p.iteration},
+                                   {"seconds", p.seconds},
+                                   {"iterations_per_second", p.iterations_per_second},
+                                   {"loss", p.loss}};
     for (std::size_t k = 0; k < p.terms.size(); ++k) json[kLossTermNames[k]] = p.terms[k];
     json["surfels"] = p.n_surfels;
     if (const DensifyReport& d = p.densified; d.added || d.removed())
-        json["densified"] = {{"added", d.added}, {"clones_wanted", d.clones}, {"splits_wanted", d.splits}, {"invalid", d.invalid},
-                             {"faint", d.faint}, {"large", d.large},          {"outside", d.outside}};
+        json["densified"] = {{"added", d.added},     {"clones_wanted", d.clones}, {"splits_wanted", d.splits},
+                             {"invalid", d.invalid}, {"faint", d.faint},          {"large", d.large},
+                             {"outside", d.outside}};
     if (!p.densified.note.empty()) json["note"] = p.densified.note;
     return json.dump() + "\n";
 }
@@ -37,7 +40,8 @@ std::string log_text(const std::vector<TrainProgress>& lines) {
     return text;
 }
 
-/// log.jsonl, line by line as it grows. A full disk is told once; finish() then tries to write the whole file.
+/// log.jsonl, line by line as it grows. A full disk is told once; finish() then tries to
+/// write the whole file.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
@@ -47,7 +51,8 @@ public:
     void add(const TrainProgress& p) {
         if (lost_ || (file_ << log_line(p)).flush()) return;
         lost_ = true;
-        note(fmt::format("writing {}: the disk is full or the folder has gone; training goes on", path_.string()));
+        note(fmt::format("writing {}: the disk is full or the folder has gone; training goes on",
+                         path_.string()));
     }
     void finish(const std::vector<TrainProgress>& all) {
         if (!lost_) return;
@@ -64,21 +69,23 @@ private:
     bool lost_ = false;
 };
 
-/// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them where they are.
+/// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them
+/// where they are.
 void place_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
-    print(fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n", placed.placed,
-                      placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    print(
+        fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n",
+                    placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
     std::fflush(stdout);
 }
 
 }  // namespace
 
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet, const ProcessGroup& group,
-                       StageTimes* stages) {
+void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet,
+                       const ProcessGroup& group, StageTimes* stages) {
     Progress progress(quiet);
     const auto tell = [&](const std::string& line) {
         if (quiet) return;
@@ -89,10 +96,11 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
     prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), stages, group});
 }
 
-TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config, const fs::path& folder,
-                         bool quiet, TrainSession session) {
+TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
+                         const fs::path& folder, bool quiet, TrainSession session) {
     give_back_freed_memory();
-    LogFile log(folder / "log.jsonl", session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
+    LogFile log(folder / "log.jsonl",
+                session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
     session.progress = [show = shown_by(progress)](std::string_view what, double done) {
         if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while training was prepared");
@@ -100,14 +108,15 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     };
     session.stop = interrupted;
     session.note = note;
-    const TrainResult result = train(device, sequence, split, config,
-                                     [&](const TrainProgress& p) {
-                                         if (!p.densified.note.empty()) note(p.densified.note);
-                                         progress.show(progress_text(p), p.iteration == p.n_iterations);
-                                         log.add(p);
-                                         return true;
-                                     },
-                                     session);
+    const TrainResult result = train(
+        device, sequence, split, config,
+        [&](const TrainProgress& p) {
+            if (!p.densified.note.empty()) note(p.densified.note);
+            progress.show(progress_text(p), p.iteration == p.n_iterations);
+            log.add(p);
+            return true;
+        },
+        session);
     log.finish(result.log);
     return result;
 }
@@ -141,9 +150,12 @@ bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
     session.note = note;
     session.step = [&](const RefineProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
-        progress.show(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}", p.epoch,
-                                  p.n_epochs, p.step, p.n_steps, p.step / p.seconds, duration(eta_s), number(p.entropy), p.accuracy),
-                      p.step == p.n_steps);
+        progress.show(
+            fmt::format(
+                "ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}",
+                p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, duration(eta_s),
+                number(p.entropy), p.accuracy),
+            p.step == p.n_steps);
     };
     DropNetwork network = refine_drops(device, run, session);
     end_progress_line();
@@ -155,10 +167,11 @@ bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
 std::string progress_text(const TrainProgress& p) {
     std::string terms;
     for (std::size_t k = 0; k < p.terms.size(); ++k) {
-        if (p.terms[k] != 0.0) terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k], number(p.terms[k]));
+        if (p.terms[k] != 0.0)
+            terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k], number(p.terms[k]));
     }
-    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations, p.iterations_per_second,
-                       duration(p.eta_s), number(p.loss), terms);
+    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", p.iteration, p.n_iterations,
+                       p.iterations_per_second, duration(p.eta_s), number(p.loss), terms);
 }
 
 std::string stages_text(const StageTimes& times) {
@@ -176,15 +189,20 @@ void log_stages(const fs::path& folder, const StageTimes& times) {
         note(fmt::format("writing {}: the stages are not in it", (folder / "log.jsonl").string()));
 }
 
-void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) { write_text(folder / "log.jsonl", log_text(lines)); }
+void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) {
+    write_text(folder / "log.jsonl", log_text(lines));
+}
 
 std::vector<TrainProgress> read_log(const fs::path& folder) {
     std::ifstream file(folder / "log.jsonl", std::ios::binary);
     std::vector<TrainProgress> lines;
     for (std::string line; std::getline(file, line);) {
         const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
-        if (!json.is_object() || !json.contains("iteration") || !json["iteration"].is_number_integer()) continue;
-        const auto number_of = [&](const char* key) { return json.contains(key) && json[key].is_number() ? json[key].get<double>() : 0.0; };
+        if (!json.is_object() || !json.contains("iteration") || !json["iteration"].is_number_integer())
+            continue;
+        const auto number_of = [&](const char* key) {
+            return json.contains(key) && json[key].is_number() ? json[key].get<double>() : 0.0;
+        };
         TrainProgress& p = lines.emplace_back();
         p.iteration = json["iteration"].get<int>();
         p.seconds = number_of("seconds");

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Argoverse 2 sensor. A sweep is a table of points of both LiDARs, brought by the dataset to the vehicle at the time in the file's name.
-// That is undone with the poses of the frames, by which rays are placed again: points lie in the world where the dataset has them.
+// Argoverse 2 sensor. A sweep is a table of points of both LiDARs, brought by the dataset
+// to the vehicle at the time in the file's name. That is undone with the poses of the
+// frames, by which rays are placed again: points lie in the world where the dataset has
+// them.
 #include "log/readers/argoverse2/argoverse2.hpp"
 
 #include <algorithm>
@@ -13,10 +15,10 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/codecs/feather.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
-#include "base/codecs/feather.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/readers/argoverse2/vlp32c_pair.hpp"
 
@@ -45,19 +47,24 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
         std::int64_t time_ns = 0;
         const auto [end, failed] = std::from_chars(stem.data(), stem.data() + stem.size(), time_ns);
         if (failed != std::errc() || end != stem.data() + stem.size() || time_ns < 0)
-            throw DataError(fmt::format("{}: the name of a sweep, expected its time in nanoseconds", path.string()));
+            throw DataError(
+                fmt::format("{}: the name of a sweep, expected its time in nanoseconds", path.string()));
         sweeps.push_back({0, time_ns, path});
     }
-    std::sort(sweeps.begin(), sweeps.end(), [](const SweepFile& a, const SweepFile& b) { return a.time_ns < b.time_ns; });
+    std::sort(sweeps.begin(), sweeps.end(),
+              [](const SweepFile& a, const SweepFile& b) { return a.time_ns < b.time_ns; });
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweeps[i].number = int(i);
-    if (sweeps.empty()) throw DataError(fmt::format("{}: no sweeps, expected NANOSECONDS.feather", folder.string()));
+    if (sweeps.empty())
+        throw DataError(fmt::format("{}: no sweeps, expected NANOSECONDS.feather", folder.string()));
     return sweeps;
 }
 
 std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const FrameRange& range) {
-    const int n = int(sweeps.size()), begin = std::min(range.begin, n), end = range.end < 0 ? n : std::min(range.end, n);
+    const int n = int(sweeps.size()), begin = std::min(range.begin, n),
+              end = range.end < 0 ? n : std::min(range.end, n);
     if (begin >= end)
-        throw UsageError(fmt::format("frames {}:{}: no sweep of this log, expected numbers in [0, {}]", range.begin, range.end, n - 1));
+        throw UsageError(fmt::format("frames {}:{}: no sweep of this log, expected numbers in [0, {}]",
+                                     range.begin, range.end, n - 1));
     return {sweeps.begin() + begin, sweeps.begin() + end};
 }
 
@@ -72,8 +79,8 @@ std::vector<Pose> poses_of(const Feather& table) {
     for (std::size_t i = 0; i < table.rows(); ++i) {
         const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
-            throw DataError(
-                fmt::format("{}, columns 'qw' to 'qz': row {} has length {}, expected 1", table.name(), i, glm::length(rotation)));
+            throw DataError(fmt::format("{}, columns 'qw' to 'qz': row {} has length {}, expected 1",
+                                        table.name(), i, glm::length(rotation)));
         poses.push_back({glm::normalize(rotation), {t[0][i], t[1][i], t[2][i]}});
     }
     return poses;
@@ -87,7 +94,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
     std::vector<Lidar> lidars;
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
-        if (row == names.end()) throw DataError(fmt::format("{}, column 'sensor_name': no {}, expected one", table.name(), name));
+        if (row == names.end())
+            throw DataError(fmt::format("{}, column 'sensor_name': no {}, expected one", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
         // Both heads turn clockwise seen from above; the lower one hangs upside down.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
@@ -96,9 +104,7 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
     return lidars;
 }
 
-double seconds(std::int64_t time_ns, std::int64_t origin_ns) {
-    return double(time_ns - origin_ns) * 1e-9;
-}
+double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(time_ns - origin_ns) * 1e-9; }
 
 /// The vehicle's poses at the times of some sweeps, city frame.
 PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
@@ -107,15 +113,17 @@ PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, s
     PoseTrack way{{}, poses_of(table)};
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
-            throw DataError(fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected times that rise", table.name(), i,
-                                        times_ns[i], times_ns[i - 1]));
+            throw DataError(
+                fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected times that rise",
+                            table.name(), i, times_ns[i], times_ns[i - 1]));
         way.time_s.push_back(seconds(times_ns[i], origin_ns));
     }
     PoseTrack at_sweeps;
     for (const SweepFile& sweep : sweeps) {
         const double time_s = seconds(sweep.time_ns, origin_ns);
         if (!way.covers(time_s))
-            throw DataError(fmt::format("{}, column 'timestamp_ns': no pose at {}, the time of a sweep", table.name(), sweep.time_ns));
+            throw DataError(fmt::format("{}, column 'timestamp_ns': no pose at {}, the time of a sweep",
+                                        table.name(), sweep.time_ns));
         at_sweeps.time_s.push_back(time_s);
         at_sweeps.pose.push_back(way.at(time_s));
     }
@@ -133,14 +141,15 @@ RawSweep read_sweep(const fs::path& file) {
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
         if (!(glm::length(sweep.point_m[i]) < kFarthestHit_m))
-            throw DataError(
-                fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}", table.name(), i, x[i], y[i], z[i], kFarthestHit_m));
+            throw DataError(fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}",
+                                        table.name(), i, x[i], y[i], z[i], kFarthestHit_m));
         if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasers)
-            throw DataError(
-                fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}", table.name(), i, sweep.laser[i], 2 * kLasers - 1));
+            throw DataError(fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}",
+                                        table.name(), i, sweep.laser[i], 2 * kLasers - 1));
         if (std::abs(sweep.offset_ns[i]) > kLongestOffset_ns)
-            throw DataError(fmt::format("{}, column 'offset_ns': row {} is {}, expected nanoseconds within {}", table.name(), i,
-                                        sweep.offset_ns[i], kLongestOffset_ns));
+            throw DataError(
+                fmt::format("{}, column 'offset_ns': row {} is {}, expected nanoseconds within {}",
+                            table.name(), i, sweep.offset_ns[i], kLongestOffset_ns));
     }
     return sweep;
 }
@@ -148,12 +157,13 @@ RawSweep read_sweep(const fs::path& file) {
 /// Both LiDARs' points of each sweep.
 using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
 
-SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars, const PoseTrack& way,
-                       const Progress& progress, BrokenScans& broken) {
+SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
+                       const PoseTrack& way, const Progress& progress, BrokenScans& broken) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
         broken.attempt(at, [&] {
-            halves = find_halves(read_sweep(files[at].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+            halves = find_halves(read_sweep(files[at].path),
+                                 {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
     for (std::size_t l = 0; l < 2; ++l) ways[l] = moved_track(way, lidars[l].vehicle_from_sensor);
@@ -161,15 +171,17 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     for_each_told(files.size(), progress, "reading sweeps", [&](std::size_t at) {
         broken.attempt(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
-            for (std::size_t l = 0; l < 2; ++l) sweeps[at][l] = lidar_sweep(raw, halves->at(l), lidars[l], ways[l], way.time_s[at]);
+            for (std::size_t l = 0; l < 2; ++l)
+                sweeps[at][l] = lidar_sweep(raw, halves->at(l), lidars[l], ways[l], way.time_s[at]);
         });
     });
     return sweeps;
 }
 
-/// Frames of the sweeps and their scans. A LiDAR without any point in a sweep has no frame there.
-void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses, SweepPairs sweeps,
-                const Progress& progress, const BrokenScans& broken) {
+/// Frames of the sweeps and their scans. A LiDAR without any point in a sweep has no
+/// frame there.
+void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
+                SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
     broken.tell(sequence, files.size());
     std::vector<LidarSweep*> of_frame;
     std::size_t missing = 0;
@@ -185,23 +197,31 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
         }
     }
     for (Lidar& lidar : sequence.lidars) {
-        if (lidar.sensor.columns == 0) throw DataError(fmt::format("{}: no point of {}, expected some", sequence.source, lidar.name));
+        if (lidar.sensor.columns == 0)
+            throw DataError(fmt::format("{}: no point of {}, expected some", sequence.source, lidar.name));
         lidar.sensor.first_azimuth_rad = kPi - kPi / lidar.sensor.columns;
     }
-    if (missing > 0) sequence.notes.push_back(fmt::format("{} times a sweep has no point of one LiDAR: its frame is left out", missing));
-    for_each_told(of_frame.size(), progress, "putting points on the rays that were fired", [&](std::size_t i) {
-        Frame& frame = sequence.frames[i];
-        frame.scan = spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
-        *of_frame[i] = {};
-    });
+    if (missing > 0)
+        sequence.notes.push_back(
+            fmt::format("{} times a sweep has no point of one LiDAR: its frame is left out", missing));
+    for_each_told(
+        of_frame.size(), progress, "putting points on the rays that were fired", [&](std::size_t i) {
+            Frame& frame = sequence.frames[i];
+            frame.scan =
+                spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
+            *of_frame[i] = {};
+        });
 }
 
-/// Labels at the times of the sweeps that are read, each in the vehicle's frame of its sweep.
-std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps, const PoseTrack& poses) {
+/// Labels at the times of the sweeps that are read, each in the vehicle's frame of its
+/// sweep.
+std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps,
+                                 const PoseTrack& poses) {
     const Feather table(file);
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
     const std::vector<std::string> ids = table.texts("track_uuid"), categories = table.texts("category");
-    const std::vector<double> length = table.numbers("length_m"), width = table.numbers("width_m"), height = table.numbers("height_m");
+    const std::vector<double> length = table.numbers("length_m"), width = table.numbers("width_m"),
+                              height = table.numbers("height_m");
     const std::vector<Pose> vehicle_from_box = poses_of(table);
     std::map<std::int64_t, std::size_t> sweep_at;
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].time_ns] = i;
@@ -209,14 +229,17 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
     for (std::size_t i = 0; i < table.rows(); ++i) {
         const glm::dvec3 size_m(length[i], width[i], height[i]);
         if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
-            throw DataError(fmt::format("{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0", table.name(),
-                                        i, size_m.x, size_m.y, size_m.z));
+            throw DataError(fmt::format(
+                "{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0",
+                table.name(), i, size_m.x, size_m.y, size_m.z));
         const auto sweep = sweep_at.find(times_ns[i]);
         if (sweep == sweep_at.end()) continue;
         const std::size_t at = sweep->second;
-        labels.push_back({ids[i], categories[i], size_m, poses.time_s[at], poses.pose[at] * vehicle_from_box[i]});
+        labels.push_back(
+            {ids[i], categories[i], size_m, poses.time_s[at], poses.pose[at] * vehicle_from_box[i]});
     }
-    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
+    std::stable_sort(labels.begin(), labels.end(),
+                     [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
     return tracks_of(labels);
 }
 
@@ -225,21 +248,22 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
 Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
     check_folder(given, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(given);
-    const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"), sweeps = in_range(all, options.frames);
+    const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
+                                 sweeps = in_range(all, options.frames);
     const PoseTrack own = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     Sequence sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = given.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds after the log's first; world: "
+        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds "
+        "after the log's first; world: "
         "the "
         "city's frame; motion compensation undone; boxes all around";
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (path_exists(folder / "annotations.feather"))
         sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, own);
-    else
-        sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
+    else sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
     BrokenScans broken(options.skip_broken);
     SweepPairs read = read_sweeps(sweeps, sequence.lidars, own, options.progress, broken);
     add_sweeps(sequence, sweeps, own, std::move(read), options.progress, broken);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every 55.296 us a VLP-32C fires its 32 lasers, a pair every 2.304 us. The head turns on meanwhile: a laser's azimuth from the head of its
-// firing is its own and the turn since the first pair.
+// Every 55.296 us a VLP-32C fires its 32 lasers, a pair every 2.304 us. The head turns on
+// meanwhile: a laser's azimuth from the head of its firing is its own and the turn since
+// the first pair.
 #include "log/readers/argoverse2/vlp32c_pair.hpp"
 
 #include <algorithm>
@@ -19,8 +20,9 @@ struct Laser {
     int number;  ///< Argoverse's laser_number, modulo 32
     double elevation_deg, azimuth_deg;
 };
-// In order of firing, a pair a line. Angles: VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD), nominal. Argoverse's numbers and the
-// order of firing were found from the times and elevations of points in a published sweep.
+// In order of firing, a pair a line. Angles: VeloView-VLP-32C.yaml of
+// ros-drivers/velodyne (BSD), nominal. Argoverse's numbers and the order of firing were
+// found from the times and elevations of points in a published sweep.
 constexpr Laser kTable[kLasers] = {
     {31, -25.000, -1.4}, {13, -1.000, 4.2},   //
     {1, -1.667, -1.4},   {17, -15.639, 1.4},  //
@@ -40,15 +42,14 @@ constexpr Laser kTable[kLasers] = {
     {15, 10.333, -1.4},  {26, -1.333, 1.4},   //
 };
 
-double radians(double degrees) {
-    return degrees * kPi / 180.0;
-}
+double radians(double degrees) { return degrees * kPi / 180.0; }
 
 /// Entry of the table, highest first.
 std::array<int, kLasers> rows_of_table() {
     std::array<int, kLasers> entries;
     std::iota(entries.begin(), entries.end(), 0);
-    std::sort(entries.begin(), entries.end(), [](int a, int b) { return kTable[a].elevation_deg > kTable[b].elevation_deg; });
+    std::sort(entries.begin(), entries.end(),
+              [](int a, int b) { return kTable[a].elevation_deg > kTable[b].elevation_deg; });
     return entries;
 }
 
@@ -64,7 +65,8 @@ std::array<LaserPlace, kLasers> laser_places() {
     for (int row = 0; row < kLasers; ++row) {
         const int entry = entries[std::size_t(row)];
         const Laser& laser = kTable[entry];
-        places[std::size_t(laser.number)] = {std::uint16_t(row), entry / 2 * kPair_ns, radians(laser.elevation_deg)};
+        places[std::size_t(laser.number)] = {std::uint16_t(row), entry / 2 * kPair_ns,
+                                             radians(laser.elevation_deg)};
     }
     return places;
 }
@@ -78,13 +80,15 @@ double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
         if (sweep.laser[i] / kLasers != half) continue;
         const glm::dvec3 p = lidar_from_vehicle * sweep.point_m[i];
         const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
-        sum += std::min(std::abs(elevation - places[std::size_t(sweep.laser[i] % kLasers)].elevation_rad), radians(1.0));
+        sum += std::min(std::abs(elevation - places[std::size_t(sweep.laser[i] % kLasers)].elevation_rad),
+                        radians(1.0));
         n += 1.0;
     }
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Number of the firing of each point, from that of the first one. Packets have a clock of their own, whose phase all points share.
+/// Number of the firing of each point, from that of the first one. Packets have a clock
+/// of their own, whose phase all points share.
 std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
@@ -104,8 +108,9 @@ SpinningSensor vlp32c(bool clockwise) {
     for (const int entry : rows_of_table()) {
         const Laser& laser = kTable[entry];
         const double turned = 2.0 * kPi * kRate_hz * 1e-9 * (entry / 2) * kPair_ns;
-        sensor.beams.push_back({.elevation_rad = radians(laser.elevation_deg),
-                                .azimuth_offset_rad = radians(laser.azimuth_deg) + (clockwise ? -turned : turned)});
+        sensor.beams.push_back(
+            {.elevation_rad = radians(laser.elevation_deg),
+             .azimuth_offset_rad = radians(laser.azimuth_deg) + (clockwise ? -turned : turned)});
     }
     return sensor;
 }
@@ -116,7 +121,8 @@ std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>&
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor, double time_s) {
+LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor,
+                       double time_s) {
     const std::array<LaserPlace, kLasers> places = laser_places();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
     LidarSweep found;

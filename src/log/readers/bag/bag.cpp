@@ -23,7 +23,8 @@ bool is_part(const fs::path& file) {
     return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
-/// What metadata.yaml of rosbag2 says of the files beside it, line by line as rosbag2 writes it.
+/// What metadata.yaml of rosbag2 says of the files beside it, line by line as rosbag2
+/// writes it.
 struct Metadata {
     std::vector<std::string> files;
     std::string compression, mode;  ///< "zstd"; "file" or "message", lower case
@@ -42,16 +43,14 @@ Metadata read_metadata(const fs::path& file) {
     for (const std::string& line : split_lines(read_text(file))) {
         const std::string_view text = trimmed(line);
         const auto value_of = [&](std::string_view key) { return unquoted(text.substr(key.size())); };
-        if (text.starts_with("relative_file_paths:"))
-            in_files = true;
-        else if (in_files && text.starts_with("- "))
-            metadata.files.push_back(value_of("- "));
-        else
-            in_files = false;
+        if (text.starts_with("relative_file_paths:")) in_files = true;
+        else if (in_files && text.starts_with("- ")) metadata.files.push_back(value_of("- "));
+        else in_files = false;
         if (text.starts_with("compression_format:")) metadata.compression = value_of("compression_format:");
         if (text.starts_with("compression_mode:")) metadata.mode = value_of("compression_mode:");
     }
-    std::ranges::transform(metadata.mode, metadata.mode.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    std::ranges::transform(metadata.mode, metadata.mode.begin(),
+                           [](unsigned char c) { return char(std::tolower(c)); });
     return metadata;
 }
 
@@ -68,8 +67,9 @@ std::vector<fs::path> parts_by_name(const fs::path& folder) {
 
 std::size_t TopicTable::number_of(Topic topic) {
     if (const std::size_t at = topic.type.find("/msg/"); at != std::string::npos) topic.type.erase(at, 4);
-    const auto known = std::ranges::find_if(
-        topics_, [&](const Topic& t) { return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding; });
+    const auto known = std::ranges::find_if(topics_, [&](const Topic& t) {
+        return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding;
+    });
     if (known != topics_.end()) return std::size_t(known - topics_.begin());
     topics_.push_back(std::move(topic));
     return topics_.size() - 1;
@@ -79,35 +79,35 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
     Metadata metadata;
     if (!fs::is_directory(path)) {
         paths_ = {path};
-        if (path_exists(path.parent_path() / kMetadata)) metadata = read_metadata(path.parent_path() / kMetadata);
+        if (path_exists(path.parent_path() / kMetadata))
+            metadata = read_metadata(path.parent_path() / kMetadata);
     } else if (path_exists(path / kMetadata)) {
         metadata = read_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
             const fs::path file = path / fs::path(name).filename();  // of a folder that was renamed, too
-            if (path_exists(file))
-                paths_.push_back(file);
+            if (path_exists(file)) paths_.push_back(file);
             else
-                note(fmt::format("{}: a part of the recording that {} lists is missing", file.string(), kMetadata));
+                note(fmt::format("{}: a part of the recording that {} lists is missing", file.string(),
+                                 kMetadata));
         }
     }
     if (paths_.empty()) paths_ = parts_by_name(path);
     if (paths_.empty())
-        throw DataError(fmt::format("{}: no part of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
+        throw DataError(fmt::format(
+            "{}: no part of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
     for (const fs::path& file : paths_) {
         const std::string ending = file.extension().string();
         if (ending == ".zstd")
             throw DataError(
-                fmt::format("{}: a file that rosbag2 compressed as a whole, expected it unpacked: zstd -d {}, and its name in {} "
+                fmt::format("{}: a file that rosbag2 compressed as a whole, expected it unpacked: zstd -d "
+                            "{}, and its name in {} "
                             "without .zstd",
                             file.string(), file.filename().string(), kMetadata));
-        if (ending == ".pcap" || ending == ".pcapng")
-            files_.push_back(open_pcap(file));
-        else if (ending == ".bag")
-            files_.push_back(open_ros1(file, skip_broken));
+        if (ending == ".pcap" || ending == ".pcapng") files_.push_back(open_pcap(file));
+        else if (ending == ".bag") files_.push_back(open_ros1(file, skip_broken));
         else if (ending == ".db3")
             files_.push_back(open_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));
-        else
-            files_.push_back(open_mcap(file, skip_broken));
+        else files_.push_back(open_mcap(file, skip_broken));
     }
 }
 
@@ -131,7 +131,8 @@ void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress)
         };
         const Take of_file = [&](Message message) {
             if (message.log_ns < 0 || message.log_ns > kLatest_ns)
-                throw DataError(fmt::format("a message recorded at {} ns, expected 0 to {}", message.log_ns, kLatest_ns));
+                throw DataError(
+                    fmt::format("a message recorded at {} ns, expected 0 to {}", message.log_ns, kLatest_ns));
             message.place.file = std::uint32_t(f);
             take(message);
         };

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings of ROS: MCAP, rosbag2 in SQLite, ROS 1 bags, captures of a network, and folders of their parts, as one list of messages.
-// Nothing of a message is looked at here.
+// Recordings of ROS: MCAP, rosbag2 in SQLite, ROS 1 bags, captures of a network, and
+// folders of their parts, as one list of messages. Nothing of a message is looked at
+// here.
 #pragma once
 
 #include <cstdint>
@@ -27,7 +28,8 @@ struct Topic {
 struct Place {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
-    std::uint64_t at = 0;               ///< byte of the chunk, or of the message's record, in its file; of SQLite: its row
+    /// byte of the chunk, or of the message's record, in its file; of SQLite: its row
+    std::uint64_t at = 0;
     std::uint64_t in_chunk = kNoChunk;  ///< byte of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< of the recording
 };
@@ -64,15 +66,18 @@ public:
         std::function<void(const std::string&)> note;  ///< what is wrong with the file
         std::function<void(double)> done;              ///< share of the file that is read
     };
-    /// All messages in the order of the file. @throws DataError naming what is wrong at which byte
+    /// All messages in the order of the file. @throws DataError naming what is wrong at
+    /// which byte
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
     /// One message again; from any thread.
     virtual std::string read(const Place& place) const = 0;
-    /// Frame of the points as relidar's own recordings say it, after a pass; empty for other recordings.
+    /// Frame of the points as relidar's own recordings say it, after a pass; empty for
+    /// other recordings.
     virtual std::string points_in() const { return ""; }
 };
 
-/// By the kinds of file. @param skip_broken  damaged chunks are left out with a note, not an error
+/// By the kinds of file. @param skip_broken  damaged chunks are left out with a note, not
+/// an error
 std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
 std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
@@ -82,13 +87,15 @@ std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool pac
 /// A recording of one file or of several.
 class Bag {
 public:
-    /// @param path  a file, or a folder of files, with metadata.yaml or without @throws DataError naming the file
+    /// @param path  a file, or a folder of files, with metadata.yaml or without @throws
+    /// DataError naming the file
     Bag(const std::filesystem::path& path, bool skip_broken);
 
     const std::vector<Topic>& topics() const { return topics_.topics(); }  ///< that passes have met
     const std::vector<std::string>& notes() const { return notes_; }       ///< what the files lack
     const std::vector<std::filesystem::path>& files() const { return paths_; }
-    /// Frame of the points as relidar's own recordings say it, after a pass; empty for other recordings.
+    /// Frame of the points as relidar's own recordings say it, after a pass; empty for
+    /// other recordings.
     std::string points_in() const;
 
     /// A pass over all files. Messages come in the order in which they lie there.

@@ -13,8 +13,8 @@
 #include <relidar/log/clouds.hpp>
 
 #include "base/files.hpp"
-#include "log/readers/bag/describe.hpp"
 #include "log/clouds/sweeps_beside.hpp"
+#include "log/readers/bag/describe.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -32,7 +32,8 @@ public:
         auto known = apart_.find(frame);
         if (known == apart_.end())
             known = apart_
-                        .emplace(frame, places_.frames.apart(places_.vehicle, frame, places_.poses.clock, places_.poses.zero_ns))
+                        .emplace(frame, places_.frames.apart(places_.vehicle, frame, places_.poses.clock,
+                                                             places_.poses.zero_ns))
                         .first;
         if (!known->second || !known->second->covers(t_s)) return std::nullopt;
         if (places_.is_own_world && !places_.poses.path->covers(t_s)) return std::nullopt;
@@ -54,7 +55,8 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Trackers change their minds about what a thing is and how long: the usual size and category of each hold.
+/// Trackers change their minds about what a thing is and how long: the usual size and
+/// category of each hold.
 void settle(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
@@ -63,13 +65,15 @@ void settle(std::vector<BoxLabel>& labels) {
         glm::dvec3 size_m;
         for (int a = 0; a < 3; ++a) {
             const auto middle = seen.begin() + std::ptrdiff_t(seen.size() / 2);
-            std::ranges::nth_element(seen, middle, {}, [a](const BoxLabel* label) { return label->size_m[a]; });
+            std::ranges::nth_element(seen, middle, {},
+                                     [a](const BoxLabel* label) { return label->size_m[a]; });
             size_m[a] = (*middle)->size_m[a];
         }
         std::map<std::string, std::size_t> votes;
         for (const BoxLabel* label : seen) ++votes[label->category];
         if (votes.size() > 1) votes.erase(kNoCategory);
-        settled[id] = {size_m, std::ranges::max_element(votes, {}, [](const auto& vote) { return vote.second; })->first};
+        settled[id] = {
+            size_m, std::ranges::max_element(votes, {}, [](const auto& vote) { return vote.second; })->first};
     }
     for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
 }
@@ -104,10 +108,12 @@ public:
     BoxTracks tracks() {
         BoxTracks result;
         if (n_unplaced_ > 0)
-            result.notes.push_back(fmt::format("{} boxes are left out: where the frame '{}' is in '{}' is not known at their times",
-                                               n_unplaced_, excerpt(*unplaced_.begin()), places_.vehicle));
+            result.notes.push_back(fmt::format(
+                "{} boxes are left out: where the frame '{}' is in '{}' is not known at their times",
+                n_unplaced_, excerpt(*unplaced_.begin()), places_.vehicle));
         if (const std::size_t n = sort_labels(labels_); n > 0)
-            result.notes.push_back(fmt::format("{} boxes are left out: there is one of their thing and time already", n));
+            result.notes.push_back(
+                fmt::format("{} boxes are left out: there is one of their thing and time already", n));
         settle(labels_);
         result.tracks = tracks_of(labels_);
         return result;
@@ -124,7 +130,8 @@ private:
 
 }  // namespace
 
-BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places, const std::vector<double>& times_s) {
+BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
+                      const std::vector<double>& times_s) {
     const double step_s = usual_step_s(times_s);
     LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
     for (const BoxEntry& entry : boxes.lists)

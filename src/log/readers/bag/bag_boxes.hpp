@@ -20,7 +20,8 @@ struct BoxPlaces {
     const PoseChoice& poses;  ///< their clock, and the frame that is the world
     std::string vehicle;      ///< frame of which the poses are known
     std::function<Pose(double)> world_from_vehicle;
-    bool is_own_world = false;  ///< poses are the recording's own: boxes in the world's frame are there already
+    /// poses are the recording's own: boxes in the world's frame are there already
+    bool is_own_world = false;
 };
 
 struct BoxTracks {
@@ -28,6 +29,7 @@ struct BoxTracks {
     std::vector<std::string> notes;
 };
 /// @param times_s  ascending, of the log: boxes more than a step beside them are left out
-BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places, const std::vector<double>& times_s);
+BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
+                      const std::vector<double>& times_s);
 
 }  // namespace relidar::bag

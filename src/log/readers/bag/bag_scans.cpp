@@ -37,17 +37,23 @@ ScanPoints BagScans::points(std::size_t frame) const {
     ScanPoints all;
     for (const TurnPart& part : at.entry.parts) {
         const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
-        ScanPoints points = points_of_cloud(frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
+        ScanPoints points = points_of_cloud(
+            frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())
-            throw DataError(fmt::format("{}: {}, and its points have no times that can be used, expected whole turns, or times",
-                                        name(frame), lidars_[at.lidar].clouds->parts_about));
+            throw DataError(fmt::format(
+                "{}: {}, and its points have no times that can be used, expected whole turns, or times",
+                name(frame), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
-        append(all.point_m, points.point_m), append(all.intensity, points.intensity), append(all.ring, points.ring);
+        append(all.point_m, points.point_m), append(all.intensity, points.intensity),
+            append(all.ring, points.ring);
         append(all.time_offset_s, points.time_offset_s), append(all.return_number, points.return_number);
     }
-    if ((!all.ring.empty() && all.ring.size() != all.size()) || (!all.return_number.empty() && all.return_number.size() != all.size()))
-        throw DataError(fmt::format(
-            "{}: some parts of its turn have rings or numbers of returns and some have none, expected the same of all", name(frame)));
+    if ((!all.ring.empty() && all.ring.size() != all.size()) ||
+        (!all.return_number.empty() && all.return_number.size() != all.size()))
+        throw DataError(
+            fmt::format("{}: some parts of its turn have rings or numbers of returns and some have none, "
+                        "expected the same of all",
+                        name(frame)));
     return all;
 }
 
@@ -62,16 +68,19 @@ ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud,
         throw DataError(fmt::format("{}: {}", name(frame), error.what()));
     }
     if (units.zero == TimeZero::none)
-        for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"}) table.fields.erase(field);
+        for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"})
+            table.fields.erase(field);
     double zero_s = at.time_s - cloud_s;  // what counts as 0 s of the frame, in times of points
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
-    ScanPoints points = folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
+    ScanPoints points =
+        folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
         const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
-        points.point_m[i] = glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.point_m[i])));
+        points.point_m[i] =
+            glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.point_m[i])));
     }
     return points;
 }
@@ -86,7 +95,8 @@ Scan BagScans::rays(std::size_t frame) const {
     std::vector<std::vector<packets::PacketView>> packets;
     Header header;
     for (std::size_t m = 0; m < messages.size(); ++m)
-        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m], sources[m].log_ns, header));
+        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m],
+                                                         sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
     return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
 }

@@ -7,10 +7,10 @@
 #include <utility>
 #include <vector>
 
-#include "log/readers/bag/bag.hpp"
 #include "log/clouds/cloud_units.hpp"
-#include "log/readers/bag/survey.hpp"
 #include "log/clouds/folder_points.hpp"
+#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/survey.hpp"
 
 namespace relidar::bag {
 
@@ -37,12 +37,14 @@ class BagScans : public folder::ScanSource {
 public:
     /// @param clouds  [frames]
     /// @param deskewed_by  poses that moved points to the time of their cloud: undone
-    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds, Clock clock,
-             LidarPose deskewed_by = {})
+    BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds,
+             Clock clock, LidarPose deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
 
     std::string name(std::size_t frame) const override;
-    bool has_points(std::size_t frame) const override { return lidars_[clouds_[frame].lidar].clouds->packets.empty(); }
+    bool has_points(std::size_t frame) const override {
+        return lidars_[clouds_[frame].lidar].clouds->packets.empty();
+    }
     ScanPoints points(std::size_t frame) const override;
     Scan rays(std::size_t frame) const override;
 
@@ -56,7 +58,8 @@ private:
     ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };
 
-/// What numbers of a topic's points mean, by some of its clouds. @param step_s  from cloud to cloud
+/// What numbers of a topic's points mean, by some of its clouds. @param step_s  from
+/// cloud to cloud
 CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
 }  // namespace relidar::bag

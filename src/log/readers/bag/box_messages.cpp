@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of vision_msgs/Detection3DArray and of Autoware's TrackedObjects. Recordings of SQLite and MCAP do not always hold definitions, so
-// which of the versions of vision_msgs a message is of is found by which of them ends where it ends.
+// Boxes of vision_msgs/Detection3DArray and of Autoware's TrackedObjects. Recordings of
+// SQLite and MCAP do not always hold definitions, so which of the versions of vision_msgs
+// a message is of is found by which of them ends where it ends.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -16,7 +17,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // numbers
-constexpr std::size_t kPadding = 3;                                // bytes that CDR may have behind its last field
+constexpr std::size_t kPadding = 3;  // bytes that CDR may have behind its last field
 
 void pass_numbers(MessageReader& reader, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) reader.number<double>();
@@ -40,10 +41,8 @@ void add_box(BoxList& list, const Draft& draft) {
     const glm::dvec3& s = draft.size_m;
     const bool has_size = std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0;
     try {
-        if (has_size)
-            list.boxes.push_back({draft.header, draft.id, draft.category, s, pose_of(draft.pose)});
-        else
-            ++list.n_left_out;
+        if (has_size) list.boxes.push_back({draft.header, draft.id, draft.category, s, pose_of(draft.pose)});
+        else ++list.n_left_out;
     } catch (const DataError&) {
         ++list.n_left_out;
     }
@@ -71,7 +70,8 @@ std::string read_class(MessageReader& reader, const DetectionLayout& layout) {
     double best_score = -INFINITY;
     const std::size_t n = reader.length(kLeastResult);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::string name = layout.has_text ? std::string(reader.text()) : fmt::format("class {}", reader.number<std::int64_t>());
+        const std::string name = layout.has_text ? std::string(reader.text())
+                                                 : fmt::format("class {}", reader.number<std::int64_t>());
         const auto score = reader.number<double>();
         pass_numbers(reader, std::tuple_size_v<PoseNumbers> + kCovariance);
         if (best.empty() || score > best_score) best = name, best_score = score;
@@ -84,7 +84,11 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
     BoxList list{read_header(reader), {}, 0};
     const std::size_t n = reader.length(kLeastDetection);
     for (std::size_t i = 0; i < n; ++i) {
-        Draft box{read_header(reader), {}, read_class(reader, layout), read_pose_numbers(reader), read_vector(reader)};
+        Draft box{read_header(reader),
+                  {},
+                  read_class(reader, layout),
+                  read_pose_numbers(reader),
+                  read_vector(reader)};
         if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();  // is_dense
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();
@@ -110,7 +114,8 @@ BoxList read_detections(const MessageReader& reader) {
 }
 
 /// Of ObjectClassification, by their numbers.
-constexpr const char* kLabels[] = {"unknown", "car", "truck", "bus", "trailer", "motorcycle", "bicycle", "pedestrian", "animal"};
+constexpr const char* kLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
+                                   "motorcycle", "bicycle", "pedestrian", "animal"};
 
 std::string read_label(MessageReader& reader) {
     std::uint8_t best = 0;
@@ -136,7 +141,8 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char c) { return c == '\0'; }) ? "" : text;
 }
 
-/// The box about a shape: a polygon has a footprint about the pose in the place of length and width.
+/// The box about a shape: a polygon has a footprint about the pose in the place of length
+/// and width.
 void read_shape(MessageReader& reader, Draft& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.number<std::uint8_t>();
@@ -157,7 +163,8 @@ void read_shape(MessageReader& reader, Draft& box) {
     box.size_m = {most - least, box.size_m.z};
 }
 
-/// @param is_auto  of autoware_auto_perception_msgs, which has what is known of the heading before the speed
+/// @param is_auto  of autoware_auto_perception_msgs, which has what is known of the
+/// heading before the speed
 BoxList read_objects(MessageReader& reader, bool is_auto) {
     constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
     BoxList list{read_header(reader), {}, 0};

@@ -20,7 +20,8 @@ constexpr double kLeastRate = 0.5, kMostRate = 2.0;  // of a LiDAR that sweeps a
 std::string topics_text(const Bag& bag) {
     std::vector<std::string> texts;
     for (const Topic& topic : bag.topics())
-        if (texts.size() < 20) texts.push_back(fmt::format("{} ({})", excerpt(topic.name), excerpt(topic.type)));
+        if (texts.size() < 20)
+            texts.push_back(fmt::format("{} ({})", excerpt(topic.name), excerpt(topic.type)));
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
@@ -43,10 +44,12 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
     for (const Topic& topic : bag.topics())
         for (const PacketDriver& known : kDrivers)
             if (topic.type.starts_with(known.package))
-                text += fmt::format(" ({}: packets that {} makes clouds of: record what it publishes while they are played)",
-                                    excerpt(topic.name), known.driver);
+                text += fmt::format(
+                    " ({}: packets that {} makes clouds of: record what it publishes while they are played)",
+                    excerpt(topic.name), known.driver);
     for (std::size_t t = 0; t < survey.facts.size(); ++t)
-        if (survey.facts[t].n_broken > 0) text += fmt::format(" ({}: {})", excerpt(bag.topics()[t].name), survey.facts[t].broken);
+        if (survey.facts[t].n_broken > 0)
+            text += fmt::format(" ({}: {})", excerpt(bag.topics()[t].name), survey.facts[t].broken);
     return text;
 }
 
@@ -59,7 +62,8 @@ double rawness(const CloudTopic& clouds) {
     return 100.0 * timed + 50.0 * ringed + 20.0 * numbered + std::log10(1.0 + double(clouds.usual_points()));
 }
 
-constexpr std::array kOfWorld = {"map", "odom", "world", "earth"}, kOfVehicle = {"base_link", "base_footprint", "vehicle", "ego"};
+constexpr std::array kOfWorld = {"map", "odom", "world", "earth"},
+                     kOfVehicle = {"base_link", "base_footprint", "vehicle", "ego"};
 
 template <std::size_t N>
 bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
@@ -67,35 +71,40 @@ bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
 }
 
 /// Clouds in frames of the vehicle or the world are merged, or maps.
-bool is_of_sensor(const CloudTopic& clouds) {
-    return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle);
-}
+bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle); }
 
 /// What is no scan of a LiDAR is refused, or said to be taken for one.
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
-        throw DataError(fmt::format("{}: clouds in the frame '{}' are maps, or sweeps that were moved there: where the LiDAR was is not in "
-                                    "them, expected clouds in the LiDAR's frame (dataset.lidars)",
-                                    name, clouds.frame));
+        throw DataError(
+            fmt::format("{}: clouds in the frame '{}' are maps, or sweeps that were moved there: where the "
+                        "LiDAR was is not in "
+                        "them, expected clouds in the LiDAR's frame (dataset.lidars)",
+                        name, clouds.frame));
     if (is_in(clouds, kOfVehicle))
-        choice.notes.push_back(fmt::format("{}: clouds in the frame '{}' of the vehicle are often those of several LiDARs merged: their "
-                                           "rays are taken as fired from that frame's origin, which is wrong near the vehicle",
-                                           name, clouds.frame));
+        choice.notes.push_back(fmt::format(
+            "{}: clouds in the frame '{}' of the vehicle are often those of several LiDARs merged: their "
+            "rays are taken as fired from that frame's origin, which is wrong near the vehicle",
+            name, clouds.frame));
 }
 
 /// Of sweeps, which may be several messages each.
 double rate_of(const Survey& survey, const CloudTopic& clouds) {
     const TopicFacts& facts = survey.facts[clouds.topic];
-    return facts.rate_hz() * double(clouds.clouds.size()) / double(std::max<std::size_t>(facts.n - clouds.n_empty, 1));
+    return facts.rate_hz() * double(clouds.clouds.size()) /
+           double(std::max<std::size_t>(facts.n - clouds.n_empty, 1));
 }
 
-std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted) {
+std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
+                                      const std::vector<std::string>& wanted) {
     std::vector<std::size_t> lidars;
     for (const std::string& name : wanted) {
-        const auto found = std::ranges::find_if(survey.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
+        const auto found = std::ranges::find_if(
+            survey.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
         if (found == survey.clouds.end() || found->clouds.empty())
-            throw UsageError(fmt::format("dataset.lidars: found '{}', expected a topic of point clouds; the recording has {}",
-                                         excerpt(name), topics_text(bag)));
+            throw UsageError(fmt::format(
+                "dataset.lidars: found '{}', expected a topic of point clouds; the recording has {}",
+                excerpt(name), topics_text(bag)));
         lidars.push_back(std::size_t(found - survey.clouds.begin()));
     }
     std::ranges::sort(lidars);
@@ -103,17 +112,21 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey, cons
     return lidars;
 }
 
-/// What parts LiDARs: the frame, of clouds that were made of packets that are there too that of the packets.
+/// What parts LiDARs: the frame, of clouds that were made of packets that are there too
+/// that of the packets.
 const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
-        if (!other.turns.empty() && std::ranges::find(other.frames_beside, clouds.frame) != other.frames_beside.end()) return other.frame;
+        if (!other.turns.empty() &&
+            std::ranges::find(other.frames_beside, clouds.frame) != other.frames_beside.end())
+            return other.frame;
     return clouds.frame;
 }
 
 /// The rawest topic of each LiDAR.
 std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
-    const bool any_of_sensor = std::ranges::any_of(survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_of_sensor(c); });
+    const bool any_of_sensor = std::ranges::any_of(
+        survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_of_sensor(c); });
     std::map<std::string, std::size_t> best;
     for (std::size_t c = 0; c < survey.clouds.size(); ++c) {
         const CloudTopic& clouds = survey.clouds[c];
@@ -130,7 +143,8 @@ std::vector<std::size_t> guessed_clouds(const Survey& survey) {
 std::size_t main_of(const Survey& survey, const std::vector<std::size_t>& lidars) {
     const auto most = std::ranges::max_element(lidars, {}, [&](std::size_t c) {
         const CloudTopic& clouds = survey.clouds[c];
-        return std::pair(rawness(clouds) >= 100.0, double(clouds.usual_points()) * double(clouds.clouds.size()));
+        return std::pair(rawness(clouds) >= 100.0,
+                         double(clouds.usual_points()) * double(clouds.clouds.size()));
     });
     return std::size_t(most - lidars.begin());
 }
@@ -142,7 +156,8 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
     choice.lidars = wanted.empty() ? guessed_clouds(survey) : named_clouds(bag, survey, wanted);
     if (choice.lidars.empty())
         throw DataError(
-            fmt::format("{}: no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; found {}",
+            fmt::format("{}: no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
+                        "livox_ros_driver2/CustomMsg; found {}",
                         bag.files().front().string(), broken_text(bag, survey), topics_text(bag)));
     choice.main = main_of(survey, choice.lidars);
     const CloudTopic& main = survey.clouds[choice.lidars[choice.main]];
@@ -153,16 +168,19 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
         const double rate = rate_of(survey, clouds) / std::max(rate_of(survey, main), 1e-9);
         std::string why;
         if (&clouds != &main && !survey.frames.fixed(main.frame, clouds.frame))
-            why = fmt::format("/tf_static does not say where '{}' is mounted beside '{}'", clouds.frame, main.frame);
+            why = fmt::format("/tf_static does not say where '{}' is mounted beside '{}'", clouds.frame,
+                              main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
             why = fmt::format("it has {:.3g} clouds for each of {}", rate, bag.topics()[main.topic].name);
         if (why.empty()) {
             check_frame(name, clouds, choice);
             kept.push_back(c);
         } else if (wanted.empty()) {
-            choice.notes.push_back(fmt::format("{} is left out: {}; dataset.lidars={} reads it alone", name, why, name));
+            choice.notes.push_back(
+                fmt::format("{} is left out: {}; dataset.lidars={} reads it alone", name, why, name));
         } else {
-            throw DataError(fmt::format("{}: {}, expected topics that are read together (dataset.lidars)", name, why));
+            throw DataError(
+                fmt::format("{}: {}, expected topics that are read together (dataset.lidars)", name, why));
         }
     }
     choice.main = std::size_t(std::ranges::find(kept, choice.lidars[choice.main]) - kept.begin());

@@ -20,8 +20,10 @@ struct PoseSource {
     std::string about;
 };
 
-/// Of a way up, the frame below the lowest link that moves: everything beneath it is mounted. The frame itself where nothing moves.
-std::string vehicle_on(const FrameTree& frames, const std::vector<std::string>& way, const std::string& outer) {
+/// Of a way up, the frame below the lowest link that moves: everything beneath it is
+/// mounted. The frame itself where nothing moves.
+std::string vehicle_on(const FrameTree& frames, const std::vector<std::string>& way,
+                       const std::string& outer) {
     for (const std::string& frame : way) {
         if (frame == outer) break;
         if (frames.moves(frame)) return frame;
@@ -36,8 +38,9 @@ bool moves_below(const FrameTree& frames, const std::vector<std::string>& way, c
 
 PoseSource of_frame(const FrameTree& frames, const std::vector<std::string>& way, const std::string& outer) {
     PoseSource source{outer, nullptr, vehicle_on(frames, way, outer), {}};
-    source.about = fmt::format("poses of '{}' in '{}' from /tf (on the way {}){}", source.vehicle, outer, fmt::join(way, " < "),
-                               moves_below(frames, way, outer) ? "" : "; nothing moves there: the log stands");
+    source.about = fmt::format(
+        "poses of '{}' in '{}' from /tf (on the way {}){}", source.vehicle, outer, fmt::join(way, " < "),
+        moves_below(frames, way, outer) ? "" : "; nothing moves there: the log stands");
     return source;
 }
 
@@ -47,8 +50,9 @@ PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& to
     const std::string& name = bag.topics()[topic.topic].name;
     if (!frames.fixed(source.vehicle, lidar)) {
         notes.push_back(
-            fmt::format("/tf_static does not say where '{}' is mounted in '{}': poses of {} are taken for those of the LiDAR itself", lidar,
-                        source.vehicle, name));
+            fmt::format("/tf_static does not say where '{}' is mounted in '{}': poses of {} are taken for "
+                        "those of the LiDAR itself",
+                        lidar, source.vehicle, name));
         source.vehicle = lidar;
     }
     source.about = fmt::format("poses of '{}' in '{}' from {}", source.vehicle, topic.parent, name);
@@ -63,24 +67,31 @@ const PoseTopic* densest(const Bag& bag, const Survey& survey) {
     return best == survey.poses.end() || best->samples.size() < 2 ? nullptr : &*best;
 }
 
-std::optional<PoseSource> named_source(const Bag& bag, const Survey& survey, const std::vector<std::string>& way, const std::string& wanted,
+std::optional<PoseSource> named_source(const Bag& bag, const Survey& survey,
+                                       const std::vector<std::string>& way, const std::string& wanted,
                                        std::vector<std::string>& notes) {
     if (wanted.empty()) return std::nullopt;
-    if (std::find(way.begin() + 1, way.end(), wanted) != way.end()) return of_frame(survey.frames, way, wanted);
+    if (std::find(way.begin() + 1, way.end(), wanted) != way.end())
+        return of_frame(survey.frames, way, wanted);
     std::vector<std::string> known(way.begin() + 1, way.end());
     for (const PoseTopic& topic : survey.poses) {
-        if (bag.topics()[topic.topic].name == wanted) return of_topic(bag, survey.frames, topic, way.front(), notes);
+        if (bag.topics()[topic.topic].name == wanted)
+            return of_topic(bag, survey.frames, topic, way.front(), notes);
         known.push_back(bag.topics()[topic.topic].name);
     }
-    throw UsageError(fmt::format("dataset.poses_from: found '{}', expected a frame above '{}' or a topic of poses: {}", excerpt(wanted),
-                                 way.front(), known.empty() ? "the recording has none" : fmt::format("{}", fmt::join(known, ", "))));
+    throw UsageError(
+        fmt::format("dataset.poses_from: found '{}', expected a frame above '{}' or a topic of poses: {}",
+                    excerpt(wanted), way.front(),
+                    known.empty() ? "the recording has none" : fmt::format("{}", fmt::join(known, ", "))));
 }
 
-std::optional<PoseSource> guessed_source(const Bag& bag, const Survey& survey, const std::vector<std::string>& way,
+std::optional<PoseSource> guessed_source(const Bag& bag, const Survey& survey,
+                                         const std::vector<std::string>& way,
                                          std::vector<std::string>& notes) {
     const std::string outer = std::ranges::find(way, "map") != way.end() ? "map" : way.back();
     if (moves_below(survey.frames, way, outer)) return of_frame(survey.frames, way, outer);
-    if (const PoseTopic* topic = densest(bag, survey)) return of_topic(bag, survey.frames, *topic, way.front(), notes);
+    if (const PoseTopic* topic = densest(bag, survey))
+        return of_topic(bag, survey.frames, *topic, way.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})
         if (outer == world && way.size() > 1) return of_frame(survey.frames, way, outer);
     return std::nullopt;
@@ -94,8 +105,9 @@ PosePath path_of(const Survey& survey, const PoseSource& source, Clock clock, st
 }
 
 std::size_t count_covered(const CloudTopic& clouds, const PosePath& path, Clock clock, std::int64_t zero_ns) {
-    return std::size_t(std::ranges::count_if(
-        clouds.clouds, [&](const CloudEntry& cloud) { return path.covers(1e-9 * double(cloud.time_ns(clock) - zero_ns)); }));
+    return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudEntry& cloud) {
+        return path.covers(1e-9 * double(cloud.time_ns(clock) - zero_ns));
+    }));
 }
 
 std::int64_t first_time(const CloudTopic& clouds, Clock clock) {
@@ -106,12 +118,14 @@ std::int64_t first_time(const CloudTopic& clouds, Clock clock) {
 
 }  // namespace
 
-PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main, const std::string& wanted) {
+PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
+                        const std::string& wanted) {
     PoseChoice choice;
     const std::vector<std::string> way = survey.frames.way_up(main.frame);
     std::optional<PoseSource> source = named_source(bag, survey, way, wanted, choice.notes);
     if (!source) source = guessed_source(bag, survey, way, choice.notes);
-    const bool has_stamps = std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
+    const bool has_stamps =
+        std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
         choice.clock = Clock::recorder;
         choice.notes.push_back("clouds have no stamps: the times at which they were recorded are taken");
@@ -130,7 +144,8 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
     const std::size_t n_recorded = count_covered(main, recorded, Clock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(
-        fmt::format("stamps of clouds and of poses are of different clocks ({} of {} clouds have a pose by them): the times at "
+        fmt::format("stamps of clouds and of poses are of different clocks ({} of {} clouds have a pose by "
+                    "them): the times at "
                     "which messages were recorded are taken",
                     n, main.clouds.size()));
     choice.clock = Clock::recorder;

@@ -22,8 +22,9 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
     };
     for (const Cloud::Field& field : known) {
         if (field.offset < at)
-            throw DataError(fmt::format("the field '{}' at byte {} of a point, where another one lies, expected {} or more",
-                                        excerpt(field.name), field.offset, at));
+            throw DataError(fmt::format(
+                "the field '{}' at byte {} of a point, where another one lies, expected {} or more",
+                excerpt(field.name), field.offset, at));
         skip_to(field.offset);
         layout.push_back({field.name, field.kind, field.size, field.count});
         at += field.size * field.count;
@@ -37,7 +38,8 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;
     points.reserve(cloud.height * row);
-    for (std::size_t r = 0; r < cloud.height; ++r) points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
+    for (std::size_t r = 0; r < cloud.height; ++r)
+        points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
     points.resize(cloud.height * row, '\0');  // the last one may end with its last field
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)
@@ -52,15 +54,16 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
 folder::PointTable table_of(const Cloud& cloud) {
     if (cloud.size() == 0) throw DataError("a cloud without points, expected some");
     std::vector<Cloud::Field> known;
-    std::ranges::copy_if(cloud.fields, std::back_inserter(known), [](const Cloud::Field& f) { return folder::is_point_field(f.name); });
+    std::ranges::copy_if(cloud.fields, std::back_inserter(known),
+                         [](const Cloud::Field& f) { return folder::is_point_field(f.name); });
     std::ranges::sort(known, {}, &Cloud::Field::offset);
     const std::size_t n_bytes = cloud.size() * cloud.point_step;
-    const bool is_packed =
-        !cloud.is_big_endian && cloud.data.size() >= n_bytes && (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
+    const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
+                           (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
     const std::vector<folder::PointField> layout = layout_of(cloud, known);
     const std::string copy = is_packed ? std::string() : packed_points(cloud, known);
-    return folder::read_packed(is_packed ? cloud.data.substr(0, n_bytes) : std::string_view(copy), layout, cloud.size(),
-                               folder::Packing::by_point, "points");
+    return folder::read_packed(is_packed ? cloud.data.substr(0, n_bytes) : std::string_view(copy), layout,
+                               cloud.size(), folder::Packing::by_point, "points");
 }
 
 }  // namespace relidar::bag

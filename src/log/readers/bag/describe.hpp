@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a recording holds, in words: a line a topic, and what went wrong while it was recorded.
+// What a recording holds, in words: a line a topic, and what went wrong while it was
+// recorded.
 #pragma once
 
 #include <string>
@@ -9,7 +10,8 @@
 
 namespace relidar::bag {
 
-/// A line each: name, type, messages, rate; of clouds frame and fields; whether it is used. @param used  [topics]
+/// A line each: name, type, messages, rate; of clouds frame and fields; whether it is
+/// used. @param used  [topics]
 std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used);
 
 /// Steps between sweeps that are much longer than usual, in words; empty where none is.

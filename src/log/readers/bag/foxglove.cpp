@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Clouds, transforms and boxes by Foxglove's schemas in protobuf, as `relidar render --format mcap` writes them.
+// Clouds, transforms and boxes by Foxglove's schemas in protobuf, as `relidar render
+// --format mcap` writes them.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -17,21 +18,18 @@ using protozero::pbf_reader;
 using protozero::pbf_wire_type;
 using protozero::tag_and_type;
 
-constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32, kVarint = pbf_wire_type::varint;
+constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32,
+               kVarint = pbf_wire_type::varint;
 
-std::string_view view_of(const protozero::data_view& view) {
-    return {view.data(), view.size()};
-}
+std::string_view view_of(const protozero::data_view& view) { return {view.data(), view.size()}; }
 
 /// x y z w, those that are not there 0.
 glm::dvec4 vector_of(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
         const int at = int(reader.tag()) - 1;  // reading a value forgets its tag
-        if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64)
-            v[at] = reader.get_double();
-        else
-            reader.skip();
+        if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
+        else reader.skip();
     }
     return v;
 }
@@ -39,15 +37,13 @@ glm::dvec4 vector_of(pbf_reader reader) {
 std::int64_t timestamp_of(pbf_reader reader) {
     std::int64_t seconds = 0, nanoseconds = 0;
     while (reader.next()) {
-        if (reader.tag_and_type() == tag_and_type(1, kVarint))
-            seconds = reader.get_int64();
-        else if (reader.tag_and_type() == tag_and_type(2, kVarint))
-            nanoseconds = reader.get_int32();
-        else
-            reader.skip();
+        if (reader.tag_and_type() == tag_and_type(1, kVarint)) seconds = reader.get_int64();
+        else if (reader.tag_and_type() == tag_and_type(2, kVarint)) nanoseconds = reader.get_int32();
+        else reader.skip();
     }
     constexpr std::int64_t kLatest_s = 4294967295;  // as ROS has them
-    if (seconds < 0 || seconds > kLatest_s) throw DataError(fmt::format("a time of {} s, expected 0 to {}", seconds, kLatest_s));
+    if (seconds < 0 || seconds > kLatest_s)
+        throw DataError(fmt::format("a time of {} s, expected 0 to {}", seconds, kLatest_s));
     return seconds * 1000000000 + nanoseconds;
 }
 
@@ -55,8 +51,9 @@ Pose checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
     const glm::dquat q(rotation.w, rotation.x, rotation.y, rotation.z);
     const glm::dvec3 t(position);
     if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
-        throw DataError(fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1", t.x, t.y, t.z,
-                                    glm::length(q)));
+        throw DataError(
+            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1",
+                        t.x, t.y, t.z, glm::length(q)));
     return {glm::normalize(q), t};
 }
 
@@ -65,20 +62,19 @@ Cloud::Field element_field(pbf_reader reader) {
         char kind;
         std::size_t size;
     };
-    static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2}, {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};  // from 1
+    // from 1
+    static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
+                                      {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
     Cloud::Field field;
     std::int32_t type = 0;
     while (reader.next()) {
-        if (reader.tag_and_type() == tag_and_type(1, kBytes))
-            field.name = reader.get_string();
-        else if (reader.tag_and_type() == tag_and_type(2, kFixed32))
-            field.offset = reader.get_fixed32();
-        else if (reader.tag_and_type() == tag_and_type(3, kVarint))
-            type = reader.get_enum();
-        else
-            reader.skip();
+        if (reader.tag_and_type() == tag_and_type(1, kBytes)) field.name = reader.get_string();
+        else if (reader.tag_and_type() == tag_and_type(2, kFixed32)) field.offset = reader.get_fixed32();
+        else if (reader.tag_and_type() == tag_and_type(3, kVarint)) type = reader.get_enum();
+        else reader.skip();
     }
-    if (type < 1 || type > 8) throw DataError(fmt::format("the field '{}' of type {}, expected 1 to 8", excerpt(field.name), type));
+    if (type < 1 || type > 8)
+        throw DataError(fmt::format("the field '{}' of type {}, expected 1 to 8", excerpt(field.name), type));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -94,8 +90,9 @@ void check_identity(pbf_reader reader) {
         const bool turns = reader.tag() == 2;
         const glm::dvec4 v = vector_of(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
-            throw DataError(fmt::format("a cloud that is {} by a pose of its own, expected points in the frame that it names",
-                                        turns ? "turned" : "moved"));
+            throw DataError(fmt::format(
+                "a cloud that is {} by a pose of its own, expected points in the frame that it names",
+                turns ? "turned" : "moved"));
     }
 }
 
@@ -176,8 +173,7 @@ Cube cube_of(pbf_reader reader) {
                     cube.position = vector_of(pose.get_message());
                 else if (pose.tag_and_type() == tag_and_type(2, kBytes))
                     cube.rotation = vector_of(pose.get_message());
-                else
-                    pose.skip();
+                else pose.skip();
             }
         } else if (reader.tag_and_type() == tag_and_type(2, kBytes)) {
             cube.size_m = vector_of(reader.get_message());
@@ -192,12 +188,9 @@ Cube cube_of(pbf_reader reader) {
 std::string value_of(pbf_reader reader, std::string_view wanted) {
     std::string key, value;
     while (reader.next()) {
-        if (reader.tag_and_type() == tag_and_type(1, kBytes))
-            key = reader.get_string();
-        else if (reader.tag_and_type() == tag_and_type(2, kBytes))
-            value = reader.get_string();
-        else
-            reader.skip();
+        if (reader.tag_and_type() == tag_and_type(1, kBytes)) key = reader.get_string();
+        else if (reader.tag_and_type() == tag_and_type(2, kBytes)) value = reader.get_string();
+        else reader.skip();
     }
     return key == wanted ? value : "";
 }
@@ -218,7 +211,9 @@ void add_entity(BoxList& list, pbf_reader reader) {
                 box.id = reader.get_string();
                 break;
             case tag_and_type(6, kBytes):
-                if (const std::string category = value_of(reader.get_message(), "category"); !category.empty()) box.category = category;
+                if (const std::string category = value_of(reader.get_message(), "category");
+                    !category.empty())
+                    box.category = category;
                 break;
             case tag_and_type(8, kBytes):
                 cubes.push_back(cube_of(reader.get_message()));
@@ -230,7 +225,8 @@ void add_entity(BoxList& list, pbf_reader reader) {
     if (list.header.frame.empty()) list.header = box.header;
     if (cubes.empty()) return;
     const glm::dvec3& size = cubes.front().size_m;
-    const bool is_box = cubes.size() == 1 && std::isfinite(size.x + size.y + size.z) && size.x > 0.0 && size.y > 0.0 && size.z > 0.0;
+    const bool is_box = cubes.size() == 1 && std::isfinite(size.x + size.y + size.z) && size.x > 0.0 &&
+                        size.y > 0.0 && size.z > 0.0;
     list.n_left_out += !is_box;
     if (!is_box) return;
     box.size_m = size;
@@ -244,7 +240,8 @@ BoxList read_foxglove_boxes(std::string_view bytes) {
     try {
         BoxList list;
         pbf_reader reader(bytes.data(), bytes.size());
-        while (reader.next(2, protozero::pbf_wire_type::length_delimited)) add_entity(list, reader.get_message());
+        while (reader.next(2, protozero::pbf_wire_type::length_delimited))
+            add_entity(list, reader.get_message());
         return list;
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format("{}, expected foxglove.SceneUpdate in protobuf", error.what()));
@@ -263,7 +260,8 @@ std::vector<Transform> read_foxglove_transforms(std::string_view bytes) {
     try {
         std::vector<Transform> transforms;
         pbf_reader reader(bytes.data(), bytes.size());
-        while (reader.next(1, protozero::pbf_wire_type::length_delimited)) transforms.push_back(transform_of(reader.get_message()));
+        while (reader.next(1, protozero::pbf_wire_type::length_delimited))
+            transforms.push_back(transform_of(reader.get_message()));
         return transforms;
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format("{}, expected foxglove.FrameTransforms in protobuf", error.what()));

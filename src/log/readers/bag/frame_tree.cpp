@@ -12,7 +12,8 @@ constexpr std::size_t kDeepest = 64;  // frames above each other
 
 /// By more than numbers are rounded.
 bool differ(const Pose& a, const Pose& b) {
-    return glm::distance(a.translation, b.translation) > 1e-6 || std::abs(glm::dot(a.rotation, b.rotation)) < 1.0 - 1e-12;
+    return glm::distance(a.translation, b.translation) > 1e-6 ||
+           std::abs(glm::dot(a.rotation, b.rotation)) < 1.0 - 1e-12;
 }
 
 }  // namespace
@@ -41,7 +42,8 @@ Pose PosePath::at(double t_s) const {
 
 bool PosePath::covers(double t_s) const {
     return std::ranges::all_of(links_, [&](const PoseTrack& link) {
-        return link.pose.size() == 1 || (t_s >= link.time_s.front() - kBeside_s && t_s <= link.time_s.back() + kBeside_s);
+        return link.pose.size() == 1 ||
+               (t_s >= link.time_s.front() - kBeside_s && t_s <= link.time_s.back() + kBeside_s);
     });
 }
 
@@ -54,14 +56,16 @@ void FrameTree::add(const Transform& transform, std::int64_t log_ns, bool is_sta
     Link& link = parents_[transform.child][transform.header.frame];
     link.is_static = is_static;
     if (is_static) link.samples.clear();  // the latest holds
-    if (!link.samples.empty()) link.changes = link.changes || differ(link.samples.front().pose, transform.parent_from_child);
+    if (!link.samples.empty())
+        link.changes = link.changes || differ(link.samples.front().pose, transform.parent_from_child);
     link.samples.push_back({transform.header.stamp_ns, log_ns, transform.parent_from_child});
 }
 
 const std::pair<const std::string, FrameTree::Link>* FrameTree::link(const std::string& frame) const {
     const auto known = parents_.find(frame);
     if (known == parents_.end()) return nullptr;
-    return &*std::ranges::max_element(known->second, {}, [](const auto& parent) { return parent.second.samples.size(); });
+    return &*std::ranges::max_element(known->second, {},
+                                      [](const auto& parent) { return parent.second.samples.size(); });
 }
 
 std::vector<std::string> FrameTree::way_up(const std::string& frame) const {
@@ -83,7 +87,8 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
     const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
-    const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {  // common_from_frame
+    // common_from_frame
+    const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {
         Pose pose;
         for (const std::string& frame : way) {
             if (frame == *common) return pose;
@@ -97,20 +102,20 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
     return inverse(*of_to) * *of_from;
 }
 
-PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clock clock, std::int64_t zero_ns) const {
+PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clock clock,
+                         std::int64_t zero_ns) const {
     const std::vector<std::string> way = way_up(frame);
     PosePath path;
     for (std::size_t k = std::size_t(std::ranges::find(way, outer) - way.begin()); k-- > 0;) {
         const Link& up = link(way[k])->second;
-        if (moves(way[k]))
-            path.add(up.samples, clock, zero_ns);
-        else
-            path.add(up.samples.back().pose);
+        if (moves(way[k])) path.add(up.samples, clock, zero_ns);
+        else path.add(up.samples.back().pose);
     }
     return path;
 }
 
-std::optional<FramesApart> FrameTree::apart(const std::string& to, const std::string& from, Clock clock, std::int64_t zero_ns) const {
+std::optional<FramesApart> FrameTree::apart(const std::string& to, const std::string& from, Clock clock,
+                                            std::int64_t zero_ns) const {
     const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;

@@ -16,8 +16,10 @@ namespace relidar::bag {
 
 /// Which times a log is read by.
 enum class Clock {
-    stamps,   ///< of the messages' headers: when things were measured
-    recorder  ///< when messages were recorded: where stamps of sensors and poses are of clocks that do not go together
+    stamps,  ///< of the messages' headers: when things were measured
+    /// when messages were recorded: where stamps of sensors and poses are of clocks that
+    /// do not go together
+    recorder
 };
 
 /// A pose at a time by both clocks.
@@ -59,13 +61,17 @@ public:
     std::vector<std::string> way_up(const std::string& frame) const;
     /// Whether a frame moves in its parent.
     bool moves(const std::string& frame) const;
-    /// Fixed pose to_from_from, nothing where something between the two frames moves or is not known.
+    /// Fixed pose to_from_from, nothing where something between the two frames moves or
+    /// is not known.
     std::optional<Pose> fixed(const std::string& to, const std::string& from) const;
     /// Path outer_from_frame, where `outer` is on the way up.
-    PosePath path(const std::string& outer, const std::string& frame, Clock clock, std::int64_t zero_ns) const;
+    PosePath path(const std::string& outer, const std::string& frame, Clock clock,
+                  std::int64_t zero_ns) const;
     /// Poses to_from_from, nothing where no transforms lead from one to the other.
-    std::optional<FramesApart> apart(const std::string& to, const std::string& from, Clock clock, std::int64_t zero_ns) const;
-    /// Frames that were seen in more than one parent: the one with the most transforms is taken.
+    std::optional<FramesApart> apart(const std::string& to, const std::string& from, Clock clock,
+                                     std::int64_t zero_ns) const;
+    /// Frames that were seen in more than one parent: the one with the most transforms is
+    /// taken.
     std::vector<std::string> disputed() const;
 
 private:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// MCAP (mcap.dev/spec): records of a code, 8 bytes of length, and a body. They are read from the first to the last, so that neither an
-// index nor a summary is needed, nor an end.
+// MCAP (mcap.dev/spec): records of a code, 8 bytes of length, and a body. They are read
+// from the first to the last, so that neither an index nor a summary is needed, nor an
+// end.
 #include <algorithm>
 #include <array>
 #include <map>
@@ -9,8 +10,8 @@
 #include <fmt/format.h>
 #include <zlib.h>
 
-#include "log/readers/bag/bag.hpp"
 #include "base/codecs/byte_reader.hpp"
+#include "log/readers/bag/bag.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
@@ -88,13 +89,15 @@ public:
             try {
                 read_record(code, at, length, topics, pass);
             } catch (const DataError& error) {
-                const std::string text = fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
+                const std::string text =
+                    fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
                 if (!skip_broken_) throw DataError(text + "; dataset.skip_broken=true leaves it out");
                 pass.note("left out: " + text);
             }
             at += kRecordHead + length;
         }
-        pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing", file_.name(), at, file_.size()));
+        pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing",
+                              file_.name(), at, file_.size()));
     }
 
     std::string read(const Place& place) const override {
@@ -119,10 +122,12 @@ private:
 
     std::string body_at(std::uint64_t at) const {
         const std::string head = file_.part(at, kRecordHead);
-        return file_.part(at + kRecordHead, ByteReader(std::string_view(head).substr(1)).number<std::uint64_t>());
+        return file_.part(at + kRecordHead,
+                          ByteReader(std::string_view(head).substr(1)).number<std::uint64_t>());
     }
 
-    void read_record(std::uint8_t code, std::uint64_t at, std::uint64_t length, TopicTable& topics, const Pass& pass) {
+    void read_record(std::uint8_t code, std::uint64_t at, std::uint64_t length, TopicTable& topics,
+                     const Pass& pass) {
         constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
         if (std::ranges::find(kRead, code) == kRead.end()) return;
         std::string body = file_.part(at + kRecordHead, length);
@@ -155,14 +160,16 @@ private:
             const auto id = reader.number<std::uint16_t>(), schema = reader.number<std::uint16_t>();
             const std::string name(reader.sized()), encoding(reader.sized());
             const auto known = schemas_.find(schema);
-            channels_[id] = topics.number_of({name, known == schemas_.end() ? "" : known->second.name, encoding});
+            channels_[id] =
+                topics.number_of({name, known == schemas_.end() ? "" : known->second.name, encoding});
         } else if (record.code == kMcapMetadata) {
             read_metadata(reader);
         } else if (record.code == kMcapMessage) {
             const McapMessage message = message_of(record.body);
             const auto channel = channels_.find(message.channel);
             if (channel == channels_.end())
-                throw DataError(fmt::format("a message of channel {}, which no record before it describes", message.channel));
+                throw DataError(fmt::format("a message of channel {}, which no record before it describes",
+                                            message.channel));
             const bool wanted = pass.wanted(topics.topics()[channel->second]);
             pass.take({channel->second, message.log_ns, wanted ? message.bytes : std::string_view(), place});
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fields of a ROS message, one after the other: CDR as ROS 2 serialises (either endianness, XCDR1 and plain XCDR2), or the packed
-// little-endian numbers of ROS 1.
+// Fields of a ROS message, one after the other: CDR as ROS 2 serialises (either
+// endianness, XCDR1 and plain XCDR2), or the packed little-endian numbers of ROS 1.
 #pragma once
 
 #include <algorithm>
@@ -21,8 +21,10 @@ public:
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
-        if (bytes.size() < kHead) throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
-        const auto kind = static_cast<unsigned char>(bytes[1]);  // 0, 1: XCDR1; 6, 7: XCDR2; odd ones little-endian
+        if (bytes.size() < kHead)
+            throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
+        // 0, 1: XCDR1; 6, 7: XCDR2; odd ones little-endian
+        const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
             throw DataError(fmt::format("the head {:02x} {:02x}, expected CDR: 00 00, 00 01, 00 06 or 00 07",
                                         static_cast<unsigned char>(bytes[0]), kind));
@@ -50,16 +52,18 @@ public:
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
-    /// Number of entries of a list. @param least  bytes that an entry takes at least, so that no list is longer than its message
+    /// Number of entries of a list. @param least  bytes that an entry takes at least, so
+    /// that no list is longer than its message
     std::size_t length(std::size_t least) {
         const auto n = number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / least)
-            throw DataError(fmt::format("a list of {} entries in {} bytes, expected at most {}", n, bytes_.size() - at_,
-                                        (bytes_.size() - at_) / least));
+            throw DataError(fmt::format("a list of {} entries in {} bytes, expected at most {}", n,
+                                        bytes_.size() - at_, (bytes_.size() - at_) / least));
         return n;
     }
     std::string_view take(std::size_t n) {
-        if (n > bytes_.size() - at_) throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
+        if (n > bytes_.size() - at_)
+            throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
         at_ += n;
         return bytes_.substr(at_ - n, n);
     }

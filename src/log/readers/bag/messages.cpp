@@ -54,14 +54,16 @@ Cloud::Field read_field(MessageReader& reader) {
         char kind;
         std::size_t size;
     };
-    static constexpr Type kTypes[] = {{'I', 1}, {'U', 1}, {'I', 2}, {'U', 2}, {'I', 4}, {'U', 4}, {'F', 4}, {'F', 8}};
+    static constexpr Type kTypes[] = {{'I', 1}, {'U', 1}, {'I', 2}, {'U', 2},
+                                      {'I', 4}, {'U', 4}, {'F', 4}, {'F', 8}};
     Cloud::Field field{std::string(reader.text())};
     field.offset = reader.number<std::uint32_t>();
     const auto type = reader.number<std::uint8_t>();
     const auto count = reader.number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers leave it at 0
     if (type < 1 || type > std::size(kTypes))
-        throw DataError(fmt::format("the field '{}' of type {}, expected 1 to {}", excerpt(field.name), type, std::size(kTypes)));
+        throw DataError(fmt::format("the field '{}' of type {}, expected 1 to {}", excerpt(field.name), type,
+                                    std::size(kTypes)));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -70,21 +72,25 @@ Cloud::Field read_field(MessageReader& reader) {
 void check_layout(const Cloud& cloud) {
     for (const Cloud::Field& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
-            throw DataError(fmt::format("the field '{}' at {} with {} bytes of a point of {}, expected it within", excerpt(field.name),
-                                        field.offset, field.size * field.count, cloud.point_step));
+            throw DataError(
+                fmt::format("the field '{}' at {} with {} bytes of a point of {}, expected it within",
+                            excerpt(field.name), field.offset, field.size * field.count, cloud.point_step));
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
-        throw DataError(fmt::format("a point of {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep));
+        throw DataError(
+            fmt::format("a point of {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep));
     const std::size_t row = cloud.width * cloud.point_step;
     if (cloud.row_step < row && cloud.height > 1)
-        throw DataError(fmt::format("rows of {} bytes, expected {} points of {}", cloud.row_step, cloud.width, cloud.point_step));
-    if (cloud.data.size() < row || (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
-        throw DataError(
-            fmt::format("{} bytes of points, expected {} x {} of {}", cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
+        throw DataError(fmt::format("rows of {} bytes, expected {} points of {}", cloud.row_step, cloud.width,
+                                    cloud.point_step));
+    if (cloud.data.size() < row ||
+        (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
+        throw DataError(fmt::format("{} bytes of points, expected {} x {} of {}", cloud.data.size(),
+                                    cloud.height, cloud.width, cloud.point_step));
 }
 
-/// CustomMsg of both Livox drivers: a point is offset_time uint32 (ns), x y z float32, reflectivity, tag, line uint8. CDR pads all but
-/// the last point to 20 bytes.
+/// CustomMsg of both Livox drivers: a point is offset_time uint32 (ns), x y z float32,
+/// reflectivity, tag, line uint8. CDR pads all but the last point to 20 bytes.
 Cloud read_livox(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
     Cloud cloud;
@@ -115,7 +121,8 @@ Transform read_transform(MessageReader& reader) {
 }  // namespace
 
 std::int64_t read_time(MessageReader& reader) {
-    const std::int64_t seconds = reader.is_ros1() ? std::int64_t(reader.number<std::uint32_t>()) : reader.number<std::int32_t>();
+    const std::int64_t seconds =
+        reader.is_ros1() ? std::int64_t(reader.number<std::uint32_t>()) : reader.number<std::int32_t>();
     return seconds * 1000000000 + reader.number<std::uint32_t>();
 }
 
@@ -138,7 +145,8 @@ Pose pose_of(const PoseNumbers& v) {
     const double length = glm::length(q);
     if (!(std::abs(length - 1.0) <= kUnitLength) || !std::isfinite(v[0] + v[1] + v[2]))
         throw DataError(
-            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1", v[0], v[1], v[2], length));
+            fmt::format("a pose at ({}, {}, {}) with a quaternion of length {}, expected finite metres and 1",
+                        v[0], v[1], v[2], length));
     return {glm::normalize(q), {v[0], v[1], v[2]}};
 }
 
@@ -164,7 +172,8 @@ Use use_of(const Topic& topic) {
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
     if (packets::may_be_ouster_metadata(topic)) return Use::metadata;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return Use::nothing;
-    const auto known = std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
+    const auto known =
+        std::ranges::find_if(kTypeUses, [&](const TypeUse& t) { return topic.type == t.type; });
     return known == std::end(kTypeUses) ? Use::nothing : known->use;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The messages that a log is made of, by their definitions in sensor_msgs, tf2_msgs, nav_msgs, geometry_msgs, the drivers of Livox,
-// vision_msgs and Autoware.
+// The messages that a log is made of, by their definitions in sensor_msgs, tf2_msgs,
+// nav_msgs, geometry_msgs, the drivers of Livox, vision_msgs and Autoware.
 #pragma once
 
 #include <array>
@@ -11,8 +11,8 @@
 
 #include <relidar/base/math.hpp>
 
-#include "log/readers/bag/bag.hpp"
 #include "log/clouds/point_table.hpp"
+#include "log/readers/bag/bag.hpp"
 
 namespace relidar::bag {
 
@@ -50,18 +50,19 @@ struct Transform {
 /// A thing of a list of boxes.
 struct Box {
     Header header;
-    std::string id;           ///< empty: the message does not say which thing of other messages it is
-    std::string category;     ///< in the words of the message; empty where it has none
-    glm::dvec3 size_m{0.0};   ///< length, width, height, all above 0
-    Pose frame_from_box;      ///< of its centre
+    std::string id;          ///< empty: the message does not say which thing of other messages it is
+    std::string category;    ///< in the words of the message; empty where it has none
+    glm::dvec3 size_m{0.0};  ///< length, width, height, all above 0
+    Pose frame_from_box;     ///< of its centre
 };
 struct BoxList {
     Header header;
     std::vector<Box> boxes;
-    std::size_t n_left_out = 0;   ///< without a size or a pose
+    std::size_t n_left_out = 0;  ///< without a size or a pose
 };
 
-/// What a topic's messages may be used as. Detections without an identity are not read: they cannot be joined to tracks.
+/// What a topic's messages may be used as. Detections without an identity are not read:
+/// they cannot be joined to tracks.
 enum class Use { nothing, cloud, packets, calibration, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
@@ -78,18 +79,22 @@ Cloud read_point_cloud(MessageReader& reader);
 
 /// A cloud. @throws DataError naming the field that is wrong
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
-/// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they stand.
+/// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they
+/// stand.
 folder::PointTable table_of(const Cloud& cloud);
 
-/// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of nav_msgs/Odometry, geometry_msgs/PoseStamped and the like.
-/// Quaternions that have no direction are refused.
+/// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of
+/// nav_msgs/Odometry, geometry_msgs/PoseStamped and the like. Quaternions that have no
+/// direction are refused.
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
 
-/// The same of foxglove.PointCloud and foxglove.FrameTransforms; foxglove.cpp. The fields' places are not checked yet.
+/// The same of foxglove.PointCloud and foxglove.FrameTransforms; foxglove.cpp. The
+/// fields' places are not checked yet.
 Cloud read_foxglove_cloud(std::string_view bytes);
 std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 
-/// Boxes of vision_msgs/Detection3DArray, of Autoware's TrackedObjects, or of foxglove.SceneUpdate. @throws DataError
+/// Boxes of vision_msgs/Detection3DArray, of Autoware's TrackedObjects, or of
+/// foxglove.SceneUpdate. @throws DataError
 BoxList read_boxes(const Topic& topic, std::string_view bytes);
 /// Of foxglove.SceneUpdate: entities of one cube each. @throws DataError
 BoxList read_foxglove_boxes(std::string_view bytes);

@@ -15,26 +15,27 @@
 
 #include <relidar/base/error.hpp>
 
-#include "base/files.hpp"
 #include "base/codecs/unpack.hpp"
+#include "base/files.hpp"
 
 namespace relidar::bag {
 namespace {
 
-/// A chunk of point clouds is unpacked to three times its size; more than this is no recording, and would be memory for nothing.
+/// A chunk of point clouds is unpacked to three times its size; more than this is no
+/// recording, and would be memory for nothing.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
 void unpack_bz2(std::string_view from, std::string& to) {
     unsigned n = unsigned(to.size());
     const int code = from.size() > UINT_MAX
                          ? BZ_PARAM_ERROR
-                         : BZ2_bzBuffToBuffDecompress(to.data(), &n, const_cast<char*>(from.data()), unsigned(from.size()), 0, 0);
-    if (code != BZ_OK || n != to.size()) throw DataError(fmt::format("damaged bz2 data, expected {} bytes", to.size()));
+                         : BZ2_bzBuffToBuffDecompress(to.data(), &n, const_cast<char*>(from.data()),
+                                                      unsigned(from.size()), 0, 0);
+    if (code != BZ_OK || n != to.size())
+        throw DataError(fmt::format("damaged bz2 data, expected {} bytes", to.size()));
 }
 
-std::string reason() {
-    return std::error_code(errno, std::generic_category()).message();
-}
+std::string reason() { return std::error_code(errno, std::generic_category()).message(); }
 
 }  // namespace
 
@@ -49,25 +50,29 @@ PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
     size_ = std::uint64_t(status.st_size);
 }
 
-PartFile::~PartFile() {
-    ::close(handle_);
-}
+PartFile::~PartFile() { ::close(handle_); }
 
 std::string PartFile::part(std::uint64_t at, std::uint64_t n) const {
     if (at > size_ || n > size_ - at)
-        throw DataError(fmt::format("cut short: {} bytes from byte {} on, expected {}", size_ - std::min(at, size_), at, n));
+        throw DataError(fmt::format("cut short: {} bytes from byte {} on, expected {}",
+                                    size_ - std::min(at, size_), at, n));
     std::string bytes(std::size_t(n), '\0');
     for (std::size_t got = 0; got < bytes.size();) {
         const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(at + got));
         if (k < 0 && errno == EINTR) continue;
-        if (k <= 0) throw DataError(fmt::format("reading {} bytes from byte {} on: {}", n, at, k < 0 ? reason() : "the file ends before"));
+        if (k <= 0)
+            throw DataError(fmt::format("reading {} bytes from byte {} on: {}", n, at,
+                                        k < 0 ? reason() : "the file ends before"));
         got += std::size_t(k);
     }
     return bytes;
 }
 
 ChunkCache::Chunk ChunkCache::get(std::uint64_t at, const std::function<std::string()>& unpack) const {
-    const auto kept = [&] { return std::find_if(chunks_.begin(), chunks_.end(), [&](const auto& chunk) { return chunk.first == at; }); };
+    const auto kept = [&] {
+        return std::find_if(chunks_.begin(), chunks_.end(),
+                            [&](const auto& chunk) { return chunk.first == at; });
+    };
     {
         const std::lock_guard guard(lock_);
         if (const auto known = kept(); known != chunks_.end()) return known->second;
@@ -81,16 +86,20 @@ ChunkCache::Chunk ChunkCache::get(std::uint64_t at, const std::function<std::str
 
 std::string unpack_chunk(std::string_view compression, std::string_view bytes, std::uint64_t n) {
     if (compression.empty() || compression == "none") {
-        if (n != bytes.size()) throw DataError(fmt::format("{} bytes that are not compressed, expected {}", bytes.size(), n));
+        if (n != bytes.size())
+            throw DataError(fmt::format("{} bytes that are not compressed, expected {}", bytes.size(), n));
         return std::string(bytes);
     }
     const auto unpack = compression == "lz4"    ? unpack_lz4
                         : compression == "zstd" ? unpack_zstd
                         : compression == "bz2"  ? unpack_bz2
                                                 : nullptr;
-    if (!unpack) throw DataError(fmt::format("the compression '{}', expected none, lz4, zstd or bz2", excerpt(compression)));
+    if (!unpack)
+        throw DataError(
+            fmt::format("the compression '{}', expected none, lz4, zstd or bz2", excerpt(compression)));
     if (n > UINT_MAX || (n > kAlwaysUnpacked && n / kMostUnpacked > bytes.size()))
-        throw DataError(fmt::format("{} bytes that unpack to {}, expected at most {} times as many", bytes.size(), n, kMostUnpacked));
+        throw DataError(fmt::format("{} bytes that unpack to {}, expected at most {} times as many",
+                                    bytes.size(), n, kMostUnpacked));
     std::string to(std::size_t(n), '\0');
     if (n > 0 || !bytes.empty()) unpack(bytes, to);
     return to;

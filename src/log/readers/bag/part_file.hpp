@@ -34,7 +34,8 @@ private:
     std::uint64_t size_ = 0;
 };
 
-/// Unpacked chunks by the byte at which they begin; the newest few are kept, for messages that lie in one are often read together.
+/// Unpacked chunks by the byte at which they begin; the newest few are kept, for messages
+/// that lie in one are often read together.
 class ChunkCache {
 public:
     using Chunk = std::shared_ptr<const std::string>;
@@ -47,7 +48,8 @@ private:
 };
 
 /// A chunk as its file compressed it: "", "none", "lz4", "zstd" or "bz2".
-/// @param n  its size unpacked, as the file has it; refused before anything is allocated where it cannot be
+/// @param n  its size unpacked, as the file has it; refused before anything is allocated
+/// where it cannot be
 /// @throws DataError
 std::string unpack_chunk(std::string_view compression, std::string_view bytes, std::uint64_t n);
 

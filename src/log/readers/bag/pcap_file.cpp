@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Captures of a network (pcap, pcapng) by libpcap: what each LiDAR sent is a topic, called by its address and the port it sends to. Packets
-// of a topic come as messages of up to kRun of them; a message is found again by the byte of its first packet's record.
+// Captures of a network (pcap, pcapng) by libpcap: what each LiDAR sent is a topic,
+// called by its address and the port it sends to. Packets of a topic come as messages of
+// up to kRun of them; a message is found again by the byte of its first packet's record.
 #include <pcap/pcap.h>
 
 #include <algorithm>
@@ -17,10 +18,10 @@
 #include "base/bytes.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag.hpp"
-#include "log/readers/bag/part_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
+#include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -29,7 +30,9 @@ constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDat
 constexpr unsigned kIpv4 = 0x0800, kUdp = 17;
 
 unsigned big_endian(std::string_view bytes, std::size_t at) {
-    return at + 2 <= bytes.size() ? static_cast<unsigned char>(bytes[at]) * 256u + static_cast<unsigned char>(bytes[at + 1]) : 0u;
+    return at + 2 <= bytes.size()
+               ? static_cast<unsigned char>(bytes[at]) * 256u + static_cast<unsigned char>(bytes[at + 1])
+               : 0u;
 }
 unsigned byte_at(std::string_view bytes, std::size_t at) {
     return at < bytes.size() ? static_cast<unsigned char>(bytes[at]) : 0u;
@@ -43,7 +46,8 @@ std::string_view ip_packet(std::string_view frame, int link) {
     if (link == DLT_LINUX_SLL) head = 16, type = big_endian(frame, 14);
     if (link == DLT_LINUX_SLL2) head = 20, type = big_endian(frame, 0);
     if (link == DLT_NULL || link == DLT_LOOP) head = 4;
-    for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4) type = big_endian(frame, head + 2);  // tags of VLANs
+    // tags of VLANs
+    for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4) type = big_endian(frame, head + 2);
     if (type != kIpv4 || frame.size() < head + 20 || byte_at(frame, head) >> 4 != 4) return {};
     const std::string_view packet = frame.substr(head);
     return packet.substr(0, std::max<std::size_t>(big_endian(packet, 2), 20));  // frames are padded
@@ -57,7 +61,8 @@ struct Datagram {
     std::string bytes;
 };
 
-/// Puts fragments of IPv4 together: one datagram at a time of each sender, which sends them one after the other.
+/// Puts fragments of IPv4 together: one datagram at a time of each sender, which sends
+/// them one after the other.
 class Fragments {
 public:
     /// @return the UDP header and payload, where a packet completes one
@@ -68,8 +73,8 @@ public:
         const unsigned flags = big_endian(packet, 6), id = big_endian(packet, 4);
         const std::size_t offset = 8 * (flags & 0x1fff);
         const bool more = flags & 0x2000;
-        const std::string from =
-            fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13), byte_at(packet, 14), byte_at(packet, 15));
+        const std::string from = fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13),
+                                             byte_at(packet, 14), byte_at(packet, 15));
         Datagram datagram{from, at, stamp_ns, std::string(payload)};
         if (offset == 0 && !more) return datagram;
         if (offset + payload.size() > kMostDatagram) return std::nullopt;
@@ -106,12 +111,16 @@ public:
     explicit PcapFile(const std::filesystem::path& path) : path_(path), bytes_(PartFile(path).size()) {
         char why[PCAP_ERRBUF_SIZE] = "";
         pcap_.reset(pcap_open_offline_with_tstamp_precision(path.c_str(), PCAP_TSTAMP_PRECISION_NANO, why));
-        if (!pcap_) throw DataError(fmt::format("{}: {}, expected a capture of packets (pcap or pcapng)", path.string(), excerpt(why)));
+        if (!pcap_)
+            throw DataError(fmt::format("{}: {}, expected a capture of packets (pcap or pcapng)",
+                                        path.string(), excerpt(why)));
         link_ = pcap_datalink(pcap_.get());
-        const std::vector<int> known = {DLT_EN10MB, DLT_LINUX_SLL, DLT_LINUX_SLL2, DLT_NULL, DLT_LOOP, DLT_RAW, DLT_IPV4};
+        const std::vector<int> known = {DLT_EN10MB, DLT_LINUX_SLL, DLT_LINUX_SLL2, DLT_NULL,
+                                        DLT_LOOP,   DLT_RAW,       DLT_IPV4};
         if (std::ranges::find(known, link_) == known.end())
             throw DataError(
-                fmt::format("{}: captured on a link of type {}, expected Ethernet, Linux cooked or raw IP", path.string(), link_));
+                fmt::format("{}: captured on a link of type {}, expected Ethernet, Linux cooked or raw IP",
+                            path.string(), link_));
         begin_ = position();
     }
 
@@ -131,18 +140,22 @@ public:
             pass.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
             if (stream->n++ == 0) stream->at = datagram->at, stream->log_ns = datagram->stamp_ns;
             if (stream->product) append_to(stream->run, *datagram);
-            if (!stream->product && stream->n_of_bytes.size() < kMostPending) ++stream->n_of_bytes[payload(*datagram).size()];
+            if (!stream->product && stream->n_of_bytes.size() < kMostPending)
+                ++stream->n_of_bytes[payload(*datagram).size()];
             if (stream->n == (stream->product ? kRun : 1)) flush(*stream, pass);
         }
         for (auto& [key, stream] : streams_)
             if (stream.n > 0) flush(stream, pass);
         if (broken.empty() || !ousters_.empty()) tell_strange_ousters(pass);
-        if (n_cut_ > 0) pass.note(fmt::format("{}: the capture cut {} frames short: what they held is missing", path_.string(), n_cut_));
+        if (n_cut_ > 0)
+            pass.note(fmt::format("{}: the capture cut {} frames short: what they held is missing",
+                                  path_.string(), n_cut_));
     }
 
     std::string read(const Place& place) const override {
         const std::lock_guard guard(lock_);
-        const auto stream = std::ranges::find_if(streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
+        const auto stream = std::ranges::find_if(
+            streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
         if (stream == streams_.end()) throw DataError("a stream that is not there any more");
         seek(place.at);
         Fragments fragments;
@@ -168,7 +181,7 @@ private:
         std::size_t n = 0;
         std::uint64_t at = 0;
         std::int64_t log_ns = 0;
-        std::map<std::size_t, std::size_t> n_of_bytes;        ///< of no product: how many datagrams are so long
+        std::map<std::size_t, std::size_t> n_of_bytes;  ///< of no product: how many datagrams are so long
         std::shared_ptr<const packets::OusterFormat> ouster;  ///< its metadata
     };
     packets::OusterFormats ousters_;  ///< of the metadata beside the file
@@ -181,19 +194,24 @@ private:
     mutable std::size_t n_cut_ = 0;
     mutable std::mutex lock_;  ///< of the place in the file
 
-    static std::string_view payload(const Datagram& datagram) { return std::string_view(datagram.bytes).substr(8); }
+    static std::string_view payload(const Datagram& datagram) {
+        return std::string_view(datagram.bytes).substr(8);
+    }
     static void append_to(std::string& run, const Datagram& datagram) {
         append(run, datagram.stamp_ns);
         append(run, std::uint32_t(datagram.bytes.size() - 8));
         run.append(payload(datagram));
     }
-    std::uint64_t position() const { return std::uint64_t(std::max<off_t>(ftello(pcap_file(pcap_.get())), 0)); }
+    std::uint64_t position() const {
+        return std::uint64_t(std::max<off_t>(ftello(pcap_file(pcap_.get())), 0));
+    }
     void seek(std::uint64_t at) const {
         if (fseeko(pcap_file(pcap_.get()), off_t(at), SEEK_SET) != 0)
             throw DataError(fmt::format("{}: byte {} cannot be reached", path_.string(), at));
     }
 
-    /// The next UDP datagram, its header included. @param pass  told where the file is cut off
+    /// The next UDP datagram, its header included. @param pass  told where the file is
+    /// cut off
     std::optional<Datagram> next(Fragments& fragments, const Pass* pass) const {
         for (;;) {
             const std::uint64_t at = position();
@@ -201,15 +219,16 @@ private:
             const unsigned char* data = nullptr;
             const int code = pcap_next_ex(pcap_.get(), &head, &data);
             if (code == PCAP_ERROR && pass)
-                pass->note(
-                    fmt::format("{}: {}: packets behind byte {} are missing", path_.string(), excerpt(pcap_geterr(pcap_.get())), at));
+                pass->note(fmt::format("{}: {}: packets behind byte {} are missing", path_.string(),
+                                       excerpt(pcap_geterr(pcap_.get())), at));
             if (code != 1) return std::nullopt;
             if (head->caplen < head->len) {
                 ++n_cut_;
                 continue;
             }
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;  // nanoseconds, as was asked for
+            // nanoseconds, as was asked for
+            const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             auto datagram = fragments.add(ip_packet(frame, link_), at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
             const unsigned length = big_endian(datagram->bytes, 4);
@@ -227,22 +246,26 @@ private:
         return {datagram.source, packets::find_product(payload(datagram), {{}, ouster_of(datagram)})};
     }
 
-    /// Of each port the packets that may be an Ouster's, or are as long as its metadata says, and are not read; and those of two senders
-    /// that only one metadata tells of.
+    /// Of each port the packets that may be an Ouster's, or are as long as its metadata
+    /// says, and are not read; and those of two senders that only one metadata tells of.
     void tell_strange_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
-                const std::size_t bytes = size;   // clang 14 lets no lambda have a structured binding
-                const bool is_told = std::ranges::any_of(ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
+                const std::size_t bytes = size;  // clang 14 lets no lambda have a structured binding
+                const bool is_told = std::ranges::any_of(
+                    ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
                 if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
-                    pass.note(fmt::format("{}: {}", path_.string(), packets::ouster_text(ousters_, path_, key.first, bytes)));
+                    pass.note(fmt::format("{}: {}", path_.string(),
+                                          packets::ouster_text(ousters_, path_, key.first, bytes)));
             }
             if (!stream.ouster) continue;
             std::string& first = senders[stream.ouster.get()];
             if (!first.empty())
-                pass.note(fmt::format("{}: packets of {} and of {} are read by one sensor's metadata, {}, expected one for each",
-                                      path_.string(), first, key.first, stream.ouster->where));
+                pass.note(
+                    fmt::format("{}: packets of {} and of {} are read by one sensor's metadata, {}, expected "
+                                "one for each",
+                                path_.string(), first, key.first, stream.ouster->where));
             first = key.first;
         }
     }
@@ -255,7 +278,8 @@ private:
         stream.number = streams_.size();
         stream.product = key.second;
         if (stream.product) stream.ouster = ouster_of(datagram);
-        stream.topic = topics.number_of({datagram.source, stream.product ? packets::kDatagrams : "other UDP", packets::kDatagrams});
+        stream.topic = topics.number_of(
+            {datagram.source, stream.product ? packets::kDatagrams : "other UDP", packets::kDatagrams});
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
@@ -270,7 +294,10 @@ private:
         const std::filesystem::path file = std::filesystem::path(path_).replace_extension(".csv");
         if (!path_exists(file)) return;
         const std::string text = read_text(file);
-        pass.take({topics.number_of({file.filename().string(), packets::kCorrection, packets::kDatagrams}), 0, text, {}});
+        pass.take({topics.number_of({file.filename().string(), packets::kCorrection, packets::kDatagrams}),
+                   0,
+                   text,
+                   {}});
     }
 };
 

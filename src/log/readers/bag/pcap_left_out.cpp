@@ -9,9 +9,11 @@
 namespace relidar::bag {
 
 std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file) {
-    throw UsageError(fmt::format("{}: found a capture of packets, expected another dataset: this relidar was built without the reader of "
-                                 "captures (RELIDAR_PCAP, libpcap-dev)",
-                                 file.string()));
+    throw UsageError(
+        fmt::format("{}: found a capture of packets, expected another dataset: this relidar was built "
+                    "without the reader of "
+                    "captures (RELIDAR_PCAP, libpcap-dev)",
+                    file.string()));
 }
 
 }  // namespace relidar::bag

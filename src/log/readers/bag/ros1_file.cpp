@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0): records of a header, which names its values, and data, each behind 4 bytes of
-// length. They are read from the first to the last, so that a bag without an index is one too.
+// ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0): records of a header, which
+// names its values, and data, each behind 4 bytes of length. They are read from the first
+// to the last, so that a bag without an index is one too.
 #include <map>
 #include <optional>
 
 #include <fmt/format.h>
 
+#include "base/codecs/byte_reader.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag.hpp"
-#include "base/codecs/byte_reader.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
@@ -26,7 +27,8 @@ public:
         while (reader.left() > 0) {
             const std::string_view field = reader.sized();
             const std::size_t equals = field.find('=');
-            if (equals == std::string_view::npos) throw DataError(fmt::format("the field '{}', expected name=value", excerpt(field)));
+            if (equals == std::string_view::npos)
+                throw DataError(fmt::format("the field '{}', expected name=value", excerpt(field)));
             values_[field.substr(0, equals)] = field.substr(equals + 1);
         }
     }
@@ -57,7 +59,8 @@ class Ros1File : public BagFile {
 public:
     Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
         if (file_.size() < kRos1Magic.size() || file_.part(0, kRos1Magic.size()) != kRos1Magic)
-            throw DataError(fmt::format("{}: it does not begin as a ROS 1 bag of format 2.0 does", file_.name()));
+            throw DataError(
+                fmt::format("{}: it does not begin as a ROS 1 bag of format 2.0 does", file_.name()));
     }
 
     void each(TopicTable& topics, const Pass& pass) override {
@@ -66,14 +69,16 @@ public:
         while (at < file_.size()) {
             const std::optional<Extent> record = extent_at(at);
             if (!record) {
-                pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing", file_.name(), at, file_.size()));
+                pass.note(fmt::format("{}: cut off at byte {} of {}: what was recorded behind is missing",
+                                      file_.name(), at, file_.size()));
                 return;
             }
             pass.done(double(at) / double(file_.size()));
             try {
                 read_record(at, *record, topics, pass);
             } catch (const DataError& error) {
-                const std::string text = fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
+                const std::string text =
+                    fmt::format("{}: the record at byte {}: {}", file_.name(), at, error.what());
                 if (!skip_broken_) throw DataError(text + "; dataset.skip_broken=true leaves it out");
                 pass.note("left out: " + text);
             }
@@ -84,7 +89,8 @@ public:
     std::string read(const Place& place) const override {
         if (place.in_chunk == Place::kNoChunk) {
             const std::optional<Extent> record = extent_at(place.at);
-            if (!record) throw DataError(fmt::format("{}: the message at byte {} is cut off", file_.name(), place.at));
+            if (!record)
+                throw DataError(fmt::format("{}: the message at byte {} is cut off", file_.name(), place.at));
             return file_.part(record->data_at, record->data_bytes);
         }
         const auto records = chunks_.get(place.at, [&] { return records_of(*extent_at(place.at)); });
@@ -116,8 +122,9 @@ private:
         const auto header_bytes = length_at(at);
         if (!header_bytes) return std::nullopt;
         if (*header_bytes > kLongestHeader)
-            throw DataError(fmt::format("{}: the record at byte {}: a header of {} bytes, expected at most {}", file_.name(), at,
-                                        *header_bytes, kLongestHeader));
+            throw DataError(
+                fmt::format("{}: the record at byte {}: a header of {} bytes, expected at most {}",
+                            file_.name(), at, *header_bytes, kLongestHeader));
         const std::uint64_t data = at + 4 + *header_bytes;
         const auto data_bytes = length_at(data);
         if (!data_bytes) return std::nullopt;
@@ -126,7 +133,8 @@ private:
 
     std::string records_of(const Extent& chunk) const {
         const Ros1Header header(chunk.header);
-        return unpack_chunk(header.text("compression"), file_.part(chunk.data_at, chunk.data_bytes), header.number<std::uint32_t>("size"));
+        return unpack_chunk(header.text("compression"), file_.part(chunk.data_at, chunk.data_bytes),
+                            header.number<std::uint32_t>("size"));
     }
 
     void read_record(std::uint64_t at, const Extent& record, TopicTable& topics, const Pass& pass) {
@@ -145,22 +153,26 @@ private:
         }
     }
 
-    void take(const Ros1Header& header, std::string_view data, const Place& place, TopicTable& topics, const Pass& pass) {
+    void take(const Ros1Header& header, std::string_view data, const Place& place, TopicTable& topics,
+              const Pass& pass) {
         const auto op = header.number<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
         const auto id = header.number<std::uint32_t>("conn");
         if (op == kRos1Connection) {
             const Ros1Header about(data);
-            connections_[id] = topics.number_of({std::string(header.text("topic")), std::string(about.text("type")), "ros1"});
+            connections_[id] = topics.number_of(
+                {std::string(header.text("topic")), std::string(about.text("type")), "ros1"});
             return;
         }
         const auto connection = connections_.find(id);
         if (connection == connections_.end())
-            throw DataError(fmt::format("a message of connection {}, which no record before it describes", id));
+            throw DataError(
+                fmt::format("a message of connection {}, which no record before it describes", id));
         ByteReader time(header.text("time"));
         const auto seconds = time.number<std::uint32_t>(), nanoseconds = time.number<std::uint32_t>();
         const bool wanted = pass.wanted(topics.topics()[connection->second]);
-        pass.take({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds, wanted ? data : std::string_view(), place});
+        pass.take({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
+                   wanted ? data : std::string_view(), place});
     }
 };
 

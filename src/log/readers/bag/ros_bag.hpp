@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A recording of ROS as a log: rosbag2 (MCAP or SQLite), ROS 1, or MCAP of any recorder that writes ROS messages.
+// A recording of ROS as a log: rosbag2 (MCAP or SQLite), ROS 1, or MCAP of any recorder
+// that writes ROS messages.
 #pragma once
 
 #include <filesystem>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// rosbag2 in SQLite: a table of topics, and one of messages with the time they were recorded at and their bytes.
+// rosbag2 in SQLite: a table of topics, and one of messages with the time they were
+// recorded at and their bytes.
 #include <map>
 #include <memory>
 #include <mutex>
@@ -30,10 +31,8 @@ using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 std::string uri_of(const std::filesystem::path& path, const char* options) {
     std::string uri = "file:";
     for (const char c : std::filesystem::absolute(path).string()) {
-        if (c == '?' || c == '#' || c == '%')
-            uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
-        else
-            uri += c;
+        if (c == '?' || c == '#' || c == '%') uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
+        else uri += c;
     }
     return uri + options;
 }
@@ -45,20 +44,26 @@ std::string text_at(sqlite3_stmt* row, int column) {
 
 std::string_view bytes_at(sqlite3_stmt* row, int column) {
     const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
-    return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(row, column))) : std::string_view();
+    return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(row, column)))
+                 : std::string_view();
 }
 
 class SqliteFile : public BagFile {
 public:
-    SqliteFile(const std::filesystem::path& path, bool packed) : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
+    SqliteFile(const std::filesystem::path& path, bool packed)
+        : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
         std::error_code failed;
-        const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);  // its last messages are still in there
+        // its last messages are still in there
+        const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
-        const int code = sqlite3_open_v2(uri_of(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(), &database,
-                                         SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
+        const int code =
+            sqlite3_open_v2(uri_of(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(), &database,
+                            SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail("opening it");
-        sqlite3_limit(database, SQLITE_LIMIT_LENGTH, int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));  // of a value
+        // of a value
+        sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
+                      int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
         for (const char* table : {"topics", "messages"}) check_table(table);
@@ -69,19 +74,22 @@ public:
         std::map<std::int64_t, std::size_t> topic_of;
         const Statement topic_rows = prepared("SELECT id, name, type, serialization_format FROM topics");
         while (step(topic_rows.get()))
-            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] =
-                topics.number_of({text_at(topic_rows.get(), 1), text_at(topic_rows.get(), 2), text_at(topic_rows.get(), 3)});
+            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] = topics.number_of(
+                {text_at(topic_rows.get(), 1), text_at(topic_rows.get(), 2), text_at(topic_rows.get(), 3)});
         const std::int64_t last = last_row();
-        const Statement rows = prepared("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
+        const Statement rows =
+            prepared("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
         while (step(rows.get(), pass)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
-                throw DataError(fmt::format("{}: row {} of its messages is of a topic that it does not list", name_, row));
+                throw DataError(fmt::format("{}: row {} of its messages is of a topic that it does not list",
+                                            name_, row));
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             std::string unpacked;
-            if (pass.wanted(topics.topics()[topic->second])) {  // what is not asked for is not read from the disk
+            // what is not asked for is not read from the disk
+            if (pass.wanted(topics.topics()[topic->second])) {
                 message.bytes = bytes_at(rows.get(), 3);
                 if (packed_) message.bytes = unpacked = unpacked_message(message.bytes, row);
             }
@@ -94,7 +102,8 @@ public:
         if (!one_) one_ = prepared("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
-        if (!step(one_.get())) throw DataError(fmt::format("{}: row {} of its messages is not there any more", name_, place.at));
+        if (!step(one_.get()))
+            throw DataError(fmt::format("{}: row {} of its messages is not there any more", name_, place.at));
         const std::string_view bytes = bytes_at(one_.get(), 0);
         return packed_ ? unpacked_message(bytes, std::int64_t(place.at)) : std::string(bytes);
     }
@@ -114,7 +123,8 @@ private:
 
     Statement prepared(const std::string& text) const {
         sqlite3_stmt* statement = nullptr;
-        if (sqlite3_prepare_v2(database_.get(), text.c_str(), -1, &statement, nullptr) != SQLITE_OK) fail("reading its tables");
+        if (sqlite3_prepare_v2(database_.get(), text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
+            fail("reading its tables");
         return Statement(statement);
     }
 
@@ -130,8 +140,8 @@ private:
             if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
             return code == SQLITE_ROW;
         }
-        pass.note(
-            fmt::format("{}: damaged or cut off ({}): messages behind that place are missing", name_, sqlite3_errmsg(database_.get())));
+        pass.note(fmt::format("{}: damaged or cut off ({}): messages behind that place are missing", name_,
+                              sqlite3_errmsg(database_.get())));
         return false;
     }
 
@@ -142,17 +152,19 @@ private:
 
     /// A view of that name could be anything, and take for ever.
     void check_table(const char* table) const {
-        const Statement row =
-            prepared(fmt::format("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
-                                 "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
-                                 table));
-        if (!step(row.get())) throw DataError(fmt::format("{}: no table '{}', expected a database of rosbag2", name_, table));
+        const Statement row = prepared(fmt::format(
+            "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
+            "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
+            table));
+        if (!step(row.get()))
+            throw DataError(fmt::format("{}: no table '{}', expected a database of rosbag2", name_, table));
     }
 
     std::string unpacked_message(std::string_view bytes, std::int64_t row) const {
         const unsigned long long n = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
         if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
-            throw DataError(fmt::format("{}: row {} of its messages is not compressed by zstd, as metadata.yaml has it", name_, row));
+            throw DataError(fmt::format(
+                "{}: row {} of its messages is not compressed by zstd, as metadata.yaml has it", name_, row));
         try {
             return unpack_chunk("zstd", bytes, n);
         } catch (const DataError& error) {

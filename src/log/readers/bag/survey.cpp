@@ -41,7 +41,8 @@ public:
         }
     }
 
-    /// Packets that came before the metadata that they need, in a second pass. @return whether there are any
+    /// Packets that came before the metadata that they need, in a second pass. @return
+    /// whether there are any
     bool wants_late_packets() const { return !late_.empty(); }
     bool is_late(std::size_t topic) const { return late_.contains(topic); }
     void take_late(const Message& message) {
@@ -52,22 +53,24 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Before that pass, and before packets of a capture: the metadata that lies beside the recording.
+    /// Before that pass, and before packets of a capture: the metadata that lies beside
+    /// the recording.
     void read_metadata_beside() {
         if (is_beside_read_) return;
         is_beside_read_ = true;
         std::vector<std::string> broken;
         for (const std::filesystem::path& file : bag_.files())
-            for (const auto& format : packets::ouster_metadata_beside(file, broken)) ousters_.push_back(format);
+            for (const auto& format : packets::ouster_metadata_beside(file, broken))
+                ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
 
 private:
     const Bag& bag_;
     Survey& survey_;
-    std::string correction_;           ///< of the angles of Hesai's beams
-    packets::OusterFormats ousters_;   ///< that are known so far
-    std::set<std::size_t> late_;       ///< topics of packets that came before their metadata
+    std::string correction_;          ///< of the angles of Hesai's beams
+    packets::OusterFormats ousters_;  ///< that are known so far
+    std::set<std::size_t> late_;      ///< topics of packets that came before their metadata
     std::string broken_metadata_;
     bool is_beside_read_ = false;
 
@@ -87,15 +90,18 @@ private:
 
     void add_packets(const Topic& topic, const Message& message) {
         Header header;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, message.bytes, message.log_ns, header);
+        const std::vector<packets::PacketView> views =
+            packets::read_packets(topic, message.bytes, message.log_ns, header);
         if (views.empty()) return;
         packets::Calibration calibration{correction_};
         if (topic.encoding == packets::kDatagrams) read_metadata_beside();
         calibration.ouster = packets::format_of(ousters_, topic.name, views.front().bytes);
         if (packets::carries_ouster_packets(topic)) {
-            if (!is_beside_read_ && (late_.contains(message.topic) || !calibration.ouster)) return void(late_.insert(message.topic));
+            if (!is_beside_read_ && (late_.contains(message.topic) || !calibration.ouster))
+                return void(late_.insert(message.topic));
             if (!calibration.ouster)
-                throw DataError(packets::ouster_text(ousters_, bag_.files().front(), topic.name, views.front().bytes.size()) +
+                throw DataError(packets::ouster_text(ousters_, bag_.files().front(), topic.name,
+                                                     views.front().bytes.size()) +
                                 broken_metadata_);
         }
         CloudTopic& clouds = entry_of(survey_.clouds, message.topic);
@@ -103,16 +109,20 @@ private:
         clouds.packets.add(views, message.log_ns, message.place, calibration);
     }
 
-    /// The first of a topic, for it is told again; other texts on such a topic are none of our business.
+    /// The first of a topic, for it is told again; other texts on such a topic are none
+    /// of our business.
     void add_metadata(const Topic& topic, const Message& message) {
-        if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; })) return;
+        if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; }))
+            return;
         const std::string text = packets::read_text_message(topic, message.bytes);
-        if (packets::is_ouster_metadata(text)) ousters_.push_back(packets::read_ouster_metadata(text, topic.name));
+        if (packets::is_ouster_metadata(text))
+            ousters_.push_back(packets::read_ouster_metadata(text, topic.name));
     }
 
     void add_transforms(const Topic& topic, const Message& message) {
         const bool is_static = topic.name.ends_with("tf_static");
-        for (const Transform& transform : read_transforms(topic, message.bytes)) survey_.frames.add(transform, message.log_ns, is_static);
+        for (const Transform& transform : read_transforms(topic, message.bytes))
+            survey_.frames.add(transform, message.log_ns, is_static);
     }
 
     void add_pose(const Topic& topic, const Message& message) {
@@ -129,7 +139,8 @@ private:
         if (list.boxes.empty()) return;
         if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
         boxes.n_boxes += list.boxes.size();
-        boxes.n_named += std::size_t(std::ranges::count_if(list.boxes, [](const Box& box) { return !box.id.empty(); }));
+        boxes.n_named +=
+            std::size_t(std::ranges::count_if(list.boxes, [](const Box& box) { return !box.id.empty(); }));
         boxes.lists.push_back({list.boxes.front().header.stamp_ns, message.log_ns, message.place});
     }
 
@@ -142,44 +153,56 @@ private:
     }
 };
 
-/// Where the LiDARs are whose packets name no frame: where Ouster's driver puts them, turned by 180 degrees, as relidar has them.
+/// Where the LiDARs are whose packets name no frame: where Ouster's driver puts them,
+/// turned by 180 degrees, as relidar has them.
 void place_ousters(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
-        if (packets::carries_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty()) ousters.push_back(&clouds);
+        if (packets::carries_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty())
+            ousters.push_back(&clouds);
     for (CloudTopic* clouds : ousters) {
         const std::string& name = bag.topics()[clouds->topic].name;
         std::vector<std::string> prefixes{name.substr(0, name.rfind('/') + 1)};
         if (prefixes[0].starts_with('/')) prefixes[0].erase(0, 1);
         if (ousters.size() == 1) prefixes.emplace_back();
         for (const std::string& prefix : prefixes) {
-            for (const char* frame : {"os_lidar", "os_sensor"}) clouds->frames_beside.push_back(prefix + frame);
-            if (survey.frames.way_up(clouds->frame).size() > 1 || survey.frames.way_up(prefix + "os_lidar").size() < 2) continue;
-            survey.frames.add({{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}}, 0, true);
+            for (const char* frame : {"os_lidar", "os_sensor"})
+                clouds->frames_beside.push_back(prefix + frame);
+            if (survey.frames.way_up(clouds->frame).size() > 1 ||
+                survey.frames.way_up(prefix + "os_lidar").size() < 2)
+                continue;
+            survey.frames.add({{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}},
+                              0, true);
         }
     }
 }
 
-/// Whole turns in the place of their parts. A turn's time is that of the part in its middle: turns begin at the back.
+/// Whole turns in the place of their parts. A turn's time is that of the part in its
+/// middle: turns begin at the back.
 void join_parts(CloudTopic& topic) {
     const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
     if (joined.turns.empty()) return;
     topic.clouds.clear();
     for (const std::vector<TurnPart>& turn : joined.turns) {
         const TurnPart& middle = turn[turn.size() / 2];
-        CloudEntry& entry = topic.clouds.emplace_back(CloudEntry{middle.stamp_ns, middle.log_ns, 0, middle.place, 0, turn});
+        CloudEntry& entry =
+            topic.clouds.emplace_back(CloudEntry{middle.stamp_ns, middle.log_ns, 0, middle.place, 0, turn});
         for (const TurnPart& part : turn) entry.n_points += part.n_points;
     }
-    topic.parts_about = fmt::format("{}: put together into {} whole turns of {}{}", joined.about, joined.turns.size(),
-                                    joined.turns[joined.turns.size() / 2].size(),
-                                    joined.n_left_out == 0 ? "" : fmt::format("; {} of turns that are not whole are left out",
-                                                                              joined.n_left_out));
+    topic.parts_about =
+        fmt::format("{}: put together into {} whole turns of {}{}", joined.about, joined.turns.size(),
+                    joined.turns[joined.turns.size() / 2].size(),
+                    joined.n_left_out == 0
+                        ? ""
+                        : fmt::format("; {} of turns that are not whole are left out", joined.n_left_out));
 }
 
 }  // namespace
 
 bool CloudTopic::has_field(std::initializer_list<const char*> names) const {
-    return std::ranges::any_of(fields, [&](const Cloud::Field& field) { return std::ranges::find(names, field.name) != names.end(); });
+    return std::ranges::any_of(fields, [&](const Cloud::Field& field) {
+        return std::ranges::find(names, field.name) != names.end();
+    });
 }
 
 std::size_t CloudTopic::usual_points() const {
@@ -193,8 +216,8 @@ std::size_t CloudTopic::usual_points() const {
 Survey take_survey(Bag& bag, const Progress& progress) {
     Survey survey;
     Surveyor surveyor(bag, survey);
-    bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; }, [&](const Message& message) { surveyor.take(message); },
-             progress);
+    bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; },
+             [&](const Message& message) { surveyor.take(message); }, progress);
     survey.facts.resize(bag.topics().size());
     if (surveyor.wants_late_packets()) {
         surveyor.read_metadata_beside();
@@ -202,7 +225,8 @@ Survey take_survey(Bag& bag, const Progress& progress) {
         for (std::size_t t = 0; t < bag.topics().size(); ++t) is_late.push_back(surveyor.is_late(t));
         bag.each([&](const Topic& topic) { return packets::carries_ouster_packets(topic); },
                  [&](const Message& message) {
-                     if (message.topic < is_late.size() && is_late[message.topic]) surveyor.take_late(message);
+                     if (message.topic < is_late.size() && is_late[message.topic])
+                         surveyor.take_late(message);
                  },
                  progress);
     }
@@ -210,7 +234,8 @@ Survey take_survey(Bag& bag, const Progress& progress) {
         clouds.turns = clouds.packets.turns();
         for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
             const packets::PacketTurn& turn = clouds.turns[t];
-            clouds.clouds.push_back({turn.forward_ns, turn.log_ns, 0, clouds.packets.messages(turn).front().place, t});
+            clouds.clouds.push_back(
+                {turn.forward_ns, turn.log_ns, 0, clouds.packets.messages(turn).front().place, t});
         }
     }
     for (CloudTopic& clouds : survey.clouds) join_parts(clouds);

@@ -13,17 +13,20 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-constexpr double kMostOfPart = 300.0 * kPi / 180.0;     // a whole turn of which more is hidden than this leaves is none
-constexpr double kLeastGap_rad = kPi / 3.0;             // azimuths without a point of any cloud: a window
-constexpr double kTogether = 0.8, kAbut = 0.4;          // steps from part to part: their resultant, and against their extents
-constexpr double kPause = 1.6;                          // steps of time: a part is missing
+// a whole turn of which more is hidden than this leaves is none
+constexpr double kMostOfPart = 300.0 * kPi / 180.0;
+constexpr double kLeastGap_rad = kPi / 3.0;  // azimuths without a point of any cloud: a window
+// steps from part to part: their resultant, and against their extents
+constexpr double kTogether = 0.8, kAbut = 0.4;
+constexpr double kPause = 1.6;  // steps of time: a part is missing
 constexpr double kDegrees = 180.0 / kPi;
 
 /// A number of a point, whatever its type and order.
 double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
     const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
-    std::memcpy(raw, cloud.data.data() + row + point % cloud.width * cloud.point_step + field.offset, field.size);
+    std::memcpy(raw, cloud.data.data() + row + point % cloud.width * cloud.point_step + field.offset,
+                field.size);
     if (cloud.is_big_endian) std::reverse(raw, raw + field.size);
     float narrow;
     double wide;
@@ -53,7 +56,8 @@ double gap_of_all(const std::vector<TurnPart>& clouds) {
     std::array<bool, kBins> seen{};
     for (const TurnPart& cloud : clouds)
         for (double a = -0.5; a <= 0.5; a += 0.01) {
-            const double azimuth = std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
+            const double azimuth =
+                std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
             seen[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
         }
     const std::optional<Arc> all = arc_of_bins(seen);
@@ -87,7 +91,9 @@ std::optional<Parts> parts_of(const std::vector<TurnPart>& clouds) {
     }
     const double extent = median_of(extents), step = std::abs(std::arg(sum));
     if (extent > kMostOfPart || std::abs(sum) < kTogether * double(clouds.size() - 1)) return std::nullopt;
-    if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step || gap_of_all(clouds) > kLeastGap_rad) return std::nullopt;
+    if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
+        gap_of_all(clouds) > kLeastGap_rad)
+        return std::nullopt;
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
     for (const TurnPart& cloud : clouds) phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
@@ -118,24 +124,25 @@ JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     JoinedTurns joined;
     if (!parts) return joined;
     const auto turned = [&](const TurnPart& part) {  // since the cut, 0 to 2 pi
-        const double angle = (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
+        const double angle =
+            (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));
     };
     std::vector<std::vector<TurnPart>> turns;
     for (std::size_t k = 0; k < clouds.size(); ++k) {
-        const bool is_first = k == 0 || turned(clouds[k]) <= turned(clouds[k - 1]) ||
-                              1e-9 * double(clouds[k].stamp_ns - clouds[k - 1].stamp_ns) > kPause * parts->step_s;
+        const bool is_first =
+            k == 0 || turned(clouds[k]) <= turned(clouds[k - 1]) ||
+            1e-9 * double(clouds[k].stamp_ns - clouds[k - 1].stamp_ns) > kPause * parts->step_s;
         if (is_first) turns.emplace_back();
         turns.back().push_back(clouds[k]);
     }
     const auto n_whole = std::size_t(std::floor(2.0 * kPi / std::abs(parts->step_rad) + 0.1));
     for (std::vector<TurnPart>& turn : turns) {
-        if (turn.size() >= n_whole)
-            joined.turns.push_back(std::move(turn));
-        else
-            joined.n_left_out += turn.size();
+        if (turn.size() >= n_whole) joined.turns.push_back(std::move(turn));
+        else joined.n_left_out += turn.size();
     }
-    joined.about = fmt::format("each cloud is a part of a turn, about {:.0f} degrees of it", parts->extent_rad * kDegrees);
+    joined.about = fmt::format("each cloud is a part of a turn, about {:.0f} degrees of it",
+                               parts->extent_rad * kDegrees);
     return joined;
 }
 

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boreas. A line of lidar_poses.csv has place and angles of the LiDAR in an East-North-Up frame. Its makers turn frames, not vectors, so
-// that the rotation from the LiDAR to that frame is
+// Boreas. A line of lidar_poses.csv has place and angles of the LiDAR in an East-North-Up
+// frame. Its makers turn frames, not vectors, so that the rotation from the LiDAR to that
+// frame is
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
-// and not the R_z(yaw) R_y(pitch) R_x(roll) of others. Whether it is shows in the poses: the vehicle drives forward, and along the road.
+// and not the R_z(yaw) R_y(pitch) R_x(roll) of others. Whether it is shows in the poses:
+// the vehicle drives forward, and along the road.
 #include "log/readers/boreas/boreas.hpp"
 
 #include <cmath>
@@ -19,13 +21,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kPoseNumbers = 12;     // east, north, up, three velocities, roll, pitch, yaw, three rates
+// east, north, up, three velocities, roll, pitch, yaw, three rates
+constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
-constexpr double kMostGap_s = 0.5;           // between poses, which come with every scan
-constexpr double kClearlyForward = 0.05;     // of Driving::mean: more than bends make of it
-constexpr double kClearlyLevel = 0.7;        // of Driving::rise_spread, against another rotation
-constexpr std::size_t kFewestSteps = 50;     // from which that is judged
+constexpr double kMostGap_s = 0.5;        // between poses, which come with every scan
+constexpr double kClearlyForward = 0.05;  // of Driving::mean: more than bends make of it
+constexpr double kClearlyLevel = 0.7;     // of Driving::rise_spread, against another rotation
+constexpr std::size_t kFewestSteps = 50;  // from which that is judged
 constexpr double kBrightest = 255.0;
 
 /// Where the vehicle looks, in the LiDAR's frame.
@@ -36,12 +39,14 @@ struct Forward {
     double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// T_applanix_lidar.txt, 4x4: the LiDAR in the frame of the Applanix, x right, y forward, z up. Not known without the file.
+/// T_applanix_lidar.txt, 4x4: the LiDAR in the frame of the Applanix, x right, y forward,
+/// z up. Not known without the file.
 Forward read_forward(const fs::path& file) {
     if (!path_exists(file)) return {};
     const auto m = parse_numbers(read_text(file));
-    if (!m || m->size() != 16) throw DataError(fmt::format("{}: {}, expected 4 lines of 4 numbers", file.string(),
-                                                           m ? fmt::format("{} numbers", m->size()) : "a word is no number"));
+    if (!m || m->size() != 16)
+        throw DataError(fmt::format("{}: {}, expected 4 lines of 4 numbers", file.string(),
+                                    m ? fmt::format("{} numbers", m->size()) : "a word is no number"));
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
     const Pose applanix_from_lidar = rigid_pose(rotation, {at[3], at[7], at[11]}, file.string());
@@ -51,10 +56,10 @@ Forward read_forward(const fs::path& file) {
 /// Rotations that three angles may stand for, from the LiDAR to the world.
 struct AngleOrder {
     const char* name;
-    double sign;      ///< of the angles
-    bool yaw_first;   ///< which vectors are turned by first; else roll
+    double sign;     ///< of the angles
+    bool yaw_first;  ///< which vectors are turned by first; else roll
 };
-constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},   // as described
+constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},  // as described
                                        {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
                                        {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                        {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
@@ -65,13 +70,15 @@ glm::dquat enu_from_lidar(double roll, double pitch, double yaw, const AngleOrde
                            : rotation_of(sign * yaw, sign * pitch, sign * roll);
 }
 
-PoseTrack track_of(const std::vector<stamped::StampedRow>& rows, const stamped::StampedLog& log, const AngleOrder& order) {
+PoseTrack track_of(const std::vector<stamped::StampedRow>& rows, const stamped::StampedLog& log,
+                   const AngleOrder& order) {
     PoseTrack track;
     for (const stamped::StampedRow& row : rows) {
         const std::vector<double>& v = row.values;
         const double *place = v.data(), *angle = v.data() + kFirstAngle;
         track.time_s.push_back(log.seconds(row.stamp));
-        track.pose.push_back({enu_from_lidar(angle[0], angle[1], angle[2], order), {place[0], place[1], place[2]}});
+        track.pose.push_back(
+            {enu_from_lidar(angle[0], angle[1], angle[2], order), {place[0], place[1], place[2]}});
     }
     return track;
 }
@@ -81,7 +88,8 @@ double forwardness(const stamped::Driving& driving, const Forward& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Poses of the LiDAR, by the rotation that its makers describe unless another one is clearly right.
+/// Poses of the LiDAR, by the rotation that its makers describe unless another one is
+/// clearly right.
 PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log, const Forward& forward,
                             std::vector<std::string>& notes) {
     const std::vector<stamped::StampedRow> rows = stamped::read_rows(file, kPoseNumbers);
@@ -92,19 +100,23 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
         PoseTrack track = track_of(rows, log, order);
         const stamped::Driving driving = stamped::find_driving(track);
         const double gain = forwardness(driving, forward) - forwardness(of_best, forward);
-        const bool is_leveler = driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
+        const bool is_leveler =
+            driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
         if (taken && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
         taken = &order, best = std::move(track), of_best = driving;
     }
     if (taken != &kAngleOrders[0])
-        notes.push_back(fmt::format("angles of poses are taken as {}, not as Boreas describes them: so the vehicle drives forward and "
-                                    "along the road",
-                                    taken->name));
+        notes.push_back(
+            fmt::format("angles of poses are taken as {}, not as Boreas describes them: so the vehicle "
+                        "drives forward and "
+                        "along the road",
+                        taken->name));
     if (of_best.n_steps > 0) stamped::tell_unless_forward(notes, forwardness(of_best, forward));
     return best;
 }
 
-/// Turns poses of the LiDAR as the dataset has it into those of one whose x looks forward.
+/// Turns poses of the LiDAR as the dataset has it into those of one whose x looks
+/// forward.
 void turn_to_front(PoseTrack& track, double forward_rad) {
     const Pose lidar_from_turned{rotation_of(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
@@ -120,7 +132,11 @@ Sequence load_boreas(const fs::path& given, const DatasetOptions& options) {
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
     sequence.source = given.string();
     sequence.notes = {"nothing in this log is labelled"};
-    stamped::StampedLog log{kMicrosecond, stamped::list_scans(folder / "lidar"), {}, folder / "applanix/lidar_poses.csv", kMostGap_s};
+    stamped::StampedLog log{kMicrosecond,
+                            stamped::list_scans(folder / "lidar"),
+                            {},
+                            folder / "applanix/lidar_poses.csv",
+                            kMostGap_s};
     stamped::check_poses(log.poses_file, options);
     Forward forward = read_forward(folder / "calib/T_applanix_lidar.txt");
     if (path_exists(log.poses_file)) {
@@ -128,12 +144,15 @@ Sequence load_boreas(const fs::path& given, const DatasetOptions& options) {
         const glm::dvec3 driven = stamped::find_driving(log.world_from_vehicle).mean;
         if (!forward.is_known && driven != glm::dvec3(0.0)) forward = {driven, true};
     }
-    if (!forward.is_known) sequence.notes.push_back("nothing says where the vehicle looks: the LiDAR's own x is taken for forward");
+    if (!forward.is_known)
+        sequence.notes.push_back(
+            "nothing says where the vehicle looks: the LiDAR's own x is taken for forward");
     turn_to_front(log.world_from_vehicle, forward.azimuth_rad());
-    sequence.conventions = fmt::format("LiDAR x forward, y left, z up (Boreas: turned about z by {:.2f} degrees); metres; seconds after "
-                                       "the log's first scan; time = middle of the turn; points as they were measured; world: "
-                                       "East-North-Up",
-                                       -forward.azimuth_rad() * 180.0 / kPi);
+    sequence.conventions = fmt::format(
+        "LiDAR x forward, y left, z up (Boreas: turned about z by {:.2f} degrees); metres; seconds after "
+        "the log's first scan; time = middle of the turn; points as they were measured; world: "
+        "East-North-Up",
+        -forward.azimuth_rad() * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);

@@ -17,33 +17,42 @@ namespace {
 namespace fs = std::filesystem;
 using folder::HeadFrame;
 
-/// Frames of the range whose scan is there. @throws DataError where one is missing and may not be, UsageError where the range has none
-std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOptions& options, std::vector<std::string>& notes) {
+/// Frames of the range whose scan is there. @throws DataError where one is missing and
+/// may not be, UsageError where the range has none
+std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOptions& options,
+                                     std::vector<std::string>& notes) {
     std::vector<HeadFrame> frames;
     std::size_t n_missing = 0;
     for (const HeadFrame& frame : head.frames) {
-        if (frame.number < options.frames.begin || (options.frames.end >= 0 && frame.number >= options.frames.end)) continue;
+        if (frame.number < options.frames.begin ||
+            (options.frames.end >= 0 && frame.number >= options.frames.end))
+            continue;
         const bool there = path_exists(frame.scan);
         if (!there && !options.allow_missing_scans)
-            throw DataError(fmt::format("{}: no such file, expected the scan of frame {}", frame.scan.string(), frame.number));
+            throw DataError(fmt::format("{}: no such file, expected the scan of frame {}",
+                                        frame.scan.string(), frame.number));
         n_missing += !there;
         if (there) frames.push_back(frame);
     }
     if (frames.empty())
-        throw UsageError(fmt::format("frames {}:{}: no scan of {} lies in it, {} are missing", options.frames.begin,
-                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end), head.name, n_missing));
-    if (n_missing > 0) notes.push_back(fmt::format("{} scans that sequence.json lists are missing", n_missing));
+        throw UsageError(fmt::format(
+            "frames {}:{}: no scan of {} lies in it, {} are missing", options.frames.begin,
+            options.frames.end < 0 ? "" : std::to_string(options.frames.end), head.name, n_missing));
+    if (n_missing > 0)
+        notes.push_back(fmt::format("{} scans that sequence.json lists are missing", n_missing));
     return frames;
 }
 
 /// The log's own poses; identity where nobody has any.
-std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>& frames, const DatasetOptions& options) {
+std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>& frames,
+                            const DatasetOptions& options) {
     const fs::path file = folder / folder::kPosesFile;
     if (const auto poses = folder::read_poses(file, frames)) return *poses;
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
-    throw DataError(fmt::format(
-        "{}: no such file; expected poses of the vehicle, dataset.poses=FILE with them, or dataset.poses=none to find them from the scans",
-        file.string()));
+    throw DataError(
+        fmt::format("{}: no such file; expected poses of the vehicle, dataset.poses=FILE with them, or "
+                    "dataset.poses=none to find them from the scans",
+                    file.string()));
 }
 
 /// Poses that are given instead of the log's own; boxes go along.
@@ -51,11 +60,13 @@ void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, con
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        const auto& notes = sequence.notes;   // a converted log may have it
-        if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end()) sequence.notes.push_back(kitti::kNoPosesNote);
+        const auto& notes = sequence.notes;  // a converted log may have it
+        if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
+            sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
         const std::optional<std::vector<Pose>> poses = folder::read_poses(file, frames);
-        if (!poses) throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", file.string()));
+        if (!poses)
+            throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", file.string()));
         for (std::size_t i = 0; i < frames.size(); ++i)
             if (i == 0 || frames[i].time_s != frames[i - 1].time_s) track.pose.push_back((*poses)[i]);
     }
@@ -84,10 +95,8 @@ Sequence load_plain_folder(const fs::path& given, const DatasetOptions& options)
     }
     sequence.boxes = folder::read_boxes(folder / folder::kBoxesFile, frames, head.frames);
     if (!options.poses_file.empty()) replace_poses(sequence, frames, options.poses_file);
-    if (head.world_offset_m && options.poses_file.empty())
-        recentre(sequence, *head.world_offset_m);
-    else
-        recentre(sequence);
+    if (head.world_offset_m && options.poses_file.empty()) recentre(sequence, *head.world_offset_m);
+    else recentre(sequence);
     folder::read_scans(sequence, head, files, options);
     return sequence;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A plain folder: sequence.json, poses.txt, boxes.json, scans; what people write from their own logs, and `relidar convert` from any other.
+// A plain folder: sequence.json, poses.txt, boxes.json, scans; what people write from
+// their own logs, and `relidar convert` from any other.
 #pragma once
 
 #include <filesystem>

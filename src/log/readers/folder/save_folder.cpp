@@ -22,16 +22,10 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-double degrees(double radians) {
-    return radians * 180.0 / kPi;
-}
+double degrees(double radians) { return radians * 180.0 / kPi; }
 
-Json json_of(const glm::dvec3& v) {
-    return {v.x, v.y, v.z};
-}
-Json json_of(const glm::dquat& q) {
-    return {q.w, q.x, q.y, q.z};
-}
+Json json_of(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
+Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
 
 Json json_of(const SpinningSensor& sensor) {
     Json json = {{"name", sensor.name}, {"min_range_m", sensor.min_range_m}};
@@ -100,7 +94,8 @@ std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json
 Json json_of(const Lidar& lidar, std::size_t number) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {{"name", lidar.name},
-            {"vehicle_from_sensor", {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
+            {"vehicle_from_sensor",
+             {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
             {"spins", !lidar.sensor.beams.empty()},
             {"sensor", lidar.pattern ? Json(pattern_name(number)) : json_of(lidar.sensor)}};
 }
@@ -121,7 +116,8 @@ std::string head_text(const Sequence& sequence) {
                  {"world_offset_m", json_of(sequence.world_offset_m)},
                  {"lidars", Json::array()},
                  {"frames", Json::array()}};
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) json["lidars"].push_back(json_of(sequence.lidars[l], l));
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
+        json["lidars"].push_back(json_of(sequence.lidars[l], l));
     for (const Frame& frame : sequence.frames)
         json["frames"].push_back({{"number", frame.index},
                                   {"time_s", frame.time_s},
@@ -160,9 +156,11 @@ std::string boxes_text(const Sequence& sequence) {
 void check_place(const fs::path& folder, bool overwrite) {
     if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
-        throw UsageError(fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
+        throw UsageError(
+            fmt::format("{}: found something that is no plain folder, expected a new name", folder.string()));
     if (!overwrite)
-        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --force replaces it", folder.string()));
+        throw UsageError(fmt::format("{}: found a plain folder, expected a new name; --force replaces it",
+                                     folder.string()));
 }
 
 }  // namespace
@@ -174,11 +172,13 @@ void save_folder(const Sequence& sequence, const fs::path& given, const FolderOp
     fs::create_directory(staged.path() / "scans");
     for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
         const Frame& frame = sequence.frames[i];
-        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan, !sequence.rolling_shutter);
+        folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan,
+                               !sequence.rolling_shutter);
     });
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
-            write_text(staged.path() / pattern_name(l), pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
+            write_text(staged.path() / pattern_name(l),
+                       pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
     if (options.poses) write_text(staged.path() / folder::kPosesFile, poses_text(sequence));
     if (!sequence.boxes.empty()) write_text(staged.path() / folder::kBoxesFile, boxes_text(sequence));
     write_text(staged.path() / folder::kHeadFile, head_text(sequence));

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing lattice: (1) tick and left offset of each beam, where the phases of its azimuths agree best,
+// Fits the firing lattice: (1) tick and left offset of each beam, where the phases of its
+// azimuths agree best,
 //   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |,
-// (2) the whole-tick offset of each beam, where its ticks agree best with those of the others.
+// (2) the whole-tick offset of each beam, where its ticks agree best with those of the
+// others.
 #include "log/readers/kitti/firing_lattice.hpp"
 
 #include <algorithm>
@@ -15,9 +17,10 @@
 namespace relidar::kitti {
 namespace {
 
-constexpr int kEncoderTicks = 4000;      // a sweep of an HDL-64E: 0.09 degrees, found in KITTI's logs (2011_09_26_drive_0005)
+// a sweep of an HDL-64E: 0.09 degrees, found in KITTI's logs (2011_09_26_drive_0005)
+constexpr int kEncoderTicks = 4000;
 constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations reach 0.16 rad to either side
-constexpr int kMinLasers = 4;            // returns of one firing that make it a firing: stray points come alone
+constexpr int kMinLasers = 4;  // returns of one firing that make it a firing: stray points come alone
 
 /// Azimuth and inverse distance from the axis of the points of one beam.
 struct Polar {
@@ -30,7 +33,8 @@ std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            if (rho < 2.0) continue;  // millimetre coordinates are too coarse for an azimuth nearer than that
+            // millimetre coordinates are too coarse for an azimuth nearer than that
+            if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
         }
@@ -47,7 +51,8 @@ std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Left offset and phase of one beam for a given tick; concentration 1 = all azimuths on the lattice.
+/// Left offset and phase of one beam for a given tick; concentration 1 = all azimuths on
+/// the lattice.
 struct Phase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
@@ -75,10 +80,12 @@ Phase find_phase(const Polar& polar, double tick_rad) {
         const std::complex<double> mean = mean_phase(polar, tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
         // a left offset must explain something: 0 wins where the others are hardly better
-        if (mm == -60 || gain > 0.0) best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
+        if (mm == -60 || gain > 0.0)
+            best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     }
     const std::complex<double> none = mean_phase(polar, tick_rad, 0.0, stride);
-    if (std::abs(none) > best.concentration - 0.02) best = {0.0, std::arg(none) * tick_rad / (2.0 * kPi), std::abs(none)};
+    if (std::abs(none) > best.concentration - 0.02)
+        best = {0.0, std::arg(none) * tick_rad / (2.0 * kPi), std::abs(none)};
     if (best.left_m != 0.0) refine(best, polar, tick_rad);
     return best;
 }
@@ -97,13 +104,15 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     double n = 0;
     for (std::size_t k = 0; k < kRings; ++k) {
         n += static_cast<double>(polar[k].azimuth_rad.size());
-        phases.concentration += phases.ring[k].concentration * static_cast<double>(polar[k].azimuth_rad.size());
+        phases.concentration +=
+            phases.ring[k].concentration * static_cast<double>(polar[k].azimuth_rad.size());
     }
     phases.concentration /= std::max(n, 1.0);
     return phases;
 }
 
-/// Steps a sweep, from the mean of the short azimuth steps between neighbours in file order.
+/// Steps a sweep, from the mean of the short azimuth steps between neighbours in file
+/// order.
 int mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
@@ -137,12 +146,14 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
 }
 
 /// For each scan, the ticks at which enough beams, moved by their offsets, have a return.
-std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift, int n_ticks, int at_least) {
+std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
+                                     int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
     for (const Ticks& scan : ticks) {
         std::vector<int> count(static_cast<std::size_t>(n_ticks));
         for (std::size_t k = 0; k < kRings; ++k) {
-            for (const int t : scan[k]) ++count[static_cast<std::size_t>(((t - shift[k]) % n_ticks + n_ticks) % n_ticks)];
+            for (const int t : scan[k])
+                ++count[static_cast<std::size_t>(((t - shift[k]) % n_ticks + n_ticks) % n_ticks)];
         }
         std::vector<char>& yes = pattern.emplace_back(static_cast<std::size_t>(n_ticks));
         for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= at_least;
@@ -150,8 +161,10 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
     return pattern;
 }
 
-/// Whole-tick offset of one beam: where most of its ticks fall on the pattern. 0, or the offset nearest to it, wins ties.
-int best_shift(const std::vector<Ticks>& ticks, std::size_t ring, const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
+/// Whole-tick offset of one beam: where most of its ticks fall on the pattern. 0, or the
+/// offset nearest to it, wins ties.
+int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
+               const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
     for (const Ticks& scan : ticks) n += scan[ring].size();
     std::size_t most = 0, at_zero = 0;
@@ -162,9 +175,10 @@ int best_shift(const std::vector<Ticks>& ticks, std::size_t ring, const std::vec
         for (std::size_t s = 0; s < ticks.size(); ++s) {
             for (const int t : ticks[s][ring]) {
                 const int moved = t - shift;
-                hits += static_cast<std::size_t>(pattern[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
-                                                                                     : moved >= n_ticks ? moved - n_ticks
-                                                                                                        : moved)]);
+                hits += static_cast<std::size_t>(
+                    pattern[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
+                                                        : moved >= n_ticks ? moved - n_ticks
+                                                                           : moved)]);
             }
         }
         if (i == 0) at_zero = hits;
@@ -189,14 +203,16 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     auto pattern = fired(reference, shift, n_ticks, 1);
     for (int pass = 0; pass < 2; ++pass) {  // against the fullest beam, then against all
         run_parallel(kRings, [&](int k) {
-            shift[static_cast<std::size_t>(k)] = best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
+            shift[static_cast<std::size_t>(k)] =
+                best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
         pattern = fired(ticks, shift, n_ticks, kMinLasers);
     }
     return shift;
 }
 
-/// Moves the mean of the beams' offsets into the zero of the head, so that the head faces where its beams do.
+/// Moves the mean of the beams' offsets into the zero of the head, so that the head faces
+/// where its beams do.
 void centre(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
@@ -242,12 +258,14 @@ FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
 }
 
 std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice) {
-    const auto pattern = fired({ticks_of(scan, lattice)}, std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
+    const auto pattern =
+        fired({ticks_of(scan, lattice)}, std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
     std::vector<int> firings;
     for (int t = 0; t < lattice.head.n_ticks; ++t) {
         if (lattice.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
     }
-    std::sort(firings.begin(), firings.end(), [&](int a, int b) { return lattice.head.azimuth_of(a) > lattice.head.azimuth_of(b); });
+    std::sort(firings.begin(), firings.end(),
+              [&](int a, int b) { return lattice.head.azimuth_of(a) > lattice.head.azimuth_of(b); });
     return firings;
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rings of an HDL-64E from the order of the file, and their cones z = z0 + rho * tan(elevation) by least squares. The lens
-// of each block of 32 beams lies off the sensor's origin, so elevations seen from the origin would depend on range.
+// Rings of an HDL-64E from the order of the file, and their cones z = z0 + rho *
+// tan(elevation) by least squares. The lens of each block of 32 beams lies off the
+// sensor's origin, so elevations seen from the origin would depend on range.
 #include "log/readers/kitti/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -18,9 +19,7 @@ struct Sample {
     double rho_m, z_m;
 };
 
-double residual(const Cone& cone, const Sample& s) {
-    return s.z_m - cone.z0_m - s.rho_m * cone.tan_el;
-}
+double residual(const Cone& cone, const Sample& s) { return s.z_m - cone.z0_m - s.rho_m * cone.tan_el; }
 
 /// Line through the samples whose residual against `previous` is below a limit.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
@@ -30,7 +29,8 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    if (n < 16 || spread < 36.0 * n) return {};  // 0.3 mm of rounding would leave the slope more than 5e-5 uncertain
+    // 0.3 mm of rounding would leave the slope more than 5e-5 uncertain
+    if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
 }
@@ -40,14 +40,17 @@ Cone fit_cone(const std::vector<Sample>& samples) {
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
         for (const Sample& s : samples) error.push_back(std::abs(residual(cone, s)));
-        std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2), error.end());
-        const double sigma = 1.4826 * error[error.size() / 2];  // of a normal distribution with this median deviation
+        std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
+                         error.end());
+        // of a normal distribution with this median deviation
+        const double sigma = 1.4826 * error[error.size() / 2];
         cone = fit_line(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
 
-/// Height of a block's lenses against the slope of the beam, z0 = mean_z0 + slope * (tan_el - mean_tan).
+/// Height of a block's lenses against the slope of the beam, z0 = mean_z0 + slope *
+/// (tan_el - mean_tan).
 struct BlockLine {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
@@ -68,11 +71,13 @@ BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
     return line;
 }
 
-/// Slope of a ring whose ranges are too alike to part it from z0: the height is the block's, the slope the median.
+/// Slope of a ring whose ranges are too alike to part it from z0: the height is the
+/// block's, the slope the median.
 double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
-        for (std::size_t i = 0; i < samples.size(); ++i) slope[i] = (samples[i].z_m - line.at(tan_el)) / std::max(samples[i].rho_m, 0.1);
+        for (std::size_t i = 0; i < samples.size(); ++i)
+            slope[i] = (samples[i].z_m - line.at(tan_el)) / std::max(samples[i].rho_m, 0.1);
         const auto middle = slope.begin() + static_cast<std::ptrdiff_t>(slope.size() / 2);
         std::nth_element(slope.begin(), middle, slope.end());
         tan_el = *middle;
@@ -80,22 +85,27 @@ double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line
     return tan_el;
 }
 
-/// Completes rings that could not be fitted, from the beams of their block of 32 that could.
-void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples, const std::string& where) {
+/// Completes rings that could not be fitted, from the beams of their block of 32 that
+/// could.
+void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
+               const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) good.push_back(k);
         }
         if (good.size() < 2) {
-            throw DataError(where + ": fewer than two beams of a block of 32 have enough returns, expected an HDL-64E log");
+            throw DataError(
+                where +
+                ": fewer than two beams of a block of 32 have enough returns, expected an HDL-64E log");
         }
         const BlockLine line = fit_block(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
             const std::size_t a = next[-1], b = *next;
-            const double along = (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
+            const double along =
+                (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
             cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
             if (samples[k].size() >= 16) cones[k].tan_el = slope_at_height(samples[k], line, cones[k].tan_el);
             cones[k].z0_m = line.at(cones[k].tan_el);
@@ -103,7 +113,8 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
     }
 }
 
-/// Ring whose cone a run of points lies nearest to, by the median of some of its residuals.
+/// Ring whose cone a run of points lies nearest to, by the median of some of its
+/// residuals.
 int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
@@ -112,9 +123,11 @@ int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const 
         std::vector<double> error;
         for (std::size_t i = begin; i < end; i += step) {
             const glm::dvec4 p(scan.points[i]);
-            error.push_back(std::abs(residual(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
+            error.push_back(
+                std::abs(residual(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
         }
-        std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2), error.end());
+        std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
+                         error.end());
         if (error[error.size() / 2] < least) least = error[error.size() / 2], best = k;
     }
     return best;
@@ -143,14 +156,16 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
     int most = 0;
     for (const RawScan* scan : scans) {
         most = std::max(most, scan->n_rings);
-        if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;  // one stray point may start a 65th
+        // one stray point may start a 65th
+        if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             samples[scan->ring[i]].push_back({std::hypot(p.x, p.y), p.z});
         }
     }
     if (samples[0].empty()) {
-        throw DataError(fmt::format("{}: {} rings in file order, expected 64 (HDL-64E, stored ring by ring)", where, most));
+        throw DataError(fmt::format("{}: {} rings in file order, expected 64 (HDL-64E, stored ring by ring)",
+                                    where, most));
     }
     Cones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
@@ -165,7 +180,8 @@ void correct_rings(RawScan& scan, const Cones& cones) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
             const auto ring = static_cast<std::uint8_t>(nearest_ring(scan, begin, end, cones));
-            std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin), scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
+            std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin),
+                      scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
             begin = end;
         }
     }
@@ -173,7 +189,8 @@ void correct_rings(RawScan& scan, const Cones& cones) {
         const glm::dvec4 p(scan.points[i]);
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
         const Sample s{std::hypot(p.x, p.y), p.z};
-        if (std::abs(residual(cones[scan.ring[i - 1]], s)) < std::abs(residual(cones[scan.ring[i]], s))) scan.ring[i] = scan.ring[i - 1];
+        if (std::abs(residual(cones[scan.ring[i - 1]], s)) < std::abs(residual(cones[scan.ring[i]], s)))
+            scan.ring[i] = scan.ring[i - 1];
     }
 }
 

@@ -29,16 +29,18 @@ struct Cone {
 };
 using Cones = std::array<Cone, kRings>;
 
-/// Splits a scan into rings: points are stored ring by ring, azimuth rising from forward, so a ring ends where the azimuth
-/// passes from the 4th into the 1st quadrant. Counted to 63 at most.
+/// Splits a scan into rings: points are stored ring by ring, azimuth rising from forward,
+/// so a ring ends where the azimuth passes from the 4th into the 1st quadrant. Counted to
+/// 63 at most.
 RawScan split_rings(std::vector<glm::vec4> points);
 
-/// Least squares of every ring over several scans, outliers trimmed. @param where for messages
+/// Least squares of every ring over several scans, outliers trimmed. @param where for
+/// messages
 /// @throws DataError where no scan has 64 rings
 Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where);
 
-/// Puts right what file order cannot tell: a scan in which a beam returned nothing, and points rounded to azimuth 0, which
-/// end their ring and yet seem to start the next one.
+/// Puts right what file order cannot tell: a scan in which a beam returned nothing, and
+/// points rounded to azimuth 0, which end their ring and yet seem to start the next one.
 void correct_rings(RawScan& scan, const Cones& cones);
 
 }  // namespace relidar::kitti

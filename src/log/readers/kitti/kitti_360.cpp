@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // KITTI-360. Poses are of the IMU, x forward, y right, z down; those of the LiDAR are
 //   world_from_velo = world_from_imu * imu_from_cam0 * inverse(velo_from_cam0)
-// Scans are not motion-compensated, and the poses belong to the moments at which the head faces forward, as in KITTI raw.
+// Scans are not motion-compensated, and the poses belong to the moments at which the head
+// faces forward, as in KITTI raw.
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -16,8 +17,8 @@
 #include "base/files.hpp"
 #include "base/list_text.hpp"
 #include "log/clouds/log_files.hpp"
-#include "log/readers/kitti/kitti_sweeps.hpp"
 #include "log/clouds/paper_parts.hpp"
+#include "log/readers/kitti/kitti_sweeps.hpp"
 
 namespace relidar {
 namespace {
@@ -29,7 +30,7 @@ using namespace kitti;
 struct Drive {
     std::string name;  ///< of its folders
     FrameRange frames;
-    std::vector<int> test_frames = {};   ///< see ChosenPart
+    std::vector<int> test_frames = {};  ///< see ChosenPart
     std::vector<std::string> notes = {};
 };
 
@@ -37,7 +38,9 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     std::vector<std::string> names;
     for (const fs::path& drive : list_folder(folder))
         if (path_exists(drive / "velodyne_points")) names.push_back(drive.filename().string());
-    if (names.empty()) throw DataError(fmt::format("{}: no drive, expected folders *_drive_*_sync/velodyne_points", folder.string()));
+    if (names.empty())
+        throw DataError(
+            fmt::format("{}: no drive, expected folders *_drive_*_sync/velodyne_points", folder.string()));
     return names;
 }
 
@@ -46,28 +49,33 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const ChosenPart part = choose_part(options, kKitti360Parts);
     if (part.drive.empty()) {
         Drive drive{drives.front(), part.frames};
-        if (drives.size() > 1) drive.notes = {fmt::format("the first of {} drives; dataset.sequence names another", drives.size())};
+        if (drives.size() > 1)
+            drive.notes = {
+                fmt::format("the first of {} drives; dataset.sequence names another", drives.size())};
         return drive;
     }
     for (const std::string& drive : drives)
         if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos)
             return {drive, part.frames, part.test_frames};
-    throw UsageError(
-        fmt::format("dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 of 0000",
-                    excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
+    throw UsageError(fmt::format(
+        "dataset.sequence: found '{}', expected a drive of {} ({}), its number, or ks1 to ks4 or kd1 to kd6 "
+        "of 0000",
+        excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
 /// world_from_velo by frame; not every frame has one.
 std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& drive) {
     const fs::path calibration = folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
-    const Pose velo_from_cam0 = read_pose_file(calibration / "calib_cam_to_velo.txt", {0}).front();  // a single line of 12 numbers
+    // a single line of 12 numbers
+    const Pose velo_from_cam0 = read_pose_file(calibration / "calib_cam_to_velo.txt", {0}).front();
     std::map<int, Pose> poses = read_numbered_poses(folder / "data_poses" / drive / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
 }
 
-/// The pose of a frame, or what lies between those before and after it where they are half a second apart at most, or the car stands.
+/// The pose of a frame, or what lies between those before and after it where they are
+/// half a second apart at most, or the car stands.
 std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     constexpr int kNearFrames = 5;
     constexpr double kStanding_m = 0.2;
@@ -77,7 +85,9 @@ std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     if (after == poses.begin()) return std::nullopt;
     const auto before = std::prev(after);
     const int apart = after->first - before->first;
-    if (apart > kNearFrames && glm::distance(before->second.translation, after->second.translation) > kStanding_m) return std::nullopt;
+    if (apart > kNearFrames &&
+        glm::distance(before->second.translation, after->second.translation) > kStanding_m)
+        return std::nullopt;
     return interpolate(before->second, after->second, double(frame - before->first) / apart);
 }
 
@@ -87,21 +97,23 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
     std::vector<int> between, without;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const std::optional<Pose> pose = pose_at(poses, frames[i]);
-        if (!pose)
-            without.push_back(frames[i]);
-        else if (!poses.contains(frames[i]))
-            between.push_back(frames[i]);
+        if (!pose) without.push_back(frames[i]);
+        else if (!poses.contains(frames[i])) between.push_back(frames[i]);
         if (pose) add_frame(sequence, frames[i], time_s[i], *pose);
     }
     if (sequence.frames.empty())
-        throw DataError(fmt::format("{}: none of the frames {} to {} has a pose, expected some between {} and {}", sequence.name,
-                                    frames.front(), frames.back(), poses.begin()->first, poses.rbegin()->first));
+        throw DataError(fmt::format(
+            "{}: none of the frames {} to {} has a pose, expected some between {} and {}", sequence.name,
+            frames.front(), frames.back(), poses.begin()->first, poses.rbegin()->first));
     if (!between.empty())
-        sequence.notes.push_back(fmt::format("frames without a pose, taken between those of their neighbours: {}", list_text(between)));
-    if (!without.empty()) sequence.notes.push_back(fmt::format("frames without a pose, left out: {}", list_text(without)));
+        sequence.notes.push_back(fmt::format(
+            "frames without a pose, taken between those of their neighbours: {}", list_text(between)));
+    if (!without.empty())
+        sequence.notes.push_back(fmt::format("frames without a pose, left out: {}", list_text(without)));
 }
 
-/// Labels of the drive, in train_full where they are there, else in the smaller train. @return empty where it has none
+/// Labels of the drive, in train_full where they are there, else in the smaller train.
+/// @return empty where it has none
 fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
         const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
@@ -110,17 +122,17 @@ fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     return {};
 }
 
-/// Frames with poses and boxes. Boxes are labelled in the world of the dataset's poses: without those there are none.
-void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive, const std::vector<int>& frames,
-                const fs::path& poses_file) {
-    const std::vector<double> time_s = read_times(folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frames);
+/// Frames with poses and boxes. Boxes are labelled in the world of the dataset's poses:
+/// without those there are none.
+void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
+                const std::vector<int>& frames, const fs::path& poses_file) {
+    const std::vector<double> time_s =
+        read_times(folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frames);
     if (poses_file.empty() || path_exists(folder / "data_poses" / drive.name)) {
         add_posed_frames(sequence, frames, time_s, read_velo_poses(folder, drive.name));
         const fs::path labels = find_boxes(folder, drive.name);
-        if (labels.empty())
-            sequence.notes.push_back("no data_3d_bboxes: nothing in this drive is labelled");
-        else
-            sequence.boxes = read_360_boxes(labels, sequence.frames);
+        if (labels.empty()) sequence.notes.push_back("no data_3d_bboxes: nothing in this drive is labelled");
+        else sequence.boxes = read_360_boxes(labels, sequence.frames);
     } else {
         for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], {});
         sequence.notes.push_back("no data_poses: boxes have no place");
@@ -140,7 +152,8 @@ Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
     sequence.name = drive.name;
     sequence.source = given.string();
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the drive's first sweep; world: x east, y north, "
+        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the drive's first "
+        "sweep; world: x east, y north, "
         "z up (Mercator); scans not motion-compensated";
     sequence.notes = drive.notes;
     sequence.test_frames = drive.test_frames;

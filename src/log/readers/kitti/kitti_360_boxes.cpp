@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// data_3d_bboxes of KITTI-360: an XML file of OpenCV, a child of the root for each object, and for each frame of one that moves. The
-// transform takes the cube of edge 1 about the origin to the world: its upper 3x3 block is rotation * diag(length, width, height).
+// data_3d_bboxes of KITTI-360: an XML file of OpenCV, a child of the root for each
+// object, and for each frame of one that moves. The transform takes the cube of edge 1
+// about the origin to the world: its upper 3x3 block is rotation * diag(length, width,
+// height).
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -20,7 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-/// What can move, by KITTI's number of the class; everything else (buildings, ground, poles) belongs to the background.
+/// What can move, by KITTI's number of the class; everything else (buildings, ground,
+/// poles) belongs to the background.
 struct MovableClass {
     int id;
     const char* name;
@@ -32,8 +35,10 @@ constexpr MovableClass kMovable[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// A whole number in a child element; `missing` where there is no such child. @throws DataError where it is none
-int integer_of(const pugi::xml_node& object, const char* field, std::optional<int> missing, const std::string& where) {
+/// A whole number in a child element; `missing` where there is no such child. @throws
+/// DataError where it is none
+int integer_of(const pugi::xml_node& object, const char* field, std::optional<int> missing,
+               const std::string& where) {
     constexpr double kLargest = 1e8;
     const std::string text = object.child_value(field);
     if (text.empty() && missing) return *missing;
@@ -43,7 +48,8 @@ int integer_of(const pugi::xml_node& object, const char* field, std::optional<in
     return static_cast<int>(*value);
 }
 
-/// The class of an object; nothing where it cannot move. Drive 0004 has no numbers, its classes go by their labels.
+/// The class of an object; nothing where it cannot move. Drive 0004 has no numbers, its
+/// classes go by their labels.
 const MovableClass* class_of(const pugi::xml_node& object, const std::string& where) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? integer_of(object, "semanticId", {}, where) : 0;
@@ -56,47 +62,54 @@ const MovableClass* class_of(const pugi::xml_node& object, const std::string& wh
 /// world_from_object times the size, 4x4.
 glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) {
     const pugi::xml_node matrix = object.child("transform");
-    const int rows = integer_of(matrix, "rows", {}, where + ": transform"), cols = integer_of(matrix, "cols", {}, where + ": transform");
+    const int rows = integer_of(matrix, "rows", {}, where + ": transform"),
+              cols = integer_of(matrix, "cols", {}, where + ": transform");
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
-        throw DataError(fmt::format("{}: transform of {} x {} with {} numbers, expected 4 x 4 with 16", where, rows, cols,
+        throw DataError(fmt::format("{}: transform of {} x {} with {} numbers, expected 4 x 4 with 16", where,
+                                    rows, cols,
                                     numbers ? std::to_string(numbers->size()) : "words that are no"));
     constexpr double kLargest = 1e8;
     glm::dmat4 m;
     for (int i = 0; i < 16; ++i) {
         const double value = (*numbers)[std::size_t(i)];
         if (!(std::abs(value) <= kLargest))
-            throw DataError(fmt::format("{}: number {} of transform is {}, expected one within {:.0e}", where, i + 1, value, kLargest));
+            throw DataError(fmt::format("{}: number {} of transform is {}, expected one within {:.0e}", where,
+                                        i + 1, value, kLargest));
         m[i % 4][i / 4] = value;
     }
     return m;
 }
 
-/// Size and pose of the box. A mirrored one has its width flipped, which leaves the box as it is.
+/// Size and pose of the box. A mirrored one has its width flipped, which leaves the box
+/// as it is.
 void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
     glm::dmat3 axes(m);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
-        throw DataError(fmt::format("{}: transform has a size of {} x {} x {} m, expected all above 0", where, label.size_m.x,
-                                    label.size_m.y, label.size_m.z));
+        throw DataError(fmt::format("{}: transform has a size of {} x {} x {} m, expected all above 0", where,
+                                    label.size_m.x, label.size_m.y, label.size_m.z));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
     label.world_from_box = rigid_pose(axes, glm::dvec3(m[3]), where + ": transform");
 }
 
-/// semanticId * 1000 + instanceId, as everywhere in KITTI-360; in drive 0004 the number of the moving thing or of the object.
-std::string track_of(const pugi::xml_node& object, const MovableClass& known, bool moves, const std::string& where) {
+/// semanticId * 1000 + instanceId, as everywhere in KITTI-360; in drive 0004 the number
+/// of the moving thing or of the object.
+std::string track_of(const pugi::xml_node& object, const MovableClass& known, bool moves,
+                     const std::string& where) {
     if (object.child("instanceId").empty())
-        return fmt::format("{}-{}{}", known.name, moves ? "moving-" : "", integer_of(object, moves ? "dynamicSeq" : "index", {}, where));
+        return fmt::format("{}-{}{}", known.name, moves ? "moving-" : "",
+                           integer_of(object, moves ? "dynamicSeq" : "index", {}, where));
     return std::to_string(known.id * 1000LL + integer_of(object, "instanceId", {}, where));
 }
 
 /// Labels of a track by frame, one each.
 using Labels = std::map<int, BoxLabel>;
 
-void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames, std::map<std::string, Labels>& tracks,
-                const std::string& where) {
+void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
+                std::map<std::string, Labels>& tracks, const std::string& where) {
     const MovableClass* known = class_of(object, where);
     if (!known || object.child("transform").empty()) return;
     const int at = integer_of(object, "timestamp", -1, where);
@@ -104,12 +117,14 @@ void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames, 
     const int last = at < 0 ? integer_of(object, "end_frame", {}, where) : at;
     BoxLabel label{track_of(object, *known, at >= 0, where), known->name, {}, 0.0, {}};
     place(label, transform_of(object, where), where);
-    auto frame = std::lower_bound(frames.begin(), frames.end(), first, [](const Frame& f, int number) { return f.index < number; });
+    auto frame = std::lower_bound(frames.begin(), frames.end(), first,
+                                  [](const Frame& f, int number) { return f.index < number; });
     for (; frame != frames.end() && frame->index <= last; ++frame) {
         Labels& track = tracks[label.id];
         if (!track.empty() && track.begin()->second.category != label.category)
-            throw DataError(fmt::format("{}: a {} of track {}, which is a {} elsewhere, expected one class a track", where, label.category,
-                                        label.id, track.begin()->second.category));
+            throw DataError(
+                fmt::format("{}: a {} of track {}, which is a {} elsewhere, expected one class a track",
+                            where, label.category, label.id, track.begin()->second.category));
         label.time_s = frame->time_s;
         track.emplace(frame->index, label);
     }
@@ -121,9 +136,13 @@ std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const st
     pugi::xml_document document;
     const std::string text = read_text(file);
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
-    if (!parsed) throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset, parsed.description()));
+    if (!parsed)
+        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset,
+                                    parsed.description()));
     const pugi::xml_node root = document.child("opencv_storage");
-    if (!root) throw DataError(fmt::format("{}: no element opencv_storage, expected the boxes of KITTI-360", file.string()));
+    if (!root)
+        throw DataError(
+            fmt::format("{}: no element opencv_storage, expected the boxes of KITTI-360", file.string()));
     std::map<std::string, Labels> tracks;
     for (const pugi::xml_node& object : root.children())
         add_object(object, frames, tracks, fmt::format("{}: {}", file.string(), excerpt(object.name())));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI odometry. Poses are of the left camera, z forward; with cam_T_velo (Tr of calib.txt) the LiDAR's are
+// KITTI odometry. Poses are of the left camera, z forward; with cam_T_velo (Tr of
+// calib.txt) the LiDAR's are
 //   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr,   the world being the LiDAR of frame 0, z up.
 #include "log/readers/kitti/kitti_odometry.hpp"
 
@@ -23,27 +24,33 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
     for (const int frame : frames) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size())
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(), frame, line + 1));
+            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(),
+                                        frame, line + 1));
         const auto seconds = parse_number(trimmed(lines[line]));
-        if (!seconds) throw DataError(fmt::format("{} line {}: '{}', expected seconds", file.string(), line + 1, excerpt(lines[line])));
+        if (!seconds)
+            throw DataError(fmt::format("{} line {}: '{}', expected seconds", file.string(), line + 1,
+                                        excerpt(lines[line])));
         time_s.push_back(*seconds);
     }
     return time_s;
 }
 
-/// poses.txt of the sequence, as SemanticKITTI has it, or KITTI's own ../../poses/NN.txt; sequences 11 to 21 have none.
+/// poses.txt of the sequence, as SemanticKITTI has it, or KITTI's own ../../poses/NN.txt;
+/// sequences 11 to 21 have none.
 fs::path find_poses(const fs::path& folder) {
-    const fs::path here = folder / "poses.txt",
-                   beside = folder.parent_path().parent_path() / "poses" / (folder.filename().string() + ".txt");
+    const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
+                                                         (folder.filename().string() + ".txt");
     if (path_exists(here)) return here;
     if (path_exists(beside)) return beside;
-    throw DataError(fmt::format(
-        "{}: no such file, nor {}; expected poses of the camera, dataset.poses=FILE with those of the LiDAR, or dataset.poses=none",
-        here.string(), beside.string()));
+    throw DataError(
+        fmt::format("{}: no such file, nor {}; expected poses of the camera, dataset.poses=FILE with those "
+                    "of the LiDAR, or dataset.poses=none",
+                    here.string(), beside.string()));
 }
 
 /// world_from_sensor of the given frames.
-std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames, const fs::path& poses_file) {
+std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
+                                      const fs::path& poses_file) {
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());
     if (!poses_file.empty()) return kitti::read_pose_file(poses_file, frames);
     const Pose cam_from_velo = kitti::read_transform(folder / "calib.txt", "Tr");
@@ -57,15 +64,18 @@ std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<
 Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& options) {
     check_folder(given, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
     const fs::path folder = fs::canonical(given);
-    const std::vector<int> frames = kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
+    const std::vector<int> frames =
+        kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
     const std::vector<double> time_s = read_seconds(folder / "times.txt", frames);
     const std::vector<Pose> poses = read_odometry_poses(folder, frames, options.poses_file);
     Sequence sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
     sequence.source = given.string();
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans motion-compensated; no boxes";
-    sequence.notes = {"nothing in this log is labelled", "scans are motion-compensated: rays start at the sensor of the reference time"};
+        "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans "
+        "motion-compensated; no boxes";
+    sequence.notes = {"nothing in this log is labelled",
+                      "scans are motion-compensated: rays start at the sensor of the reference time"};
     if (options.poses_file == kNoPoses) sequence.notes.push_back(kitti::kNoPosesNote);
     sequence.rolling_shutter = false;
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI odometry: sequences/NN with velodyne/%06d.bin, calib.txt, times.txt; poses.txt there or poses/NN.txt beside sequences.
+// KITTI odometry: sequences/NN with velodyne/%06d.bin, calib.txt, times.txt; poses.txt
+// there or poses/NN.txt beside sequences.
 #pragma once
 
 #include <filesystem>
@@ -8,8 +9,10 @@
 
 namespace relidar {
 
-/// Reads a sequence. Its scans are motion-compensated: there is no rolling shutter. The dataset's world is the LiDAR of frame 0.
-/// @throws DataError naming file and field, UsageError where no scan lies in the asked frame range
+/// Reads a sequence. Its scans are motion-compensated: there is no rolling shutter. The
+/// dataset's world is the LiDAR of frame 0.
+/// @throws DataError naming file and field, UsageError where no scan lies in the asked
+/// frame range
 Sequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -19,29 +19,34 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr double kLargestCoordinate_m = 1e8;   // of poses as written: UTM has 10^7
-constexpr double kLongestLog_m = 1e5;          // between two poses of a log: cells of 0.1 m (core/cell_key.hpp) reach 105 km
+constexpr double kLargestCoordinate_m = 1e8;  // of poses as written: UTM has 10^7
+// between two poses of a log: cells of 0.1 m (core/cell_key.hpp) reach 105 km
+constexpr double kLongestLog_m = 1e5;
 
 /// @throws DataError where a pose lies where no drive can be
 void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames, const std::string& where) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
-            throw DataError(fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected metres within {}", where, frames[i], t.x,
-                                        t.y, t.z, kLargestCoordinate_m));
+            throw DataError(
+                fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected metres within {}", where,
+                            frames[i], t.x, t.y, t.z, kLargestCoordinate_m));
         if (glm::length(step) > kLongestLog_m)
-            throw DataError(fmt::format("{}: the poses of frames {} and {} are {:.6g} m apart, expected one drive of at most {} m", where,
-                                        frames[0], frames[i], glm::length(step), kLongestLog_m));
+            throw DataError(fmt::format(
+                "{}: the poses of frames {} and {} are {:.6g} m apart, expected one drive of at most {} m",
+                where, frames[0], frames[i], glm::length(step), kLongestLog_m));
     }
 }
 
 std::vector<double> finite_numbers(const std::string& line, std::size_t n, const std::string& where) {
     const auto numbers = parse_numbers(line);
     if (!numbers) throw DataError(fmt::format("{}: a word is no number, expected {} numbers", where, n));
-    if (numbers->size() != n) throw DataError(fmt::format("{}: {} numbers, expected {}", where, numbers->size(), n));
+    if (numbers->size() != n)
+        throw DataError(fmt::format("{}: {} numbers, expected {}", where, numbers->size(), n));
     for (std::size_t i = 0; i < n; ++i) {
         if (!std::isfinite((*numbers)[i])) {
-            throw DataError(fmt::format("{}: number {} is {}, expected a finite value", where, i + 1, (*numbers)[i]));
+            throw DataError(
+                fmt::format("{}: number {} is {}, expected a finite value", where, i + 1, (*numbers)[i]));
         }
     }
     return *numbers;
@@ -50,7 +55,8 @@ std::vector<double> finite_numbers(const std::string& line, std::size_t n, const
 /// 3x4, row-major.
 Pose parse_matrix(const std::string& line, const std::string& where) {
     const std::vector<double> m = finite_numbers(line, 12, where);
-    return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, where);
+    return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]},
+                      where);
 }
 
 fs::path oxts_file(const fs::path& drive, int frame) {
@@ -62,42 +68,48 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
-        throw DataError(fmt::format("{}: latitude {} and longitude {}, expected degrees", file.string(), v[0], v[1]));
+        throw DataError(
+            fmt::format("{}: latitude {} and longitude {}, expected degrees", file.string(), v[0], v[1]));
     }
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
     if (!scale) scale = std::cos(lat);
     return {rotation_of(v[5], v[4], v[3]),
-            {*scale * kEarthRadius_m * lon, *scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
+            {*scale * kEarthRadius_m * lon, *scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)),
+             v[2]}};
 }
 
-/// Smallest frame number with an OXTS file; the Mercator scale and the origin belong to it, whatever frames are loaded.
+/// Smallest frame number with an OXTS file; the Mercator scale and the origin belong to
+/// it, whatever frames are loaded.
 int first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (path_exists(folder)) {
-        for (const fs::path& file : list_folder(folder)) {   // by name: the first is the smallest
+        for (const fs::path& file : list_folder(folder)) {  // by name: the first is the smallest
             const auto number = file_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
         }
     }
     throw DataError(
-        fmt::format("{}: no OXTS files %010d.txt, so the drive has no poses; expected dataset.poses=FILE (12 numbers a line), or "
+        fmt::format("{}: no OXTS files %010d.txt, so the drive has no poses; expected dataset.poses=FILE (12 "
+                    "numbers a line), or "
                     "dataset.poses=none to find them from the scans alone",
                     folder.string()));
 }
 
-/// calib_imu_to_velo.txt of a drive: KITTI puts it one folder up; some keep it in the drive, or as its archive DATE_calib.zip unpacks.
+/// calib_imu_to_velo.txt of a drive: KITTI puts it one folder up; some keep it in the
+/// drive, or as its archive DATE_calib.zip unpacks.
 fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
-    const std::string date = drive.filename().string().substr(0, 10);   // 2011_09_26_drive_0005_sync
+    const std::string date = drive.filename().string().substr(0, 10);  // 2011_09_26_drive_0005_sync
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
-        for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date), fs::path(date + "_calib"),
-                                      fs::path(date + "_calib") / date}) {
+        for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date),
+                                      fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
             if (path_exists(base / inner / name)) return base / inner / name;
         }
     }
     throw DataError(
-        fmt::format("{}: no such file, nor in the drive or in a folder calib, calibration or {}_calib beside or above it; expected KITTI's "
+        fmt::format("{}: no such file, nor in the drive or in a folder calib, calibration or {}_calib beside "
+                    "or above it; expected KITTI's "
                     "calibration of that day, or poses by dataset.poses",
                     (drive.parent_path() / name).string(), date));
 }
@@ -112,14 +124,17 @@ Pose read_calibration(const fs::path& file) {
         if (line.rfind("T:", 0) == 0) t = finite_numbers(line.substr(2), 3, where + " key T");
     }
     if (r.empty() || t.empty()) {
-        throw DataError(fmt::format("{}: no line '{}:', expected the keys R and T", file.string(), r.empty() ? "R" : "T"));
+        throw DataError(fmt::format("{}: no line '{}:', expected the keys R and T", file.string(),
+                                    r.empty() ? "R" : "T"));
     }
-    return rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]}, file.string());
+    return rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]},
+                      file.string());
 }
 
 Pose read_transform(const fs::path& file, const std::string& key) {
     for (const std::string& line : split_lines(read_text(file)))
-        if (line.rfind(key + ":", 0) == 0) return parse_matrix(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
+        if (line.rfind(key + ":", 0) == 0)
+            return parse_matrix(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
     throw DataError(fmt::format("{}: no line '{}:', expected the key with 12 numbers", file.string(), key));
 }
 
@@ -143,7 +158,8 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
     for (const int frame : frames) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size()) {
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(), frame, line + 1));
+            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), lines.size(),
+                                        frame, line + 1));
         }
         const std::string where = fmt::format("{} line {}", file.string(), line + 1);
         poses.push_back(parse_matrix(lines[line], where));
@@ -154,8 +170,9 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
 
 void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
-    PoseTrack given{sequence.world_from_vehicle.time_s, std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    std::vector<int> frames;   // one a pose: LiDARs that sweep together share theirs
+    PoseTrack given{sequence.world_from_vehicle.time_s,
+                    std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
+    std::vector<int> frames;  // one a pose: LiDARs that sweep together share theirs
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);
@@ -173,15 +190,19 @@ std::map<int, Pose> read_numbered_poses(const fs::path& file) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         const std::optional<int> frame = file_number(std::string(line.substr(0, end)));
         if (!frame || (!frames.empty() && *frame <= frames.back()))
-            throw DataError(fmt::format("{}: frame '{}'{}, expected frame numbers that rise", where, excerpt(line.substr(0, end)),
+            throw DataError(fmt::format("{}: frame '{}'{}, expected frame numbers that rise", where,
+                                        excerpt(line.substr(0, end)),
                                         frames.empty() ? "" : fmt::format(" after {}", frames.back())));
         frames.push_back(*frame);
         poses.push_back(parse_matrix(std::string(line.substr(end)), where));
     }
-    if (poses.empty()) throw DataError(fmt::format("{}: empty, expected a frame number and 12 numbers a line", file.string()));
+    if (poses.empty())
+        throw DataError(
+            fmt::format("{}: empty, expected a frame number and 12 numbers a line", file.string()));
     check_extent(poses, frames, file.string());
     std::map<int, Pose> by_frame;
-    for (std::size_t i = 0; i < frames.size(); ++i) by_frame.emplace_hint(by_frame.end(), frames[i], poses[i]);
+    for (std::size_t i = 0; i < frames.size(); ++i)
+        by_frame.emplace_hint(by_frame.end(), frames[i], poses[i]);
     return by_frame;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI raw: the files of a drive. Its scans are not motion-compensated: each ray keeps its own firing time.
+// KITTI raw: the files of a drive. Its scans are not motion-compensated: each ray keeps
+// its own firing time.
 #include "log/readers/kitti/kitti_raw.hpp"
 
 #include <fmt/format.h>
@@ -16,9 +17,12 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames, const fs::path& poses_file) {
-    PoseTrack track{read_times(drive / "velodyne_points/timestamps.txt", frames), std::vector<Pose>(frames.size())};
-    if (poses_file != kNoPoses) track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
+PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames,
+                           const fs::path& poses_file) {
+    PoseTrack track{read_times(drive / "velodyne_points/timestamps.txt", frames),
+                    std::vector<Pose>(frames.size())};
+    if (poses_file != kNoPoses)
+        track.pose = poses_file.empty() ? read_oxts_poses(drive, frames) : read_pose_file(poses_file, frames);
     return track;
 }
 
@@ -27,12 +31,15 @@ std::string describe_poses(const fs::path& poses_file) {
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
-/// What the drive lacks. Scans may be missing in the middle of it (drive 0009 lacks four), labels and poses altogether.
-std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames, const DatasetOptions& options) {
+/// What the drive lacks. Scans may be missing in the middle of it (drive 0009 lacks
+/// four), labels and poses altogether.
+std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames,
+                                    const DatasetOptions& options) {
     std::vector<std::string> notes;
     const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
-    if (!path_exists(drive / "tracklet_labels.xml")) notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
+    if (!path_exists(drive / "tracklet_labels.xml"))
+        notes.push_back("no tracklet_labels.xml: nothing in this drive is labelled");
     if (options.poses_file == kNoPoses) notes.push_back(kNoPosesNote);
     return notes;
 }
@@ -43,13 +50,16 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     check_folder(folder, "a KITTI raw drive (velodyne_points/)");
     if (!path_exists(folder / "velodyne_points")) {
         const std::string stranger = describe_stranger(folder, "velodyne_points");
-        if (!stranger.empty()) throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
+        if (!stranger.empty())
+            throw DataError(fmt::format("{}: no drive, but {}", folder.string(), stranger));
     }
     const fs::path drive = fs::canonical(folder);
     if (drive.parent_path().filename() == "data_3d_raw")
-        throw DataError(fmt::format("{}: a drive of KITTI-360, expected {} with dataset.sequence={}", folder.string(),
-                                    drive.parent_path().parent_path().string(), drive.filename().string()));
-    const std::vector<int> frames = list_scans(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
+        throw DataError(fmt::format("{}: a drive of KITTI-360, expected {} with dataset.sequence={}",
+                                    folder.string(), drive.parent_path().parent_path().string(),
+                                    drive.filename().string()));
+    const std::vector<int> frames =
+        list_scans(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
 
     Sequence sequence;
     sequence.name = drive.filename().string();
@@ -63,7 +73,8 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     sequence.lidars[0].sensor.period_s = read_period(drive);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file);
-    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
+    for (std::size_t i = 0; i < frames.size(); ++i)
+        add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     recentre(sequence);
     sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
     read_sweeps(sequence, drive / "velodyne_points/data", 10, options);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sensor is recovered from its own scans: rings by file order, cones of the beams, the lattice of firings. Then every sweep is put on
-// the rays that were fired.
+// The sensor is recovered from its own scans: rings by file order, cones of the beams,
+// the lattice of firings. Then every sweep is put on the rays that were fired.
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
 #include <algorithm>
@@ -15,13 +15,14 @@
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
-#include "log/readers/kitti/firing_lattice.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/readers/kitti/firing_lattice.hpp"
 
 namespace relidar::kitti {
 namespace {
 
-// The fits are far better than the file's millimetres with a few sweeps; more would only cost time.
+// The fits are far better than the file's millimetres with a few sweeps; more would only
+// cost time.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 constexpr float kAtSensor_m = 1e-3f;
 
@@ -41,19 +42,22 @@ ScanPoints points_of(const RawScan& raw) {
 
 /// Points that are not at the sensor itself, where some writers put missing returns.
 std::size_t count_points(const RawScan& scan) {
-    return static_cast<std::size_t>(
-        std::ranges::count_if(scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
+    return static_cast<std::size_t>(std::ranges::count_if(
+        scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
 }
 
-/// Azimuth at which the last ring of a scan ends, degrees from 0 to 360: rings begin at 0 and rise.
+/// Azimuth at which the last ring of a scan ends, degrees from 0 to 360: rings begin at 0
+/// and rise.
 double end_azimuth_deg(const RawScan& scan) {
     if (scan.points.empty()) return 0.0;
-    if (scan.n_rings > kRings) return 360.0;   // a stray point begins the next ring
-    const double azimuth = std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
+    if (scan.n_rings > kRings) return 360.0;  // a stray point begins the next ring
+    const double azimuth =
+        std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Finds scans that lack most of their points or whole rings. They are broken files: their missing points are no dropped rays.
+/// Finds scans that lack most of their points or whole rings. They are broken files:
+/// their missing points are no dropped rays.
 class WholeScans {
 public:
     explicit WholeScans(const std::vector<RawScan>& raw) {
@@ -66,28 +70,34 @@ public:
 
     /// Returns a note if a scan ends early in one of its last rings, else an empty text.
     std::string note(std::size_t i, const std::string& file) const {
-        constexpr double kEarly_deg = 60.0;   // rings end up to 20 degrees apart on a real drive
+        constexpr double kEarly_deg = 60.0;  // rings end up to 20 degrees apart on a real drive
         const double usual_deg = median_beside(end_deg_, i);
         if (n_points_[i] == 0 || end_deg_[i] + kEarly_deg > usual_deg) return "";
-        return fmt::format("{}: its last ring ends at azimuth {:.0f} degrees, those of the scans beside it at {:.0f}: the file may be cut "
-                           "short, and what is missing counts as dropped rays",
-                           file, end_deg_[i], usual_deg);
+        return fmt::format(
+            "{}: its last ring ends at azimuth {:.0f} degrees, those of the scans beside it at {:.0f}: the "
+            "file may be cut "
+            "short, and what is missing counts as dropped rays",
+            file, end_deg_[i], usual_deg);
     }
 
-    /// @throws DataError if scan i has no return, less than half the points of its neighbours, or ends rings before them
+    /// @throws DataError if scan i has no return, less than half the points of its
+    /// neighbours, or ends rings before them
     void check(std::size_t i, std::size_t n_in_file, const std::string& file) const {
-        constexpr int kMissingRings = 2;   // a beam without any return is no damage
+        constexpr int kMissingRings = 2;  // a beam without any return is no damage
         if (n_points_[i] == 0)
-            throw DataError(fmt::format("{}: all {} points are at the sensor, expected returns", file, n_in_file));
+            throw DataError(
+                fmt::format("{}: all {} points are at the sensor, expected returns", file, n_in_file));
         const std::size_t usual = median_beside(n_points_, i);
         if (2 * n_points_[i] < usual)
-            throw DataError(fmt::format("{}: {} points where the scans beside it have {}, expected a whole sweep: is the file "
-                                        "cut short?",
-                                        file, n_points_[i], usual));
+            throw DataError(fmt::format(
+                "{}: {} points where the scans beside it have {}, expected a whole sweep: is the file "
+                "cut short?",
+                file, n_points_[i], usual));
         if (n_rings_[i] + kMissingRings <= median_beside(n_rings_, i))
-            throw DataError(fmt::format("{}: its points end in ring {}, those of the scans beside it in ring {}, expected a whole "
-                                        "sweep: is the file cut short?",
-                                        file, n_rings_[i], median_beside(n_rings_, i)));
+            throw DataError(fmt::format(
+                "{}: its points end in ring {}, those of the scans beside it in ring {}, expected a whole "
+                "sweep: is the file cut short?",
+                file, n_rings_[i], median_beside(n_rings_, i)));
     }
 
 private:
@@ -109,7 +119,8 @@ private:
     }
 };
 
-/// Intensities of a log that counts to 255 become shares of 255. @return a note, or nothing if they are shares already
+/// Intensities of a log that counts to 255 become shares of 255. @return a note, or
+/// nothing if they are shares already
 /// @throws DataError if they are neither
 std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
@@ -122,35 +133,42 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";
     if (lowest < 0.0f || highest > kBytes || !are_whole)
-        throw DataError(fmt::format("{}: intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder, lowest,
-                                    highest));
+        throw DataError(
+            fmt::format("{}: intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder,
+                        lowest, highest));
     for (RawScan& scan : raw)
         for (glm::vec4& p : scan.points) p.w /= kBytes;
     return fmt::format("intensities are whole numbers up to {}: they are read as shares of 255", highest);
 }
 
-/// Before rays are made: as many as the azimuths say, and no more than the points can be returns of.
+/// Before rays are made: as many as the azimuths say, and no more than the points can be
+/// returns of.
 void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 a sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // whole sweeps have 1.1
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
-            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most {} firings of an HDL-64E", where,
-                        lattice.head.n_ticks, kMostFirings));
+            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most {} "
+                        "firings of an HDL-64E",
+                        where, lattice.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
     for (const RawScan& scan : raw) n_points += scan.points.size();
-    const std::size_t n_rays = raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
+    const std::size_t n_rays =
+        raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
-        throw DataError(
-            fmt::format("{}: {} points in {} sweeps of {} rays, expected whole sweeps", where, n_points, raw.size(), n_rays / raw.size()));
+        throw DataError(fmt::format("{}: {} points in {} sweeps of {} rays, expected whole sweeps", where,
+                                    n_points, raw.size(), n_rays / raw.size()));
 }
 
 }  // namespace
 
-void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits, const DatasetOptions& options) {
+void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
+                 const DatasetOptions& options) {
     const Progress& progress = options.progress;
     BrokenScans broken(options.skip_broken);
-    const auto file_of = [&](std::size_t at) { return folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, digits); };
+    const auto file_of = [&](std::size_t at) {
+        return folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, digits);
+    };
     std::vector<RawScan> raw(sequence.frames.size());
     for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
@@ -159,14 +177,17 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for (std::size_t at = 0; at < raw.size(); ++at)
         broken.attempt(at, [&] {
             whole.check(at, raw[at].points.size(), file_of(at).string());
-            if (std::string note = whole.note(at, file_of(at).string()); !note.empty()) sequence.notes.push_back(std::move(note));
+            if (std::string note = whole.note(at, file_of(at).string()); !note.empty())
+                sequence.notes.push_back(std::move(note));
         });
     for (std::size_t at = 0; at < raw.size(); ++at)
-        if (broken.has(at)) raw[at] = {};   // shapes no beam
-    if (std::string note = scale_intensities(raw, folder.string()); !note.empty()) sequence.notes.push_back(std::move(note));
+        if (broken.has(at)) raw[at] = {};  // shapes no beam
+    if (std::string note = scale_intensities(raw, folder.string()); !note.empty())
+        sequence.notes.push_back(std::move(note));
 
     const Cones cones = fit_cones(spread(raw, kFitScans), folder.string());
-    run_parallel(static_cast<int>(raw.size()), [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
+    run_parallel(static_cast<int>(raw.size()),
+                 [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
     const FiringLattice lattice = fit_lattice(spread(raw, kLatticeScans));
     check_rays(raw, lattice, folder.string());
 
@@ -175,16 +196,19 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
         broken.attempt(at, [&] {
             firings[at] = find_firings(raw[at], lattice);
             if (firings[at].empty())
-                throw DataError(fmt::format("{}: {} points without a firing in common, expected a sweep of an HDL-64E",
-                                            file_of(at).string(), raw[at].points.size()));
+                throw DataError(
+                    fmt::format("{}: {} points without a firing in common, expected a sweep of an HDL-64E",
+                                file_of(at).string(), raw[at].points.size()));
         });
     });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = lattice.beams(cones);
-    for (const auto& sweep : firings) sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
+    for (const auto& sweep : firings)
+        sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     for_each_told(raw.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
-        if (!broken.has(at)) sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
+        if (!broken.has(at))
+            sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
         raw[at] = {};
     });
     broken.leave_out(sequence);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Timestamp files of a KITTI raw drive: line i belongs to scan number i, and is empty where that scan is missing.
+// Timestamp files of a KITTI raw drive: line i belongs to scan number i, and is empty
+// where that scan is missing.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -19,28 +20,38 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-/// Days from 1970-01-01 in the Gregorian calendar (leap years: divisible by 4, not by 100 unless by 400).
+/// Days from 1970-01-01 in the Gregorian calendar (leap years: divisible by 4, not by 100
+/// unless by 400).
 std::int64_t days_of(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
     const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;  // 477 up to 1969
-    return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] + (leap && month > 2) + day - 1;
+    return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] +
+           (leap && month > 2) + day - 1;
 }
 
-/// Nanoseconds since 1970 of "YYYY-MM-DD HH:MM:SS.nnnnnnnnn"; they fit 64 bits up to the year 2261.
+/// Nanoseconds since 1970 of "YYYY-MM-DD HH:MM:SS.nnnnnnnnn"; they fit 64 bits up to the
+/// year 2261.
 std::int64_t parse_timestamp(const std::string& line, const std::string& where) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
-    const int n = std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
-    const auto second = n == 5 && used > 0 ? parse_number(trimmed(line.substr(static_cast<std::size_t>(used)))) : std::nullopt;
-    const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 && month >= 1 && month <= 12 && day >= 1 &&
-                      day <= 31 && hour >= 0 && hour < 24 && minute >= 0 && minute < 60;
-    if (!sane) throw DataError(fmt::format("{}: '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn of 1970 to 2199", where, excerpt(line)));
+    const int n =
+        std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
+    const auto second = n == 5 && used > 0
+                            ? parse_number(trimmed(line.substr(static_cast<std::size_t>(used))))
+                            : std::nullopt;
+    const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 &&
+                      month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
+                      minute >= 0 && minute < 60;
+    if (!sane)
+        throw DataError(fmt::format("{}: '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn of 1970 to 2199", where,
+                                    excerpt(line)));
     const std::int64_t minutes = (days_of(year, month, day) * 24 + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-/// Time of each line, nothing where it is empty. @throws DataError where no line has a time
+/// Time of each line, nothing where it is empty. @throws DataError where no line has a
+/// time
 std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
@@ -58,19 +69,22 @@ std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) 
 
 std::vector<double> read_times(const fs::path& file, const std::vector<int>& frames) {
     const std::vector<std::optional<std::int64_t>> time_ns = parse_timestamps(file);
-    const std::int64_t first_ns = **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
+    const std::int64_t first_ns =
+        **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
     std::vector<double> time_s;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const std::size_t line = static_cast<std::size_t>(frames[i]);
         if (line >= time_ns.size())
-            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), time_ns.size(), frames[i], line + 1));
+            throw DataError(fmt::format("{}: {} lines, frame {} needs line {}", file.string(), time_ns.size(),
+                                        frames[i], line + 1));
         if (!time_ns[line])
             throw DataError(
-                fmt::format("{} line {}: empty, expected the time of frame {}, whose scan is there", file.string(), line + 1, frames[i]));
+                fmt::format("{} line {}: empty, expected the time of frame {}, whose scan is there",
+                            file.string(), line + 1, frames[i]));
         time_s.push_back(static_cast<double>(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
-            throw DataError(
-                fmt::format("{} line {}: not later than that of frame {}, expected rising times", file.string(), line + 1, frames[i - 1]));
+            throw DataError(fmt::format("{} line {}: not later than that of frame {}, expected rising times",
+                                        file.string(), line + 1, frames[i - 1]));
     }
     return time_s;
 }
@@ -79,10 +93,12 @@ namespace {
 
 /// @param lasts_s  times that sweeps took
 double median_period(std::vector<double> lasts_s, const fs::path& file) {
-    std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2), lasts_s.end());
+    std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2),
+                     lasts_s.end());
     const double period_s = lasts_s[lasts_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0)) {
-        throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 ... 1 s", file.string(), period_s));
+        throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 ... 1 s",
+                                    file.string(), period_s));
     }
     return period_s;
 }
@@ -91,13 +107,15 @@ double median_period(std::vector<double> lasts_s, const fs::path& file) {
 
 double read_period(const fs::path& drive) {
     const fs::path file = drive / "velodyne_points/timestamps_end.txt";
-    const auto start = parse_timestamps(drive / "velodyne_points/timestamps_start.txt"), end = parse_timestamps(file);
+    const auto start = parse_timestamps(drive / "velodyne_points/timestamps_start.txt"),
+               end = parse_timestamps(file);
     std::vector<double> lasts_s;
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i) {
         if (start[i] && end[i]) lasts_s.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
     }
     if (lasts_s.empty())
-        throw DataError(fmt::format("{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
+        throw DataError(fmt::format(
+            "{}: no line with a time here and in timestamps_start.txt, expected one a sweep", file.string()));
     return median_period(std::move(lasts_s), file);
 }
 
@@ -105,10 +123,12 @@ double read_step(const fs::path& file) {
     const auto time_ns = parse_timestamps(file);
     std::vector<double> lasts_s;
     for (std::size_t i = 1; i < time_ns.size(); ++i) {
-        if (time_ns[i - 1] && time_ns[i]) lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
+        if (time_ns[i - 1] && time_ns[i])
+            lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
     }
     if (lasts_s.empty())
-        throw DataError(fmt::format("{}: no two lines with times that follow one another, expected a time a sweep", file.string()));
+        throw DataError(fmt::format(
+            "{}: no two lines with times that follow one another, expected a time a sweep", file.string()));
     return median_period(std::move(lasts_s), file);
 }
 

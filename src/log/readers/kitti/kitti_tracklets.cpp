@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// tracklet_labels.xml, a boost archive: item = object, its poses in the sensor frame of frame first_frame + k, origin at
-// the centre of the box's bottom face, so centre = t + R (0, 0, h/2). Labels belong to the forward-facing moment.
+// tracklet_labels.xml, a boost archive: item = object, its poses in the sensor frame of
+// frame first_frame + k, origin at the centre of the box's bottom face, so centre = t + R
+// (0, 0, h/2). Labels belong to the forward-facing moment.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -17,13 +18,14 @@ namespace {
 
 constexpr double kLargestOfLabel = 1e6;  // of any number of a label: metres, radians, frames
 
-/// Number in a child element. @throws DataError naming track and field where it is missing or no number a label can have
+/// Number in a child element. @throws DataError naming track and field where it is
+/// missing or no number a label can have
 double number_of(const pugi::xml_node& node, const char* field, const std::string& where) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trimmed(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
-        throw DataError(
-            fmt::format("{}: {} is '{}', expected a finite number within {:.0e}", where, field, excerpt(text), kLargestOfLabel));
+        throw DataError(fmt::format("{}: {} is '{}', expected a finite number within {:.0e}", where, field,
+                                    excerpt(text), kLargestOfLabel));
     }
     return *value;
 }
@@ -32,22 +34,24 @@ double number_of(const pugi::xml_node& node, const char* field, const std::strin
 Pose sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& where) {
     const auto get = [&](const char* field) { return number_of(item, field, where); };
     const glm::dquat rotation = rotation_of(get("rz"), get("ry"), get("rx"));
-    return {rotation, glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * height_m)};
+    return {rotation,
+            glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * height_m)};
 }
 
-BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames, const PoseTrack& world_from_sensor,
-                    const std::string& where) {
+BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
+                    const PoseTrack& world_from_sensor, const std::string& where) {
     BoxTrack track;
     track.category = item.child_value("objectType");
     track.size_m = {number_of(item, "l", where), number_of(item, "w", where), number_of(item, "h", where)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
-        throw DataError(
-            fmt::format("{}: size l {} w {} h {} m, expected all above 0", where, track.size_m.x, track.size_m.y, track.size_m.z));
+        throw DataError(fmt::format("{}: size l {} w {} h {} m, expected all above 0", where, track.size_m.x,
+                                    track.size_m.y, track.size_m.z));
     }
     int frame = static_cast<int>(number_of(item, "first_frame", where));
     for (const pugi::xml_node& pose : item.child("poses").children("item")) {
         const auto found = std::lower_bound(frames.begin(), frames.end(), frame);
-        const Pose in_sensor = sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", where, frame));
+        const Pose in_sensor =
+            sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", where, frame));
         ++frame;
         if (found == frames.end() || *found != frame - 1) continue;
         const std::size_t at = static_cast<std::size_t>(found - frames.begin());
@@ -65,16 +69,20 @@ std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const st
     const std::string text = read_text(file);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
-    if (!parsed) throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset, parsed.description()));
+    if (!parsed)
+        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset,
+                                    parsed.description()));
     const pugi::xml_node tracklets = document.child("boost_serialization").child("tracklets");
     if (!tracklets) {
-        throw DataError(fmt::format("{}: no element boost_serialization/tracklets, expected KITTI tracklets", file.string()));
+        throw DataError(fmt::format("{}: no element boost_serialization/tracklets, expected KITTI tracklets",
+                                    file.string()));
     }
     std::vector<BoxTrack> tracks;
     int number = 0;
     for (const pugi::xml_node& item : tracklets.children("item")) {
         const std::string id = std::to_string(number++);
-        BoxTrack track = read_track(item, frames, world_from_sensor, fmt::format("{}: track {}", file.string(), id));
+        BoxTrack track =
+            read_track(item, frames, world_from_sensor, fmt::format("{}: track {}", file.string(), id));
         track.id = id;
         if (!track.world_from_box.pose.empty()) tracks.push_back(std::move(track));
     }

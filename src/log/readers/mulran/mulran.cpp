@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// MulRan. A file has all points of a turn, 64 beams x 1024 columns, zeros where nothing came back: the place of a point in the file tells
-// beam and time. Which of the two counts faster is seen in the points. The LiDAR looks backward; its frame is turned by half a turn here.
+// MulRan. A file has all points of a turn, 64 beams x 1024 columns, zeros where nothing
+// came back: the place of a point in the file tells beam and time. Which of the two
+// counts faster is seen in the points. The LiDAR looks backward; its frame is turned by
+// half a turn here.
 #include "log/readers/mulran/mulran.hpp"
 
 #include <cmath>
@@ -10,8 +12,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
-#include "log/clouds/sweep_poses.hpp"
 #include "log/clouds/stamped_log.hpp"
+#include "log/clouds/sweep_poses.hpp"
 
 namespace relidar {
 namespace {
@@ -21,21 +23,28 @@ namespace fs = std::filesystem;
 constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kTurn_s = 0.1;
 constexpr double kNanosecond = 1e-9;
-constexpr double kMostGap_s = 0.5;             // between poses, which come 100 times a second
-constexpr double kLeastRange_m = 2.0;          // of points whose elevation says their beam: those start a centimetre from the axis
-constexpr double kMostSpread_rad = kPi / 180.0;   // of the elevations of a beam
-constexpr double kForward = 0.9;               // of Driving::mean along x
+constexpr double kMostGap_s = 0.5;  // between poses, which come 100 times a second
+// of points whose elevation says their beam: those start a centimetre from the axis
+constexpr double kLeastRange_m = 2.0;
+constexpr double kMostSpread_rad = kPi / 180.0;  // of the elevations of a beam
+constexpr double kForward = 0.9;                 // of Driving::mean along x
 
-/// Where the LiDAR is mounted, as the makers of the dataset give it: metres, roll, pitch and yaw in degrees.
+/// Where the LiDAR is mounted, as the makers of the dataset give it: metres, roll, pitch
+/// and yaw in degrees.
 constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
 /// How points of a turn follow each other.
 enum class MulranOrder { by_column, by_beam };
 
-std::size_t beam_at(std::size_t i, MulranOrder order) { return order == MulranOrder::by_column ? i % kBeams : i / kColumns; }
-std::size_t column_at(std::size_t i, MulranOrder order) { return order == MulranOrder::by_column ? i / kBeams : i % kColumns; }
+std::size_t beam_at(std::size_t i, MulranOrder order) {
+    return order == MulranOrder::by_column ? i % kBeams : i / kColumns;
+}
+std::size_t column_at(std::size_t i, MulranOrder order) {
+    return order == MulranOrder::by_column ? i / kBeams : i % kColumns;
+}
 
-/// Standard deviation of the elevations of a beam, of all beams together; infinite without points.
+/// Standard deviation of the elevations of a beam, of all beams together; infinite
+/// without points.
 double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
     const std::vector<double>&x = *table.find({"x"}), &y = *table.find({"y"}), &z = *table.find({"z"});
     struct Sums {
@@ -56,7 +65,8 @@ double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
 
 void check_points(const folder::PointTable& table, const std::string& where) {
     if (table.n != kBeams * kColumns)
-        throw DataError(fmt::format("{}: {} points, expected {} x {}, zeros where nothing came back", where, table.n, kBeams, kColumns));
+        throw DataError(fmt::format("{}: {} points, expected {} x {}, zeros where nothing came back", where,
+                                    table.n, kBeams, kColumns));
 }
 
 /// By the first scan that can be read.
@@ -67,13 +77,15 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
             table = folder::read_point_file(file, {});
             check_points(table, file.string());
         } catch (const DataError&) {
-            continue;   // told where the scan is read
+            continue;  // told where the scan is read
         }
-        const double by_column = spread_of_beams(table, MulranOrder::by_column), by_beam = spread_of_beams(table, MulranOrder::by_beam);
+        const double by_column = spread_of_beams(table, MulranOrder::by_column),
+                     by_beam = spread_of_beams(table, MulranOrder::by_beam);
         if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
-            throw DataError(fmt::format("{}: points of a beam are {:.1f} degrees of elevation apart, expected less than {:.0f}: all "
-                                        "beams of a column after each other, or all columns of a beam",
-                                        file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi));
+            throw DataError(fmt::format(
+                "{}: points of a beam are {:.1f} degrees of elevation apart, expected less than {:.0f}: all "
+                "beams of a column after each other, or all columns of a beam",
+                file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi));
         return by_column <= by_beam ? MulranOrder::by_column : MulranOrder::by_beam;
     }
     return MulranOrder::by_column;
@@ -90,18 +102,22 @@ void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std
     }
 }
 
-PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log, std::vector<std::string>& notes) {
+PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log,
+                            std::vector<std::string>& notes) {
     PoseTrack track;
     for (const stamped::StampedRow& row : stamped::read_rows(file, 12)) {
         const std::vector<double>& m = row.values;
         track.time_s.push_back(log.seconds(row.stamp));
-        track.pose.push_back(rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]}, row.where));
+        track.pose.push_back(rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                                        {m[3], m[7], m[11]}, row.where));
     }
     const glm::dvec3 driven = stamped::find_driving(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
-        notes.push_back(fmt::format("poses: the vehicle drives along ({:.2f}, {:.2f}, {:.2f}) of its own frame on average, expected nearly "
-                                    "(1, 0, 0); dataset.poses=none finds poses from the scans",
-                                    driven.x, driven.y, driven.z));
+        notes.push_back(
+            fmt::format("poses: the vehicle drives along ({:.2f}, {:.2f}, {:.2f}) of its own frame on "
+                        "average, expected nearly "
+                        "(1, 0, 0); dataset.poses=none finds poses from the scans",
+                        driven.x, driven.y, driven.z));
     return track;
 }
 
@@ -116,8 +132,9 @@ Pose mounting() {
 fs::path scans_folder(const fs::path& folder) {
     for (const char* scans : {"Ouster", "sensor_data/Ouster"})
         if (path_exists(folder / scans)) return folder / scans;
-    throw DataError(fmt::format("{}: neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of them",
-                                folder.string()));
+    throw DataError(fmt::format(
+        "{}: neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of them",
+        folder.string()));
 }
 
 stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::path>& files) {
@@ -128,8 +145,12 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
     format.turn_s = kTurn_s;
     format.turned_rad = kPi;
     const MulranOrder order = find_order(files);
-    sequence.notes.push_back("points have no times: they are taken by their place in the file, the middle of the turn at the stamp");
-    format.complete = [order](folder::PointTable& table, const std::string& where) { add_beams_and_times(table, order, where); };
+    sequence.notes.push_back(
+        "points have no times: they are taken by their place in the file, the middle of the turn at the "
+        "stamp");
+    format.complete = [order](folder::PointTable& table, const std::string& where) {
+        add_beams_and_times(table, order, where);
+    };
     return format;
 }
 
@@ -142,12 +163,16 @@ Sequence load_mulran(const fs::path& given, const DatasetOptions& options) {
     sequence.name = "MulRan " + folder.filename().string();
     sequence.source = given.string();
     sequence.notes = {"nothing in this log is labelled"};
-    sequence.conventions = "vehicle x forward, y left, z up; LiDAR likewise (MulRan: x backward); metres; seconds after the log's first "
-                           "scan; time = middle of the turn; points as they were measured; world: that of global_pose.csv";
-    stamped::StampedLog log{kNanosecond, stamped::list_scans(scans_folder(folder)), {}, folder / "global_pose.csv", kMostGap_s,
-                            0.5 * kTurn_s};
+    sequence.conventions =
+        "vehicle x forward, y left, z up; LiDAR likewise (MulRan: x backward); metres; seconds after the "
+        "log's first "
+        "scan; time = middle of the turn; points as they were measured; world: that of global_pose.csv";
+    stamped::StampedLog log{kNanosecond, stamped::list_scans(scans_folder(folder)),
+                            {},          folder / "global_pose.csv",
+                            kMostGap_s,  0.5 * kTurn_s};
     stamped::check_poses(log.poses_file, options);
-    if (options.poses_file.empty()) log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
+    if (options.poses_file.empty())
+        log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
     Lidar& lidar = sequence.lidars[0];
     lidar.vehicle_from_sensor = mounting();
     lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
@@ -156,8 +181,10 @@ Sequence load_mulran(const fs::path& given, const DatasetOptions& options) {
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shifted_track(log.world_from_vehicle, -sequence.world_offset_m);
-        const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };   // add_frames() has seen that it is covered
-        if (std::string note = bag::place_rays(sequence, pose_at); !note.empty()) sequence.notes.push_back(std::move(note));
+        // add_frames() has seen that it is covered
+        const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
+        if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
+            sequence.notes.push_back(std::move(note));
     }
     return sequence;
 }

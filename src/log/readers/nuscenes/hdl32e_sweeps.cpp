@@ -11,8 +11,8 @@
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
-#include "log/clouds/broken_scans.hpp"
 #include "log/clouds/arrange_firings.hpp"
+#include "log/clouds/broken_scans.hpp"
 
 namespace relidar::nuscenes {
 namespace {
@@ -21,18 +21,23 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-constexpr double kNoReturn_m = 1.0;  // nearer than this nothing was measured: such points were at the origin before they were compensated
+// nearer than this nothing was measured: such points were at the origin before they were
+// compensated
+constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
-/// Points of a file on their rings and columns, in the LiDAR's frame at the moment of each.
+/// Points of a file on their rings and columns, in the LiDAR's frame at the moment of
+/// each.
 struct ReadSweep {
     ScanPoints points;
     Sweep sweep;
 };
 
-/// Leaves out what was not measured: points that were at the LiDAR before the dataset moved them.
-/// @param points  in the LiDAR's frame at the moment of each @param numbers  of their columns
+/// Leaves out what was not measured: points that were at the LiDAR before the dataset
+/// moved them.
+/// @param points  in the LiDAR's frame at the moment of each @param numbers  of their
+/// columns
 void leave_out_unmeasured(ScanPoints& points, std::vector<int>& numbers) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -43,14 +48,18 @@ void leave_out_unmeasured(ScanPoints& points, std::vector<int>& numbers) {
         points.time_offset_s[n] = points.time_offset_s[i];
         numbers[n++] = numbers[i];
     }
-    points.point_m.resize(n), points.intensity.resize(n), points.ring.resize(n), points.time_offset_s.resize(n), numbers.resize(n);
+    points.point_m.resize(n), points.intensity.resize(n), points.ring.resize(n),
+        points.time_offset_s.resize(n), numbers.resize(n);
 }
 
-ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
+ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
+                     double time_s) {
     const std::string bytes = read_file(file);
-    if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 || bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
-        throw DataError(fmt::format("{}: {} bytes, expected columns of {} points of {} bytes, 1 to {} of them", file.string(), bytes.size(),
-                                    kBeams, kPointBytes, kMostColumnsOfSweep));
+    if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
+        bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
+        throw DataError(
+            fmt::format("{}: {} bytes, expected columns of {} points of {} bytes, 1 to {} of them",
+                        file.string(), bytes.size(), kBeams, kPointBytes, kMostColumnsOfSweep));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     ReadSweep read;
     std::vector<int> numbers;
@@ -59,10 +68,12 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
         std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
         const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
         if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
-            throw DataError(fmt::format("{}: point {} at ({}, {}, {}), intensity {}, expected metres within {}", file.string(), i, v[0],
-                                        v[1], v[2], v[3], kFarthestOfSweep_m));
+            throw DataError(
+                fmt::format("{}: point {} at ({}, {}, {}), intensity {}, expected metres within {}",
+                            file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m));
         if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
-            throw DataError(fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
+            throw DataError(
+                fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
         if (range_m == 0.0) continue;
         const std::size_t column = i / kBeams;
         read.points.point_m.emplace_back(v[1], -v[0], v[2]);
@@ -73,7 +84,8 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
     }
     undo_compensation(read.points, world_from_sensor, time_s);
     leave_out_unmeasured(read.points, numbers);
-    if (read.points.size() == 0) throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
+    if (read.points.size() == 0)
+        throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
     read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;
 }
@@ -85,12 +97,14 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
     for (std::size_t row = 0; row < kBeams; ++row)
-        sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});  // nominal: +10.67 to -30.67 degrees
+        // nominal: +10.67 to -30.67 degrees
+        sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
     const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
     return {"", sensor, ego_from_lidar * theirs_from_ours};
 }
 
-void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, const PoseTrack& own, const DatasetOptions& options) {
+void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, const PoseTrack& own,
+                        const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars]
     for (const Lidar& lidar : sequence.lidars) ways.push_back(moved_track(own, lidar.vehicle_from_sensor));
@@ -98,7 +112,8 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, 
     for_each_told(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const Frame& frame = sequence.frames[at];
         broken.attempt(at, [&] {
-            sweeps[at] = read_sweep(files[at], sequence.lidar_of(frame).sensor, ways[std::size_t(frame.lidar)], frame.time_s);
+            sweeps[at] = read_sweep(files[at], sequence.lidar_of(frame).sensor,
+                                    ways[std::size_t(frame.lidar)], frame.time_s);
         });
     });
     for (std::size_t at = 0; at < sweeps.size(); ++at) {
@@ -106,12 +121,13 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, 
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
-    for_each_told(sweeps.size(), options.progress, "putting points on the rays that were fired", [&](std::size_t at) {
-        if (broken.has(at)) return;
-        Frame& frame = sequence.frames[at];
-        frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
-        sweeps[at] = {};
-    });
+    for_each_told(
+        sweeps.size(), options.progress, "putting points on the rays that were fired", [&](std::size_t at) {
+            if (broken.has(at)) return;
+            Frame& frame = sequence.frames[at];
+            frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
+            sweeps[at] = {};
+        });
     broken.leave_out(sequence);
 }
 

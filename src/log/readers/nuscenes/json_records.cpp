@@ -18,7 +18,8 @@ constexpr double kLargestWhole = 9007199254740992.0;  // up to which a double ho
 /// Cuts the text of a table into its objects, block by block.
 class RecordSplitter {
 public:
-    explicit RecordSplitter(const std::filesystem::path& file) : name_(file.string()), in_(file, std::ios::binary) {
+    explicit RecordSplitter(const std::filesystem::path& file)
+        : name_(file.string()), in_(file, std::ios::binary) {
         if (!path_exists(file)) throw DataError(name_ + ": no such file");
         if (!in_) throw DataError(name_ + ": cannot be read");
     }
@@ -36,18 +37,17 @@ public:
                 continue;
             }
             record += c;
-            if (record.size() > kLongestRecord) throw DataError(fmt::format("{}: an object of more than {} bytes", name_, kLongestRecord));
+            if (record.size() > kLongestRecord)
+                throw DataError(fmt::format("{}: an object of more than {} bytes", name_, kLongestRecord));
             if (quoted) {
                 if (!escaped && c == '"') quoted = false;
                 escaped = !escaped && c == '\\';
-            } else if (c == '"')
-                quoted = true;
-            else if (c == '{' || c == '[')
-                ++depth;
-            else if ((c == '}' || c == ']') && --depth == 0)
-                return true;
+            } else if (c == '"') quoted = true;
+            else if (c == '{' || c == '[') ++depth;
+            else if ((c == '}' || c == ']') && --depth == 0) return true;
         }
-        if (depth > 0 || !closed_) throw DataError(fmt::format("{}: cut short, expected an array of objects", name_));
+        if (depth > 0 || !closed_)
+            throw DataError(fmt::format("{}: cut short, expected an array of objects", name_));
         return false;
     }
 
@@ -73,12 +73,11 @@ private:
     bool between(char c) {
         if (c == '{' && opened_ && !closed_) return true;
         const bool blank = c == ' ' || c == '\n' || c == '\r' || c == '\t';
-        if (c == '[' && !opened_)
-            opened_ = true;
-        else if (c == ']' && opened_ && !closed_)
-            closed_ = true;
+        if (c == '[' && !opened_) opened_ = true;
+        else if (c == ']' && opened_ && !closed_) closed_ = true;
         else if (!blank && !(c == ',' && opened_ && !closed_))
-            throw DataError(fmt::format("{}: '{}' between objects, expected an array of objects", name_, excerpt({&c, 1})));
+            throw DataError(fmt::format("{}: '{}' between objects, expected an array of objects", name_,
+                                        excerpt({&c, 1})));
         return false;
     }
 };
@@ -100,7 +99,8 @@ void JsonRecord::numbers(std::string_view key, std::size_t n, double* out) const
     const auto list = value<simdjson::dom::array>(key, "numbers");
     if (list.size() != n) fail(key, n == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
-        if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");  // JSON has none that is not finite
+        // JSON has none that is not finite
+        if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");
 }
 
 std::string JsonRecord::text(std::string_view key) const {
@@ -113,9 +113,7 @@ std::int64_t JsonRecord::rounded(std::string_view key) const {
     return std::llround(number);
 }
 
-bool JsonRecord::boolean(std::string_view key) const {
-    return value<bool>(key, "true or false");
-}
+bool JsonRecord::boolean(std::string_view key) const { return value<bool>(key, "true or false"); }
 
 glm::dvec3 JsonRecord::vector(std::string_view key) const {
     glm::dvec3 v;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables as JSON files: an array of objects, read one at a time, since a table may be a gigabyte.
+// Tables as JSON files: an array of objects, read one at a time, since a table may be a
+// gigabyte.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +15,8 @@
 
 namespace relidar {
 
-/// One object of a table, while it is read. What is missing or of another type is a DataError naming file, record and key.
+/// One object of a table, while it is read. What is missing or of another type is a
+/// DataError naming file, record and key.
 class JsonRecord {
 public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
@@ -39,7 +41,8 @@ private:
     void numbers(std::string_view key, std::size_t n, double* out) const;
 };
 
-/// Reads every object of a table. @throws DataError naming the file: no array of objects, malformed, an object of more than 1 MB
+/// Reads every object of a table. @throws DataError naming the file: no array of objects,
+/// malformed, an object of more than 1 MB
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);
 
 }  // namespace relidar

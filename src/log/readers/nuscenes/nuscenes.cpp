@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes and the datasets that have its tables. What differs is how files hold points, which their endings tell.
+// nuScenes and the datasets that have its tables. What differs is how files hold points,
+// which their endings tell.
 #include "log/readers/nuscenes/nuscenes.hpp"
 
 #include <algorithm>
@@ -13,9 +14,9 @@
 #include "base/files.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/sweeps_beside.hpp"
 #include "log/readers/nuscenes/hdl32e_sweeps.hpp"
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
-#include "log/clouds/sweeps_beside.hpp"
 
 namespace relidar {
 namespace {
@@ -23,28 +24,33 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-constexpr double kBeside = 0.6;         // steps: a LiDAR's sweep from that of the LiDAR that numbers the frames
-constexpr double kBeyondLabels = 0.5;   // steps: a box from its first and last label, whose times are near those of sweeps
+constexpr double kBeside = 0.6;  // steps: a LiDAR's sweep from that of the LiDAR that numbers the frames
+// steps: a box from its first and last label, whose times are near those of sweeps
+constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-constexpr double kTurnOfLyft_s = 0.1;   // assumed: sweeps are 5 a second, and such LiDARs turn ten times
-constexpr double kStampsApart_s = 1e-3; // of LiDARs that sweep together, worth a note where points have no times
+constexpr double kTurnOfLyft_s = 0.1;  // assumed: sweeps are 5 a second, and such LiDARs turn ten times
+// of LiDARs that sweep together, worth a note where points have no times
+constexpr double kStampsApart_s = 1e-3;
 
 /// Which dataset it is, by the ending of its LiDARs' files.
 struct Format {
     const char* ending;
     const char* dataset;
-    const char* conventions;   ///< beside metres, seconds and the vehicle's axes
-    bool is_compensated;       ///< columns of one HDL-32E, moved to the end of their turn
-    bool has_times;            ///< of points
+    const char* conventions;  ///< beside metres, seconds and the vehicle's axes
+    bool is_compensated;      ///< columns of one HDL-32E, moved to the end of their turn
+    bool has_times;           ///< of points
 };
 constexpr Format kFormats[] = {
     {".pcd.bin", "nuScenes",
-     "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the turn; world: the map's frame; motion compensation "
+     "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the turn; world: the map's "
+     "frame; motion compensation "
      "undone",
      true, false},
-    {".pcd", "TruckScenes", "LiDARs' own frames; points as they were measured; time = stamp of the first LiDAR; world: UTM 32U", false,
-     true},
-    {".bin", "Lyft Level 5", "LiDARs' own frames; points as they are; time = stamp of the first LiDAR; world: the map's frame", false,
+    {".pcd", "TruckScenes",
+     "LiDARs' own frames; points as they were measured; time = stamp of the first LiDAR; world: UTM 32U",
+     false, true},
+    {".bin", "Lyft Level 5",
+     "LiDARs' own frames; points as they are; time = stamp of the first LiDAR; world: the map's frame", false,
      false},
 };
 
@@ -59,7 +65,8 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
         if (!path_exists(tables / "scene.json")) continue;
         for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
     }
-    if (scenes.empty()) throw DataError(fmt::format("{}: no scene, expected some in */scene.json", folder.string()));
+    if (scenes.empty())
+        throw DataError(fmt::format("{}: no scene, expected some in */scene.json", folder.string()));
     return scenes;
 }
 
@@ -72,17 +79,20 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
     std::vector<const SceneName*> begin_so;
     for (const SceneName& scene : scenes) {
         if (scene.name == named) return scene;
-        if (scene.name.starts_with(wanted) || scene.name.starts_with("scene-" + wanted)) begin_so.push_back(&scene);
+        if (scene.name.starts_with(wanted) || scene.name.starts_with("scene-" + wanted))
+            begin_so.push_back(&scene);
         if (names.size() < 400) names += (names.empty() ? "" : ", ") + excerpt(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
-    throw UsageError(fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(wanted),
-                                 begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin so", begin_so.size()), scenes.size(),
-                                 names));
+    throw UsageError(
+        fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(wanted),
+                    begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin so", begin_so.size()),
+                    scenes.size(), names));
 }
 
 /// Boxes at the times of frames, between the keyframes at which they were labelled.
-std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s, double beyond_s) {
+std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
+                               double beyond_s) {
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& labelled : tracks_of(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
@@ -99,8 +109,8 @@ std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::v
 
 /// A sweep of a LiDAR among the frames.
 struct NumberedSweep {
-    int number = 0;          ///< of the sweep of the first LiDAR that it goes with
-    std::size_t lidar = 0;   ///< in SceneTables::lidars
+    int number = 0;         ///< of the sweep of the first LiDAR that it goes with
+    std::size_t lidar = 0;  ///< in SceneTables::lidars
     const SweepRecord* record = nullptr;
 };
 
@@ -113,16 +123,18 @@ public:
           scene_(read_scene(chosen_.tables, chosen_.name)),
           format_(format_of(scene_.lidars[0].sweeps[0].file)),
           split_(split_of(chosen_.tables)) {
-        for (const SweepRecord& sweep : scene_.lidars[0].sweeps) main_s_.push_back(scene_.seconds(sweep.time_us));
+        for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
+            main_s_.push_back(scene_.seconds(sweep.time_us));
         step_s_ = usual_step_s(main_s_);
     }
 
     Sequence load() {
         sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
         sequence_.source = folder_.string();
-        sequence_.conventions = fmt::format("vehicle x forward, y left, z up; metres; seconds after the scene's first sweep; boxes "
-                                            "interpolated between keyframes; {}",
-                                            format_.conventions);
+        sequence_.conventions = fmt::format(
+            "vehicle x forward, y left, z up; metres; seconds after the scene's first sweep; boxes "
+            "interpolated between keyframes; {}",
+            format_.conventions);
         choose_lidars();
         find_frames();
         const PoseTrack own = add_frames();
@@ -132,10 +144,8 @@ public:
         recentre(sequence_);
         std::vector<fs::path> files;
         for (const NumberedSweep& frame : frames_) files.push_back(file_of(*frame.record));
-        if (format_.is_compensated)
-            read_hdl32e_sweeps(sequence_, files, own, options_);
-        else
-            read_clouds(files);
+        if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, own, options_);
+        else read_clouds(files);
         return std::move(sequence_);
     }
 
@@ -145,10 +155,11 @@ private:
     const SceneName chosen_;
     const SceneTables scene_;
     const Format& format_;
-    const std::string split_;           ///< what folders of files may begin with: tables in train_data, files in train_lidar
-    std::vector<double> main_s_;        ///< [sweeps of the first LiDAR]
-    double step_s_ = 0.0;               ///< between them
-    std::vector<std::size_t> lidars_;   ///< [sequence_.lidars] in scene_.lidars
+    /// what folders of files may begin with: tables in train_data, files in train_lidar
+    const std::string split_;
+    std::vector<double> main_s_;       ///< [sweeps of the first LiDAR]
+    double step_s_ = 0.0;              ///< between them
+    std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] in scene_.lidars
     std::vector<NumberedSweep> frames_;
     Sequence sequence_;
 
@@ -158,8 +169,9 @@ private:
             if (file.ends_with(format.ending)) return format;
             endings.emplace_back(format.ending);
         }
-        throw DataError(fmt::format("sample_data.json, key 'filename': a LiDAR's file '{}', expected one that ends in {}", excerpt(file),
-                                    fmt::join(endings, ", ")));
+        throw DataError(
+            fmt::format("sample_data.json, key 'filename': a LiDAR's file '{}', expected one that ends in {}",
+                        excerpt(file), fmt::join(endings, ", ")));
     }
 
     void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
@@ -178,11 +190,12 @@ private:
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
-                throw UsageError(fmt::format("dataset.lidars: no '{}' in {}, expected some of {}", excerpt(name), scene_.name,
-                                             fmt::join(channels, ", ")));
+                throw UsageError(fmt::format("dataset.lidars: no '{}' in {}, expected some of {}",
+                                             excerpt(name), scene_.name, fmt::join(channels, ", ")));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
-            if (!options_.lidars.empty() && std::ranges::find(options_.lidars, channels[l]) == options_.lidars.end()) {
+            if (!options_.lidars.empty() &&
+                std::ranges::find(options_.lidars, channels[l]) == options_.lidars.end()) {
                 left_out.push_back(channels[l]);
                 continue;
             }
@@ -197,8 +210,9 @@ private:
             lidars_.push_back(l);
         }
         if (format_.is_compensated && lidars_.size() > 1)
-            throw DataError(fmt::format("{}: {} LiDARs with files {}, expected one of this format; dataset.lidars names it", scene_.name,
-                                        lidars_.size(), format_.ending));
+            throw DataError(fmt::format(
+                "{}: {} LiDARs with files {}, expected one of this format; dataset.lidars names it",
+                scene_.name, lidars_.size(), format_.ending));
         if (!left_out.empty()) note(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
     }
 
@@ -219,35 +233,43 @@ private:
                 --n_left;
             }
             if (!format_.has_times && apart_s > kStampsApart_s)
-                note(fmt::format("{}: points have no times, so its sweeps, up to {:.3f} s from those of {}, are taken at their times",
-                                 scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
+                note(
+                    fmt::format("{}: points have no times, so its sweeps, up to {:.3f} s from those of {}, "
+                                "are taken at their times",
+                                scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
             if (n_left > 0)
-                note(fmt::format("{}: {} sweeps are left out: {} has none beside them", scene_.lidars[l].channel, n_left,
-                                 scene_.lidars[0].channel));
+                note(fmt::format("{}: {} sweeps are left out: {} has none beside them",
+                                 scene_.lidars[l].channel, n_left, scene_.lidars[0].channel));
         }
         std::ranges::stable_sort(sweeps, {}, &NumberedSweep::number);
         return sweeps;
     }
 
-    /// Frames of the range. Keyframes alone where no sweep between them has its file, as where samples/ was unpacked without sweeps/.
+    /// Frames of the range. Keyframes alone where no sweep between them has its file, as
+    /// where samples/ was unpacked without sweeps/.
     void find_frames() {
         const std::vector<NumberedSweep> sweeps = number_sweeps();
         const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
         const auto is_no_file_between = [&](const NumberedSweep& sweep) {
             return !is_between(sweep) || !path_exists(file_of(*sweep.record));
         };
-        const bool keyframes_alone = std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
+        const bool keyframes_alone =
+            std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
         const FrameRange& range = options_.frames;
         for (const NumberedSweep& sweep : sweeps)
-            if (sweep.number >= range.begin && (range.end < 0 || sweep.number < range.end) && !(keyframes_alone && is_between(sweep)))
+            if (sweep.number >= range.begin && (range.end < 0 || sweep.number < range.end) &&
+                !(keyframes_alone && is_between(sweep)))
                 frames_.push_back(sweep);
         if (frames_.empty())
-            throw UsageError(fmt::format("frames {}:{}: no {} of {}, expected numbers in [0, {}]", range.begin, range.end,
-                                         keyframes_alone ? "keyframe" : "sweep", scene_.name, main_s_.size() - 1));
-        if (keyframes_alone) note("no file between keyframes is there: the scene is read with its keyframes alone");
+            throw UsageError(fmt::format("frames {}:{}: no {} of {}, expected numbers in [0, {}]",
+                                         range.begin, range.end, keyframes_alone ? "keyframe" : "sweep",
+                                         scene_.name, main_s_.size() - 1));
+        if (keyframes_alone)
+            note("no file between keyframes is there: the scene is read with its keyframes alone");
     }
 
-    /// LiDARs that sweep together share the time of the first one. @return the dataset's poses at the frames
+    /// LiDARs that sweep together share the time of the first one. @return the dataset's
+    /// poses at the frames
     PoseTrack add_frames() {
         for (const NumberedSweep& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
@@ -261,7 +283,8 @@ private:
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
-        if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};   // the last is 1 everywhere
+        // the last is 1 everywhere
+        if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
         head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;
         head.units.absolute_times = true;

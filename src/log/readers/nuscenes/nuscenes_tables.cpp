@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records refer to each other by tokens. The channel of a file stands two tables away: sample_data, calibrated_sensor, sensor.
+// Records refer to each other by tokens. The channel of a file stands two tables away:
+// sample_data, calibrated_sensor, sensor.
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
 
 #include <algorithm>
@@ -23,9 +24,9 @@ using Tokens = std::unordered_set<std::string>;
 template <class T>
 using ByToken = std::unordered_map<std::string, T>;
 
-constexpr std::string_view kLidar = "LIDAR_";   // how channels of LiDARs begin
+constexpr std::string_view kLidar = "LIDAR_";  // how channels of LiDARs begin
 constexpr const char* kFirstChannel = "LIDAR_TOP";
-constexpr double kFarthestPose_s = 0.1;         // from the sweep that names it
+constexpr double kFarthestPose_s = 0.1;  // from the sweep that names it
 
 std::string find_scene(const fs::path& tables, const std::string& name) {
     std::string found;
@@ -57,7 +58,8 @@ ByToken<Mounted> calibrations(const fs::path& tables) {
         const std::string channel = record.text("channel");
         if (channel.starts_with(kLidar)) channels[record.text("token")] = channel;
     });
-    if (channels.empty()) throw DataError(fmt::format("{}, key 'channel': no {}*", (tables / "sensor.json").string(), kLidar));
+    if (channels.empty())
+        throw DataError(fmt::format("{}, key 'channel': no {}*", (tables / "sensor.json").string(), kLidar));
     ByToken<Mounted> mounted;
     for_each_record(tables / "calibrated_sensor.json", [&](const JsonRecord& record) {
         const auto channel = channels.find(record.text("sensor_token"));
@@ -66,10 +68,11 @@ ByToken<Mounted> calibrations(const fs::path& tables) {
     return mounted;
 }
 
-using Channels = std::map<std::string, ByToken<SweepRecord>>;   // by name, then by token
+using Channels = std::map<std::string, ByToken<SweepRecord>>;  // by name, then by token
 
 /// Files of the LiDARs in a scene.
-Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples, const ByToken<Mounted>& mounted) {
+Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
+                  const ByToken<Mounted>& mounted) {
     Channels files;
     for_each_record(tables / "sample_data.json", [&](const JsonRecord& record) {
         SweepRecord file;
@@ -87,7 +90,8 @@ Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples, 
     return files;
 }
 
-/// The chain of a channel's files from its first keyframe. @return none where it has no keyframe
+/// The chain of a channel's files from its first keyframe. @return none where it has no
+/// keyframe
 std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
     const SweepRecord* first = nullptr;
@@ -97,11 +101,12 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
     for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
         const auto file = files.find(token);
         if (file == files.end() || sweeps.size() == files.size())
-            throw DataError(fmt::format("{}, key 'next': '{}' after {} files, expected the next file of the scene or an empty text", where,
-                                        excerpt(token), sweeps.size()));
+            throw DataError(fmt::format(
+                "{}, key 'next': '{}' after {} files, expected the next file of the scene or an empty text",
+                where, excerpt(token), sweeps.size()));
         if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
-            throw DataError(fmt::format("{}, key 'timestamp': {} after {}, expected times that rise", where, file->second.time_us,
-                                        sweeps.back().time_us));
+            throw DataError(fmt::format("{}, key 'timestamp': {} after {}, expected times that rise", where,
+                                        file->second.time_us, sweeps.back().time_us));
         sweeps.push_back(file->second);
     }
     return sweeps;
@@ -117,16 +122,21 @@ std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
             if (sweep.calibration != lidar.sweeps[0].calibration)
-                throw DataError(fmt::format("{}, key 'calibrated_sensor_token': {} of {} is mounted twice in a scene, expected once",
-                                            (tables / "sample_data.json").string(), channel, excerpt(sweep.file)));
+                throw DataError(fmt::format(
+                    "{}, key 'calibrated_sensor_token': {} of {} is mounted twice in a scene, expected once",
+                    (tables / "sample_data.json").string(), channel, excerpt(sweep.file)));
         lidars.push_back(std::move(lidar));
     }
-    if (lidars.empty()) throw DataError(fmt::format("{}: no keyframe of a LiDAR in the scene", (tables / "sample_data.json").string()));
-    std::stable_partition(lidars.begin(), lidars.end(), [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
+    if (lidars.empty())
+        throw DataError(
+            fmt::format("{}: no keyframe of a LiDAR in the scene", (tables / "sample_data.json").string()));
+    std::stable_partition(lidars.begin(), lidars.end(),
+                          [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
     return lidars;
 }
 
-/// Poses of the vehicle at the sweeps. TruckScenes names for each the nearest of a finer track, so poses go by their own times.
+/// Poses of the vehicle at the sweeps. TruckScenes names for each the nearest of a finer
+/// track, so poses go by their own times.
 std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = tables / "ego_pose.json";
     struct TimedPose {
@@ -144,23 +154,27 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     std::map<std::int64_t, Pose> by_time;
     for (const SweepRecord& sweep : sweeps) {
         if (missing.contains(sweep.ego_pose))
-            throw DataError(
-                fmt::format("{}, key 'token': no '{}', the pose of {}", file.string(), excerpt(sweep.ego_pose), excerpt(sweep.file)));
+            throw DataError(fmt::format("{}, key 'token': no '{}', the pose of {}", file.string(),
+                                        excerpt(sweep.ego_pose), excerpt(sweep.file)));
         const TimedPose& pose = poses[sweep.ego_pose];
-        if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6; !(std::abs(apart_s) <= kFarthestPose_s))
-            throw DataError(fmt::format("{}, key 'timestamp': '{}' is {} s from {}, whose pose it is, expected at most {} s", file.string(),
-                                        excerpt(sweep.ego_pose), apart_s, excerpt(sweep.file), kFarthestPose_s));
+        if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
+            !(std::abs(apart_s) <= kFarthestPose_s))
+            throw DataError(fmt::format(
+                "{}, key 'timestamp': '{}' is {} s from {}, whose pose it is, expected at most {} s",
+                file.string(), excerpt(sweep.ego_pose), apart_s, excerpt(sweep.file), kFarthestPose_s));
         by_time[pose.time_us] = pose.pose;
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
     PoseTrack track;
-    for (const auto& [time_us, pose] : by_time) track.time_s.push_back(seconds(time_us)), track.pose.push_back(pose);
+    for (const auto& [time_us, pose] : by_time)
+        track.time_s.push_back(seconds(time_us)), track.pose.push_back(pose);
     std::vector<Pose> world_from_ego;
     for (const SweepRecord& sweep : sweeps) world_from_ego.push_back(track.at(seconds(sweep.time_us)));
     return world_from_ego;
 }
 
-/// Token of a record to the text of one of its keys, for the tokens that are asked for; all where none are.
+/// Token of a record to the text of one of its keys, for the tokens that are asked for;
+/// all where none are.
 ByToken<std::string> column(const fs::path& file, const char* key, const Tokens* wanted) {
     ByToken<std::string> values;
     for_each_record(file, [&](const JsonRecord& record) {
@@ -171,7 +185,8 @@ ByToken<std::string> column(const fs::path& file, const char* key, const Tokens*
 }
 
 /// Labels of the samples; none where the table is missing, as in a test split.
-std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene, const ByToken<std::int64_t>& samples) {
+std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene,
+                                  const ByToken<std::int64_t>& samples) {
     std::vector<BoxLabel> labels;
     Tokens instances;
     const fs::path file = tables / "sample_annotation.json";
@@ -181,8 +196,12 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
         if (sample == samples.end()) return;
         const glm::dvec3 size = record.vector("size");  // width, length, height
         if (!(std::min({size.x, size.y, size.z}) > 0.0))
-            throw DataError(fmt::format("{}, key 'size': {} x {} x {}, expected all above 0", file.string(), size.x, size.y, size.z));
-        labels.push_back({record.text("instance_token"), "", {size.y, size.x, size.z}, scene.seconds(sample->second),
+            throw DataError(fmt::format("{}, key 'size': {} x {} x {}, expected all above 0", file.string(),
+                                        size.x, size.y, size.z));
+        labels.push_back({record.text("instance_token"),
+                          "",
+                          {size.y, size.x, size.z},
+                          scene.seconds(sample->second),
                           record.pose()});
         instances.insert(labels.back().id);
     });
@@ -192,10 +211,12 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
         const auto category = category_of.find(label.id);
         const auto name = category == category_of.end() ? names.end() : names.find(category->second);
         if (name == names.end())
-            throw DataError(fmt::format("{}: no category of instance '{}'", (tables / "instance.json").string(), excerpt(label.id)));
+            throw DataError(fmt::format("{}: no category of instance '{}'",
+                                        (tables / "instance.json").string(), excerpt(label.id)));
         label.category = name->second;
     }
-    std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
+    std::stable_sort(labels.begin(), labels.end(),
+                     [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
     return labels;
 }
 
@@ -203,7 +224,8 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
 
 std::vector<std::string> list_scenes(const fs::path& tables) {
     std::vector<std::string> names;
-    for_each_record(tables / "scene.json", [&](const JsonRecord& record) { names.push_back(record.text("name")); });
+    for_each_record(tables / "scene.json",
+                    [&](const JsonRecord& record) { names.push_back(record.text("name")); });
     return names;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tables of nuScenes, TruckScenes and Lyft Level 5 say of one scene and its LiDARs.
+// What the tables of nuScenes, TruckScenes and Lyft Level 5 say of one scene and its
+// LiDARs.
 #pragma once
 
 #include <cstdint>
@@ -31,18 +32,22 @@ struct SceneLidar {
 /// A scene.
 struct SceneTables {
     std::string name;
-    std::vector<SceneLidar> lidars;    ///< at least one: LIDAR_TOP, then the others by name. The first one numbers the frames
+    /// at least one: LIDAR_TOP, then the others by name. The first one numbers the frames
+    std::vector<SceneLidar> lidars;
     std::vector<Pose> world_from_ego;  ///< at the sweeps of the first LiDAR
-    std::vector<BoxLabel> labels;      ///< at keyframes, time_s in seconds after the first sweep; in the world
+    std::vector<BoxLabel> labels;  ///< at keyframes, time_s in seconds after the first sweep; in the world
 
     /// Seconds after the first sweep.
-    double seconds(std::int64_t time_us) const { return double(time_us - lidars[0].sweeps[0].time_us) * 1e-6; }
+    double seconds(std::int64_t time_us) const {
+        return double(time_us - lidars[0].sweeps[0].time_us) * 1e-6;
+    }
 };
 
 /// Names of the scenes of some tables, in the order of the table.
 std::vector<std::string> list_scenes(const std::filesystem::path& tables);
 
-/// Reads what belongs to a scene. Tables of a gigabyte are passed through record by record.
+/// Reads what belongs to a scene. Tables of a gigabyte are passed through record by
+/// record.
 /// @param tables  the folder of the tables @throws DataError naming file, record and key
 SceneTables read_scene(const std::filesystem::path& tables, const std::string& name);
 

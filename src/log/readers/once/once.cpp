@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE. The LiDAR's frame is x left, y back, z up. A pose is 7 numbers, a quaternion and a place. Documents differ on whether w comes first
-// or last in the quaternion: it is where the vehicle drives forward.
+// ONCE. The LiDAR's frame is x left, y back, z up. A pose is 7 numbers, a quaternion and
+// a place. Documents differ on whether w comes first or last in the quaternion: it is
+// where the vehicle drives forward.
 #include "log/readers/once/once.hpp"
 
 #include <array>
@@ -22,9 +23,9 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-constexpr double kTurn_s = 0.1;                // the LiDAR turns ten times a second, every fifth turn is kept
-constexpr double kTurned_rad = kPi / 2.0;      // from x left, y back to x forward, y left
-constexpr double kUnitLength = 1e-3;           // of a quaternion, by which it may differ from 1
+constexpr double kTurn_s = 0.1;            // the LiDAR turns ten times a second, every fifth turn is kept
+constexpr double kTurned_rad = kPi / 2.0;  // from x left, y back to x forward, y left
+constexpr double kUnitLength = 1e-3;       // of a quaternion, by which it may differ from 1
 constexpr double kLargestCoordinate_m = 1e8;
 
 /// Quaternion and place, as the file has them.
@@ -37,7 +38,7 @@ struct OncePose {
 struct OnceFile {
     std::vector<stamped::StampedScan> scans;
     std::vector<OncePose> poses;
-    std::size_t n_missing = 0;   ///< frames without a file
+    std::size_t n_missing = 0;  ///< frames without a file
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
@@ -45,10 +46,12 @@ OncePose read_once_pose(const JsonField& field, std::int64_t stamp) {
     const OncePose pose{stamp, field.numbers<7>()};
     const auto& n = pose.numbers;
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
-    if (!(std::abs(length - 1.0) <= kUnitLength)) field.fail(fmt::format("a quaternion of length {:.4g}", length), "expected 1");
+    if (!(std::abs(length - 1.0) <= kUnitLength))
+        field.fail(fmt::format("a quaternion of length {:.4g}", length), "expected 1");
     for (std::size_t i = 4; i < 7; ++i)
         if (!(std::abs(n[i]) <= kLargestCoordinate_m))
-            field.fail(fmt::format("{}", n[i]), fmt::format("expected metres within {:g}", kLargestCoordinate_m));
+            field.fail(fmt::format("{}", n[i]),
+                       fmt::format("expected metres within {:g}", kLargestCoordinate_m));
     return pose;
 }
 
@@ -74,10 +77,11 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
         if (needs_poses || frame.has("pose")) found.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
         count_boxes(frame, found);
     }
-    found.n_missing = std::erase_if(found.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
+    found.n_missing =
+        std::erase_if(found.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
     if (found.scans.empty())
-        throw DataError(fmt::format("{}: no scan of its {} frames is in {}, expected MILLISECONDS.bin", where, frames.size(),
-                                    lidar.string()));
+        throw DataError(fmt::format("{}: no scan of its {} frames is in {}, expected MILLISECONDS.bin", where,
+                                    frames.size(), lidar.string()));
     return found;
 }
 
@@ -86,7 +90,8 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
-        const glm::dquat q = is_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
+        const glm::dquat q =
+            is_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
         track.time_s.push_back(log.seconds(pose.stamp));
         track.pose.push_back({glm::normalize(q), {n[4], n[5], n[6]}});
     }
@@ -94,13 +99,18 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
 }
 
 /// Poses of the LiDAR turned to relidar's axes.
-PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& log, std::vector<std::string>& notes) {
-    const PoseTrack w_last = once_track(found.poses, log, false), w_first = once_track(found.poses, log, true);
+PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& log,
+                            std::vector<std::string>& notes) {
+    const PoseTrack w_last = once_track(found.poses, log, false),
+                    w_first = once_track(found.poses, log, true);
     const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
     if (best != 0.0) stamped::tell_unless_forward(notes, best);
-    if (is_w_first) notes.push_back("quaternions of poses have w first, unlike those of ONCE's own code: so the vehicle drives forward");
+    if (is_w_first)
+        notes.push_back(
+            "quaternions of poses have w first, unlike those of ONCE's own code: so the vehicle drives "
+            "forward");
     return moved_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
 }
 
@@ -113,14 +123,20 @@ Sequence load_once(const fs::path& given, const DatasetOptions& options) {
     Sequence sequence;
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = given.string();
-    sequence.conventions = "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the log's first scan; points as "
-                           "they are; world: the LiDAR of the first frame, x left, y back";
-    sequence.notes = {found.n_boxes == 0 ? std::string("nothing in this log is labelled")
-                                         : fmt::format("{} boxes of {} labelled frames are left out: nothing says which are of one thing",
-                                                       found.n_boxes, found.n_labelled)};
+    sequence.conventions =
+        "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the log's first scan; "
+        "points as "
+        "they are; world: the LiDAR of the first frame, x left, y back";
+    sequence.notes = {
+        found.n_boxes == 0
+            ? std::string("nothing in this log is labelled")
+            : fmt::format("{} boxes of {} labelled frames are left out: nothing says which are of one thing",
+                          found.n_boxes, found.n_labelled)};
     if (found.n_missing > 0 && !options.allow_missing_scans)
-        throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one each", json.string(), found.n_missing));
-    if (found.n_missing > 0) sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", found.n_missing));
+        throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one each",
+                                    json.string(), found.n_missing));
+    if (found.n_missing > 0)
+        sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", found.n_missing));
     stamped::StampedLog log{kMillisecond, found.scans, {}, json, 0.0};
     if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(found, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);

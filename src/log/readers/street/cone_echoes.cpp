@@ -55,10 +55,12 @@ RayTable cone_rays(const RayTable& rays) {
     cone.columns = rays.columns * kConeRays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 d(rays.direction[i]),
-            side = glm::normalize(glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
+            side = glm::normalize(
+                glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
             const double angle = 0.5 * rays.divergence_of(i) * std::sqrt((k + 0.5) / kConeRays);
-            const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side + std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
+            const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side +
+                                   std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
             cone.origin.push_back(rays.origin[i]);
             cone.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -70,8 +72,8 @@ RayTable cone_rays(const RayTable& rays) {
 
 Scan receive(const RayTable& rays, const Scan& cone) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
-    SecondReturn& echo =
-        scan.second_returns.emplace_back(SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
+    SecondReturn& echo = scan.second_returns.emplace_back(
+        SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
         const std::vector<Return> returns = returns_of(cone, i, n_back);

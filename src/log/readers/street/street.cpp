@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact ray casting against the ground plane, upright boxes (slabs) and upright cylinders (quadratic in the plane, capped):
+// Exact ray casting against the ground plane, upright boxes (slabs) and upright cylinders
+// (quadratic in the plane, capped):
 //   box: t_axis = (+-half - o) / d;   cylinder: |o_xy + t d_xy| = r, |z| <= half height
 #include "log/readers/street/street.hpp"
 
@@ -38,7 +39,8 @@ Meeting meet_box(const glm::dvec3& half, const glm::dvec3& o, const glm::dvec3& 
 }
 
 Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, const glm::dvec3& d) {
-    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y, c = o.x * o.x + o.y * o.y - radius * radius;
+    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y,
+                 c = o.x * o.x + o.y * o.y - radius * radius;
     Meeting best;
     const double root = b * b - a * c;
     if (a > 0.0 && root >= 0.0) {
@@ -49,7 +51,8 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
     if (d.z != 0.0) {
         const double cap = -std::copysign(half_height, d.z), t = (cap - o.z) / d.z;
         const glm::dvec3 p = o + t * d;
-        if (t > 0.0 && t < best.t && p.x * p.x + p.y * p.y <= radius * radius) best = {t, {0.0, 0.0, std::copysign(1.0, cap)}};
+        if (t > 0.0 && t < best.t && p.x * p.x + p.y * p.y <= radius * radius)
+            best = {t, {0.0, 0.0, std::copysign(1.0, cap)}};
     }
     return best;
 }
@@ -60,7 +63,8 @@ Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const gl
     const auto offer = [&](double t, double axis_z) {
         if (t > 0.0 && t < best.t) best = {t, (o + t * d - glm::dvec3(0.0, 0.0, axis_z)) / radius};
     };
-    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y, c = o.x * o.x + o.y * o.y - radius * radius;
+    const double a = d.x * d.x + d.y * d.y, b = o.x * d.x + o.y * d.y,
+                 c = o.x * o.x + o.y * o.y - radius * radius;
     if (const double root = b * b - a * c; a > 0.0 && root >= 0.0) {
         const double t = (-b - std::sqrt(root)) / a, z = o.z + t * d.z;
         if (z <= 0.0 && z >= -length) offer(t, z);
@@ -78,7 +82,8 @@ glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
     return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
 }
 
-/// Windows in a wall: 1.2 x 1.5 m panes of dark glass, one every 3 x 3 m, on faces that look sideways.
+/// Windows in a wall: 1.2 x 1.5 m panes of dark glass, one every 3 x 3 m, on faces that
+/// look sideways.
 bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
     if (std::abs(normal.y) < 0.5) return false;
     const double u = local.x + wall.half.x, v = local.z + wall.half.z;
@@ -136,17 +141,21 @@ public:
         const Shape& shape = solid.shape;
         const double c = solid.cos_yaw, s = -solid.sin_yaw;
         const glm::dvec3 o = turned(origin - shape.centre, c, s), d = turned(direction, c, s);
-        const Meeting m = shape.kind == Shape::Kind::box ? meet_box(shape.half, o, d) : meet_cylinder(shape.half.x, shape.half.z, o, d);
+        const Meeting m = shape.kind == Shape::Kind::box ? meet_box(shape.half, o, d)
+                                                         : meet_cylinder(shape.half.x, shape.half.z, o, d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
         const bool glass = shape.material == Material::wall && in_window(shape, o + m.t * d, m.normal);
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
-    /// @param pitch_rad  from straight down, forward @param origin, direction  ray in the frame of the box
+    /// @param pitch_rad  from straight down, forward @param origin, direction  ray in the
+    /// frame of the box
     void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
-        const auto hanging = [&](const glm::dvec3& v) { return glm::dvec3(c * v.x + s * v.z, v.y, c * v.z - s * v.x); };
+        const auto hanging = [&](const glm::dvec3& v) {
+            return glm::dvec3(c * v.x + s * v.z, v.y, c * v.z - s * v.x);
+        };
         const glm::dvec3 d = hanging(direction);
         const Meeting m = meet_capsule(limb.radius_m, limb.length_m, hanging(origin - limb.joint_m), d);
         if (!(m.t <= nearest_m_)) return;
@@ -173,30 +182,37 @@ double MovingCar::walked_m(double t_s) const {
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
     double walked = glm::dot(track.pose.front().translation - start_m, ahead);
     for (std::size_t i = 1; i < track.pose.size() && track.time_s[i - 1] < t_s; ++i) {
-        const double share = std::min(1.0, (t_s - track.time_s[i - 1]) / (track.time_s[i] - track.time_s[i - 1]));
-        walked += share * glm::distance(glm::dvec2(track.pose[i].translation), glm::dvec2(track.pose[i - 1].translation));
+        const double share =
+            std::min(1.0, (t_s - track.time_s[i - 1]) / (track.time_s[i] - track.time_s[i - 1]));
+        walked += share * glm::distance(glm::dvec2(track.pose[i].translation),
+                                        glm::dvec2(track.pose[i - 1].translation));
     }
     return walked;
 }
 
 std::vector<StreetCaster::Solid> StreetCaster::solids_of(const std::vector<Shape>& shapes) {
     std::vector<Solid> solids;
-    for (const Shape& shape : shapes) solids.push_back({shape, sphere_around(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
+    for (const Shape& shape : shapes)
+        solids.push_back({shape, sphere_around(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
     return solids;
 }
 
 StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
-    constexpr double kWide_m = 4.0;   // a car, a bush, a stretch of fence
+    constexpr double kWide_m = 4.0;  // a car, a bush, a stretch of fence
     const std::span<const Shape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
-        while (end < shapes.size() && sphere_around(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m) ++end;
+        while (end < shapes.size() &&
+               sphere_around(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m)
+            ++end;
         clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingCar& car : street.cars) {
         Car& own = cars_.emplace_back(Car{std::move(car), {}});
         own.solids = solids_of(own.moving.shapes);
-        for (const Solid& s : own.solids) own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
-        for (const Limb& l : own.moving.limbs) own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
+        for (const Solid& s : own.solids)
+            own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
+        for (const Limb& l : own.moving.limbs)
+            own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
     }
 }
 
@@ -212,7 +228,8 @@ void StreetCaster::place_cars(double t_s, CarPlaces& places) const {
     }
 }
 
-std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const {
+std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m,
+                                      CarPlaces& places) const {
     Walk walk(ray, max_range_m);
     walk.ground();
     std::size_t solid = 0;
@@ -226,11 +243,13 @@ std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double ma
         const Car& car = cars_[i];
         if (walk.passes_by({places.centre_m[i], car.reach_m}, ray.origin_m, ray.direction)) continue;
         const Pose& box_from_world = places.box_from_world[i];
-        const glm::dvec3 origin = box_from_world * ray.origin_m, direction = box_from_world.rotation * ray.direction;
+        const glm::dvec3 origin = box_from_world * ray.origin_m,
+                         direction = box_from_world.rotation * ray.direction;
         for (const Solid& s : car.solids) walk.solid(s, origin, direction);
         if (car.moving.limbs.empty()) continue;
         const double stride_rad = 2.0 * kPi * car.moving.walked_m(t_s) / car.moving.stride_m;
-        for (const Limb& l : car.moving.limbs) walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
+        for (const Limb& l : car.moving.limbs)
+            walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }
     return walk.hit();
 }

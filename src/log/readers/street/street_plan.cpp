@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lays out the synthetic street: 160 m of facades with gaps and setbacks on both sides, or as many as the sensor drives past, poles and
-// trees on the pavements, parked cars, one car ahead in the sensor's lane (a little faster than the sensor), one oncoming, more of them
-// where the street is long. If wanted, people: one on each pavement,
-// one who crosses ahead, a cyclist beside the lane; and a yard on the left where cars park behind a fence.
+// Lays out the synthetic street: 160 m of facades with gaps and setbacks on both sides,
+// or as many as the sensor drives past, poles and trees on the pavements, parked cars,
+// one car ahead in the sensor's lane (a little faster than the sensor), one oncoming,
+// more of them where the street is long. If wanted, people: one on each pavement, one who
+// crosses ahead, a cyclist beside the lane; and a yard on the left where cars park behind
+// a fence.
 #include "log/readers/street/street.hpp"
 
 #include <cmath>
@@ -13,19 +15,22 @@ namespace relidar::street {
 namespace {
 
 constexpr double kHalfLength_m = 80.0, kLongWay_m = 100.0, kBetweenCars_m = 120.0;
-constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;  // about y = 1.1: the sensor drives in the right-hand lane, y = 0
+// about y = 1.1: the sensor drives in the right-hand lane, y = 0
+constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
-constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;  // the body begins at 0.2 m: a box holds its car and no ground
+// the body begins at 0.2 m: a box holds its car and no ground
+constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
 constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;  // along the street, left of the pavement
 
-double middle_time_s(const SyntheticOptions& options) {
-    return frame_time_s(options.n_frames / 2);
+double middle_time_s(const SyntheticOptions& options) { return frame_time_s(options.n_frames / 2); }
+
+double way_m(const SyntheticOptions& options) {
+    return options.speed_mps * frame_time_s(options.n_frames - 1);
 }
 
-double way_m(const SyntheticOptions& options) { return options.speed_mps * frame_time_s(options.n_frames - 1); }
-
-/// Of the street: a short log sees both of its ends, a long one has street beyond those of its way.
+/// Of the street: a short log sees both of its ends, a long one has street beyond those
+/// of its way.
 double half_length_m(const SyntheticOptions& options) {
     const double way = way_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
@@ -33,16 +38,17 @@ double half_length_m(const SyntheticOptions& options) {
 
 /// A side of a street.
 struct Side {
-    double left;      ///< 1, or -1 for the right
+    double left;  ///< 1, or -1 for the right
     double kerb_m;
-    double half_m;    ///< of the street's length
+    double half_m;  ///< of the street's length
 };
 
 /// @param yard  leaves out what stands where the yard is
 void add_facades(Street& street, Random& random, const Side& at, bool yard) {
     const auto& [side, kerb_m, half_m] = at;
     for (double x = -half_m; x < half_m;) {
-        const double width = random.uniform(8.0, 18.0), height = random.uniform(5.0, 14.0), depth = random.uniform(6.0, 10.0);
+        const double width = random.uniform(8.0, 18.0), height = random.uniform(5.0, 14.0),
+                     depth = random.uniform(6.0, 10.0);
         const double setback = random.uniform(2.5, 4.5);
         const double y = kerb_m + side * (setback + 0.5 * depth);
         const double reflectance = random.uniform(0.3, 0.8);
@@ -62,7 +68,8 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
     for (double x = -half_m + random.uniform(2.0, 8.0); x < half_m; x += random.uniform(9.0, 16.0)) {
         const double y = kerb_m + side * random.uniform(0.5, 1.0);
         const bool tree = random.uniform() < 0.4;
-        const double height = tree ? 3.0 : random.uniform(4.0, 7.0), radius = tree ? 0.18 : random.uniform(0.07, 0.13);
+        const double height = tree ? 3.0 : random.uniform(4.0, 7.0),
+                     radius = tree ? 0.18 : random.uniform(0.07, 0.13);
         street.shapes.push_back({Shape::Kind::cylinder,
                                  {x, y, 0.5 * height},
                                  {radius, radius, 0.5 * height},
@@ -71,37 +78,62 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
                                  tree ? 0.3 : 0.5});
         if (!tree) continue;
         const double size = random.uniform(0.7, 1.2);
-        street.shapes.push_back({Shape::Kind::box, {x, y, 3.0 + size}, glm::dvec3(size), random.uniform(0.0, 1.5), Material::leaves, 0.4});
+        street.shapes.push_back({Shape::Kind::box,
+                                 {x, y, 3.0 + size},
+                                 glm::dvec3(size),
+                                 random.uniform(0.0, 1.5),
+                                 Material::leaves,
+                                 0.4});
     }
 }
 
-/// Body (0.20 ... 0.90 m above the ground) and cabin (0.90 ... 1.45 m) about the centre of the car's box.
+/// Body (0.20 ... 0.90 m above the ground) and cabin (0.90 ... 1.45 m) about the centre
+/// of the car's box.
 std::vector<Shape> car_shapes(double paint) {
-    const Shape body{
-        Shape::Kind::box, {0.0, 0.0, 0.55 - kBoxCentre_m}, {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35}, 0.0, Material::paint, paint};
-    const Shape cabin{Shape::Kind::box, {-0.2, 0.0, 1.175 - kBoxCentre_m}, {1.15, 0.5 * kCarWidth_m - 0.12, 0.275}, 0.0, Material::paint,
+    const Shape body{Shape::Kind::box,
+                     {0.0, 0.0, 0.55 - kBoxCentre_m},
+                     {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
+                     0.0,
+                     Material::paint,
+                     paint};
+    const Shape cabin{Shape::Kind::box,
+                      {-0.2, 0.0, 1.175 - kBoxCentre_m},
+                      {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
+                      0.0,
+                      Material::paint,
                       0.6 * paint};
     return {body, cabin};
 }
 
-/// The same with a cabin of glass, which lets rays through: pillars and seats under a roof.
+/// The same with a cabin of glass, which lets rays through: pillars and seats under a
+/// roof.
 std::vector<Shape> glazed_car_shapes(double paint) {
     const Shape body = car_shapes(paint)[0];
-    const Shape roof{
-        Shape::Kind::box, {-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, 0.0, Material::paint, paint};
-    const Shape seats{Shape::Kind::box, {-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.0, Material::leaves, 0.3};
+    const Shape roof{Shape::Kind::box,
+                     {-0.2, 0.0, 1.42 - kBoxCentre_m},
+                     {0.95, 0.5 * kCarWidth_m - 0.12, 0.03},
+                     0.0,
+                     Material::paint,
+                     paint};
+    const Shape seats{
+        Shape::Kind::box, {-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.0, Material::leaves, 0.3};
     std::vector<Shape> shapes{body, roof, seats};
     for (const double x : {-1.2, -0.1, 0.8})
         for (const double y : {-0.75, 0.75})
-            shapes.push_back({Shape::Kind::box, {x, y, 1.16 - kBoxCentre_m}, {0.05, 0.04, 0.26}, 0.0, Material::paint, paint});
+            shapes.push_back({Shape::Kind::box,
+                              {x, y, 1.16 - kBoxCentre_m},
+                              {0.05, 0.04, 0.26},
+                              0.0,
+                              Material::paint,
+                              paint});
     return shapes;
 }
 
 void add_parked_car(Street& street, double x, double y, double yaw, const std::vector<Shape>& shapes) {
     for (Shape shape : shapes) {
         const glm::dvec3 c = shape.centre;
-        shape.centre =
-            glm::dvec3(x + c.x * std::cos(yaw) - c.y * std::sin(yaw), y + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
+        shape.centre = glm::dvec3(x + c.x * std::cos(yaw) - c.y * std::sin(yaw),
+                                  y + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
         shape.yaw_rad = yaw;
         street.shapes.push_back(shape);
     }
@@ -109,19 +141,22 @@ void add_parked_car(Street& street, double x, double y, double yaw, const std::v
 
 /// Along the kerb, on the road.
 void add_parked_cars(Street& street, Random& random, const Side& at, bool glazed) {
-    for (double x = -at.half_m + random.uniform(2.0, 10.0); x < at.half_m - 5.0; x += random.uniform(6.0, 20.0)) {
-        const double yaw = random.uniform(-0.04, 0.04), y = at.kerb_m - 1.1 * at.left + random.uniform(-0.15, 0.15);
+    for (double x = -at.half_m + random.uniform(2.0, 10.0); x < at.half_m - 5.0;
+         x += random.uniform(6.0, 20.0)) {
+        const double yaw = random.uniform(-0.04, 0.04),
+                     y = at.kerb_m - 1.1 * at.left + random.uniform(-0.15, 0.15);
         const double paint = random.uniform(0.15, 0.8);
         add_parked_car(street, x, y, yaw, glazed ? glazed_car_shapes(paint) : car_shapes(paint));
     }
 }
 
-/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of each car a moving sensor sees another part every
-/// sweep.
+/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of
+/// each car a moving sensor sees another part every sweep.
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
-        street.shapes.push_back({Shape::Kind::box, {x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.0, Material::wall, 0.4});
+        street.shapes.push_back(
+            {Shape::Kind::box, {x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.0, Material::wall, 0.4});
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.uniform(2.6, 4.0))
         add_parked_car(street, x, fence_y + random.uniform(3.0, 4.0), 0.5 * kPi + random.uniform(-0.05, 0.05),
                        glazed_car_shapes(random.uniform(0.15, 0.8)));
@@ -133,7 +168,8 @@ void add_yard(Street& street, Random& random) {
                              0.5});
 }
 
-MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, double y_m, double yaw_rad, double speed_mps, double paint) {
+MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, double y_m, double yaw_rad,
+                     double speed_mps, double paint) {
     MovingCar car;
     car.yaw_rad = yaw_rad;
     car.speed_mps = speed_mps;
@@ -144,52 +180,67 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
     return car;
 }
 
-/// One that is 14 m ahead in the middle of the log, and on a long street others that pass the sensor every 120 m of its way.
+/// One that is 14 m ahead in the middle of the log, and on a long street others that pass
+/// the sensor every 120 m of its way.
 void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
     if (way_m(options) <= kLongWay_m) return;
     for (double met_m = kBetweenCars_m; met_m < 0.5 * way_m(options); met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
-            street.cars.push_back(
-                moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps), kLane_m, kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
+            street.cars.push_back(moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps), kLane_m,
+                                             kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
 }
 
 /// Leaves and twigs that let most rays through.
 void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
-        const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)), random.uniform(0.1, 1.6));
-        street.shapes.push_back(
-            {Shape::Kind::box, place, glm::dvec3(random.uniform(0.03, 0.08)), random.uniform(0.0, 1.5), Material::leaves, 0.4});
+        const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)),
+                               random.uniform(0.1, 1.6));
+        street.shapes.push_back({Shape::Kind::box, place, glm::dvec3(random.uniform(0.03, 0.08)),
+                                 random.uniform(0.0, 1.5), Material::leaves, 0.4});
     }
 }
 
-/// Someone of 0.25 to 0.35 m across and 1.75 m tall, from 0.05 m above the ground on: feet are in the box, ground is not.
-MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad, double speed_mps) {
+/// Someone of 0.25 to 0.35 m across and 1.75 m tall, from 0.05 m above the ground on:
+/// feet are in the box, ground is not.
+MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
+                 double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
     MovingCar walker;
     walker.category = "Pedestrian";
     walker.yaw_rad = yaw_rad;
     walker.speed_mps = speed_mps;
     walker.size_m = {0.6, 0.6, 2.0 * kHalf_m};
-    const glm::dvec2 start = at_middle_m - speed_mps * middle_time_s(options) * glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
+    const glm::dvec2 start =
+        at_middle_m - speed_mps * middle_time_s(options) * glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
-    const Shape legs{Shape::Kind::cylinder, {0.0, 0.0, 0.4 - kHalf_m}, {0.125, 0.125, 0.4}, 0.0, Material::leaves, 0.35};
-    const Shape trunk{Shape::Kind::cylinder, {0.0, 0.0, 0.8 + 0.45 - kHalf_m}, {0.175, 0.175, 0.45}, 0.0, Material::leaves, 0.5};
+    const Shape legs{
+        Shape::Kind::cylinder, {0.0, 0.0, 0.4 - kHalf_m}, {0.125, 0.125, 0.4}, 0.0, Material::leaves, 0.35};
+    const Shape trunk{Shape::Kind::cylinder, {0.0, 0.0, 0.8 + 0.45 - kHalf_m},
+                      {0.175, 0.175, 0.45},  0.0,
+                      Material::leaves,      0.5};
     walker.shapes = {legs, trunk};
     return walker;
 }
 
-/// Legs and arms that swing, in the place of the legs that stand. Feet at the ground move as fast as the body, backward: they stand.
+/// Legs and arms that swing, in the place of the legs that stand. Feet at the ground move
+/// as fast as the body, backward: they stand.
 void give_gait(MovingCar& walker) {
-    constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045, kShoulder_m = 0.23;
+    constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
+                     kShoulder_m = 0.23;
     constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
     const double half = 0.5 * walker.size_m.z, hip_z = -half + kLeg_m + kLegRadius_m;
     walker.shapes.erase(walker.shapes.begin());
     for (const double side : {1.0, -1.0}) {
         const double phase = side > 0.0 ? 0.0 : kPi;
         walker.limbs.push_back({{0.0, side * kHip_m, hip_z}, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
-        walker.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m}, kArm_m, kArmRadius_m, kSwing_rad, phase + kPi, 0.5});
+        walker.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m},
+                                kArm_m,
+                                kArmRadius_m,
+                                kSwing_rad,
+                                phase + kPi,
+                                0.5});
     }
     walker.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
     walker.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
@@ -200,18 +251,24 @@ MovingCar cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
     for (Shape& shape : rider.shapes) shape.centre.x -= 0.2;
-    rider.shapes[0] = {Shape::Kind::box, {0.0, 0.0, 0.5 - 0.5 * rider.size_m.z}, {0.85, 0.08, 0.45}, 0.0, Material::metal, 0.4};
+    rider.shapes[0] = {Shape::Kind::box,   {0.0, 0.0, 0.5 - 0.5 * rider.size_m.z},
+                       {0.85, 0.08, 0.45}, 0.0,
+                       Material::metal,    0.4};
     return rider;
 }
 
 void add_people(Street& street, Random& random, const SyntheticOptions& options) {
     const std::size_t first = street.cars.size();
-    street.cars.push_back(walker(options, {random.uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0, random.uniform(1.0, 1.6)));
-    street.cars.push_back(walker(options, {random.uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi, random.uniform(1.0, 1.6)));
-    street.cars.push_back(walker(options, {random.uniform(24.0, 30.0), 4.5}, -0.5 * kPi, random.uniform(1.0, 1.6)));
+    street.cars.push_back(
+        walker(options, {random.uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0, random.uniform(1.0, 1.6)));
+    street.cars.push_back(
+        walker(options, {random.uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi, random.uniform(1.0, 1.6)));
+    street.cars.push_back(
+        walker(options, {random.uniform(24.0, 30.0), 4.5}, -0.5 * kPi, random.uniform(1.0, 1.6)));
     if (options.gait)
         for (std::size_t i = first; i < street.cars.size(); ++i) give_gait(street.cars[i]);
-    street.cars.push_back(cyclist(options, {random.uniform(6.0, 9.0), kRightKerb_m + 2.7}, random.uniform(4.0, 6.0)));
+    street.cars.push_back(
+        cyclist(options, {random.uniform(6.0, 9.0), kRightKerb_m + 2.7}, random.uniform(4.0, 6.0)));
 }
 
 }  // namespace
@@ -227,7 +284,8 @@ Street make_street(const SyntheticOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        const double ahead_m = way_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * way_m(options) : 12.0;   // it is never overtaken
+        // it is never overtaken
+        const double ahead_m = way_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * way_m(options) : 12.0;
         street.cars.push_back(moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming(street, random, options);
     }

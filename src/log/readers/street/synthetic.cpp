@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic log: a spinning LiDAR, or a rig of any, drives through the street, each ray cast at its own time. The echo is
+// The synthetic log: a spinning LiDAR, or a rig of any, drives through the street, each
+// ray cast at its own time. The echo is
 //   s = reflectance * cosine * min(1, (25 m / range)^2),   intensity = reflectance * (0.3 + 0.7 cosine) * (1 - range / 160 m)
 //   P(drop) = 1 / (1 + (s / s0)^3),  s0 = 0.01,  drawn by a hash of seed, frame and ray, so that a log is always the same.
 #include "log/readers/street/synthetic.hpp"
@@ -23,12 +24,13 @@ namespace {
 using street::Hit;
 
 constexpr double kMaxRange_m = 80.0;
-constexpr double kMostRays = 2e8;   // 44 bytes each: 9 GB
+constexpr double kMostRays = 2e8;  // 44 bytes each: 9 GB
 
 void check(const SyntheticOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
-        throw UsageError(fmt::format("synthetic street: {} is {}, expected {} ... {}", name, value, low, high));
+        throw UsageError(
+            fmt::format("synthetic street: {} is {}, expected {} ... {}", name, value, low, high));
     };
     in_range("n_frames", options.n_frames, 1, 10000);
     in_range("rows", options.rows, 2, 256);
@@ -64,28 +66,32 @@ double echo_intensity(const Hit& hit) {
 
 /// What of a street a sweep can meet.
 street::Street street_near(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
-    constexpr double kSweep_m = 20.0;   // that the sensor, rays' origins and cars may come while it sweeps
+    constexpr double kSweep_m = 20.0;  // that the sensor, rays' origins and cars may come while it sweeps
     street::Street near;
     for (const street::Shape& shape : whole.shapes)
-        if (glm::distance(shape.centre, sensor_m) <= kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half)) near.shapes.push_back(shape);
+        if (glm::distance(shape.centre, sensor_m) <= kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half))
+            near.shapes.push_back(shape);
     for (const street::MovingCar& car : whole.cars)
-        if (glm::distance(car.world_from_box(time_s).translation, sensor_m) <= kMaxRange_m + kSweep_m + glm::length(car.size_m))
+        if (glm::distance(car.world_from_box(time_s).translation, sensor_m) <=
+            kMaxRange_m + kSweep_m + glm::length(car.size_m))
             near.cars.push_back(car);
     return near;
 }
 
-/// Casts every ray at its own time; `receive(ray, hit)` decides what the sensor makes of a hit.
+/// Casts every ray at its own time; `receive(ray, hit)` decides what the sensor makes of
+/// a hit.
 template <class Receive>
-void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s, const RayTable& rays,
-               const Receive& receive) {
+void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s,
+               const RayTable& rays, const Receive& receive) {
     const street::StreetCaster street(street_near(whole, track.at(time_s).translation + offset_m, time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
-    std::vector<street::CarPlaces> places(columns);   // rays of a column are often fired together
+    std::vector<street::CarPlaces> places(columns);  // rays of a column are often fired together
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = world_ray(track, time_s, rays, ray, true);
         in_street.origin_m += offset_m;
         const double t_s = time_s + static_cast<double>(rays.time_offset_s[ray]);
-        if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m, places[ray % columns])) receive(ray, *hit);
+        if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m, places[ray % columns]))
+            receive(ray, *hit);
     }
 }
 
@@ -99,7 +105,8 @@ glm::dvec3 origin_of(const SyntheticOptions& options) {
 }
 
 /// Without noise, and dropped where that is likelier than not.
-Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays, const PoseTrack& track, double time_s) {
+Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
+                  const PoseTrack& track, double time_s) {
     Scan scan = empty_scan(rays);
     cast_rays(street, offset_m, track, time_s, rays, [&](std::size_t ray, const Hit& hit) {
         if (drop_probability(hit) > 0.5) return;
@@ -109,9 +116,11 @@ Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, cons
     return scan;
 }
 
-Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays, const PoseTrack& track, double time_s) {
+Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
+                const PoseTrack& track, double time_s) {
     if (!(rays.largest_divergence() > 0.0))
-        throw UsageError("synthetic street: found beams without a divergence, expected one: an ideal ray has one return");
+        throw UsageError(
+            "synthetic street: found beams without a divergence, expected one: an ideal ray has one return");
     return street::receive(rays, cast_exactly(street, offset_m, street::cone_rays(rays), track, time_s));
 }
 
@@ -125,32 +134,36 @@ void add_noise(Scan& scan, std::uint64_t seed, double noise_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         Random random(hash64(seed, i));
         const auto spread = [&](float& range_m) {
-            if (range_m > 0.0f) range_m = static_cast<float>(std::max(double(range_m) + noise_m * random.normal(), 0.01));
+            if (range_m > 0.0f)
+                range_m = static_cast<float>(std::max(double(range_m) + noise_m * random.normal(), 0.01));
         };
         spread(scan.range_m[i]);
         for (SecondReturn& f : scan.second_returns) spread(f.range_m[i]);
     }
 }
 
-Scan measure_beams(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence, const RayTable& rays,
-                   const Frame& frame) {
-    Scan scan = cast_beams(street, sequence.world_offset_m, rays, sequence.world_from_sensor(frame.lidar), frame.time_s);
+Scan measure_beams(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence,
+                   const RayTable& rays, const Frame& frame) {
+    Scan scan = cast_beams(street, sequence.world_offset_m, rays, sequence.world_from_sensor(frame.lidar),
+                           frame.time_s);
     add_noise(scan, seed_of(options, frame), options.range_noise_m);
     return scan;
 }
 
-Scan measure(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence, const RayTable& rays,
-             const Frame& frame) {
+Scan measure(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence,
+             const RayTable& rays, const Frame& frame) {
     Scan scan = empty_scan(rays);
     const std::uint64_t seed = seed_of(options, frame);
     const PoseTrack track = sequence.world_from_sensor(frame.lidar);
-    cast_rays(street, sequence.world_offset_m, track, frame.time_s, rays, [&](std::size_t ray, const Hit& hit) {
-        Random random(hash64(seed, ray));
-        if (random.uniform() < drop_probability(hit)) return;
-        const double range = hit.range_m + options.range_noise_m * random.normal();
-        scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
-        scan.intensity[ray] = static_cast<float>(glm::clamp(echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
-    });
+    cast_rays(street, sequence.world_offset_m, track, frame.time_s, rays,
+              [&](std::size_t ray, const Hit& hit) {
+                  Random random(hash64(seed, ray));
+                  if (random.uniform() < drop_probability(hit)) return;
+                  const double range = hit.range_m + options.range_noise_m * random.normal();
+                  scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
+                  scan.intensity[ray] =
+                      static_cast<float>(glm::clamp(echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
+              });
     return scan;
 }
 
@@ -159,7 +172,8 @@ std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<d
     for (const double time_s : times_s)
         for (std::size_t c = 0; c < street.cars.size(); ++c) {
             const street::MovingCar& car = street.cars[c];
-            labels.push_back({std::to_string(c), car.category, car.size_m, time_s, car.world_from_box(time_s)});
+            labels.push_back(
+                {std::to_string(c), car.category, car.size_m, time_s, car.world_from_box(time_s)});
         }
     return tracks_of(labels);
 }
@@ -171,7 +185,9 @@ std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
         return {{"", {own.name, "", own.range_limits(), own}, {}, 1}};
     }
     std::optional<std::vector<MountedSensor>> rig = find_rig(options.rig);
-    if (!rig) throw UsageError(fmt::format("synthetic street: rig: found no rig in {}, expected JSON with \"sensors\"", options.rig));
+    if (!rig)
+        throw UsageError(fmt::format(
+            "synthetic street: rig: found no rig in {}, expected JSON with \"sensors\"", options.rig));
     return std::move(*rig);
 }
 
@@ -190,24 +206,29 @@ Lidar lidar_of(const MountedSensor& mounted) {
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
     check(options);
     const std::vector<MountedSensor> rig = sensors_of(options);
-    std::vector<RayTable> rays;   // those of a rosette change from scan to scan
+    std::vector<RayTable> rays;  // those of a rosette change from scan to scan
     double n_rays = 0.0;
-    for (const MountedSensor& mounted : rig) n_rays += double(rays.emplace_back(make_rays(mounted.sensor)).size());
+    for (const MountedSensor& mounted : rig)
+        n_rays += double(rays.emplace_back(make_rays(mounted.sensor)).size());
     if (double(end - begin) * n_rays > kMostRays)
-        throw UsageError(fmt::format("synthetic street: {} frames of {} rays are {:.3g} rays, expected at most {:.3g}; take fewer frames",
-                                     end - begin, n_rays, double(end - begin) * n_rays, kMostRays));
+        throw UsageError(
+            fmt::format("synthetic street: {} frames of {} rays are {:.3g} rays, expected at most {:.3g}; "
+                        "take fewer frames",
+                        end - begin, n_rays, double(end - begin) * n_rays, kMostRays));
     const street::Street street = street::make_street(options);
     Sequence sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);
     sequence.source = "synthetic";
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after frame 0; exact poses; "
+        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after frame 0; exact "
+        "poses; "
         "each ray cast at its own time";
     sequence.lidars.clear();
     for (const MountedSensor& mounted : rig) sequence.lidars.push_back(lidar_of(mounted));
     for (int frame = begin; frame < end; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
-            add_frame(sequence, frame, street::frame_time_s(frame), street::sensor_pose(options, street::frame_time_s(frame)), int(l));
+            add_frame(sequence, frame, street::frame_time_s(frame),
+                      street::sensor_pose(options, street::frame_time_s(frame)), int(l));
     sequence.boxes = boxes_of(street, sequence.world_from_vehicle.time_s);
     recentre(sequence, origin_of(options));
     run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
@@ -228,13 +249,16 @@ Sequence make_synthetic_street(const SyntheticOptions& options) {
 namespace {
 
 /// Its own cars give way to others.
-void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m, double time_s) {
+void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m,
+                  double time_s) {
     const std::vector<street::MovingCar> own = std::move(street.cars);
     street.cars.clear();
     for (const StreetCar& car : cars) {
         if (car.shapes_of >= own.size())
-            throw DataError(fmt::format("casting the edited street: track {} has the shapes of car {}, expected one of the street's {}",
-                                        car.track.id, car.shapes_of, own.size()));
+            throw DataError(
+                fmt::format("casting the edited street: track {} has the shapes of car {}, expected one of "
+                            "the street's {}",
+                            car.track.id, car.shapes_of, own.size()));
         if (!car.track.present(time_s)) continue;
         street::MovingCar& moved = street.cars.emplace_back(own[car.shapes_of]);
         moved.track = car.track.world_from_box;
@@ -244,18 +268,20 @@ void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, co
 
 }  // namespace
 
-Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
+                           const PoseTrack& world_from_sensor, double time_s) {
     check(options);
     return cast_exactly(street::make_street(options), origin_of(options), rays, world_from_sensor, time_s);
 }
 
-Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
+                          const PoseTrack& world_from_sensor, double time_s) {
     check(options);
     return cast_beams(street::make_street(options), origin_of(options), rays, world_from_sensor, time_s);
 }
 
-Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars, const RayTable& rays,
-                           const PoseTrack& world_from_sensor, double time_s) {
+Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
+                           const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
     check(options);
     street::Street street = street::make_street(options);
     replace_cars(street, cars, origin_of(options), time_s);

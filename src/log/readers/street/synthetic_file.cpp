@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// street.toml: the options of a synthetic log, one key each; missing keys keep their defaults, unknown ones are refused.
+// street.toml: the options of a synthetic log, one key each; missing keys keep their
+// defaults, unknown ones are refused.
 #include "log/readers/street/synthetic.hpp"
 
 #include <algorithm>
@@ -24,23 +25,27 @@ namespace fs = std::filesystem;
 const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
                                      "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
-/// Value of a key where it is there. @throws DataError where it has another type (whole numbers serve as real ones)
+/// Value of a key where it is there. @throws DataError where it has another type (whole
+/// numbers serve as real ones)
 template <class T>
-void read_value(const toml::table& table, const char* key, const char* type, const std::string& file, T& value) {
+void read_value(const toml::table& table, const char* key, const char* type, const std::string& file,
+                T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
     // toml++ casts a real number to an integer before it looks whether it is one
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto found = is_cut ? std::nullopt : node->value<T>();
     if (!found)
-        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file, node->source().begin.line, key, type));
+        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file,
+                                    node->source().begin.line, key, type));
     value = *found;
 }
 
-/// Poses of a file in the street's world instead of the exact ones from which the scans were cast, to see what wrong poses do.
+/// Poses of a file in the street's world instead of the exact ones from which the scans
+/// were cast, to see what wrong poses do.
 void take_poses(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
-    for (const Frame& frame : sequence.frames)   // a pose for all LiDARs of a rig
+    for (const Frame& frame : sequence.frames)  // a pose for all LiDARs of a rig
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
@@ -48,8 +53,9 @@ void take_poses(Sequence& sequence, const fs::path& poses_file) {
         track = shifted_track(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));
-    sequence.conventions +=
-        poses_file == kNoPoses ? "; but no poses: the sensor is at the origin in every frame" : "; but poses from " + poses_file.string();
+    sequence.conventions += poses_file == kNoPoses
+                                ? "; but no poses: the sensor is at the origin in every frame"
+                                : "; but poses from " + poses_file.string();
 }
 
 SyntheticOptions read_options(const fs::path& path) {
@@ -60,13 +66,15 @@ SyntheticOptions read_options(const fs::path& path) {
     try {
         table = toml::parse(text, file);
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line, excerpt(error.description())));
+        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line,
+                                    excerpt(error.description())));
     }
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
-        throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line, excerpt(name),
-                                    did_you_mean(name, kKeys, "'"), fmt::join(kKeys, ", ")));
+        throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file,
+                                    value.source().begin.line, excerpt(name), did_you_mean(name, kKeys, "'"),
+                                    fmt::join(kKeys, ", ")));
     }
     SyntheticOptions options;
     std::int64_t seed = static_cast<std::int64_t>(options.seed);
@@ -81,7 +89,8 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "people", "true or false", file, options.people);
     read_value(table, "gait", "true or false", file, options.gait);
     read_value(table, "rig", "a file", file, options.rig);
-    if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();   // beside this file, or absolute
+    // beside this file, or absolute
+    if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();
     return options;
 }
 
@@ -92,9 +101,10 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     const SyntheticOptions street = read_synthetic(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end) {
-        throw UsageError(fmt::format("frames {}:{}: no frame of {} lies in it, expected numbers in [0, {}]", options.frames.begin,
-                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
-                                     street.n_frames - 1));
+        throw UsageError(fmt::format("frames {}:{}: no frame of {} lies in it, expected numbers in [0, {}]",
+                                     options.frames.begin,
+                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end),
+                                     folder.string(), street.n_frames - 1));
     }
     Sequence sequence;
     try {
@@ -115,9 +125,11 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
     const fs::path file = folder / "street.toml";
     std::ofstream out(file);
     out << fmt::format(
-        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars = {}\npeople = {}\ngait = {}\n",
-        static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns, number_text(options.range_noise_m),
-        number_text(options.speed_mps), options.moving_cars, options.people, options.gait);
+        "seed = {}\nn_frames = {}\nrows = {}\ncolumns = {}\nrange_noise_m = {}\nspeed_mps = {}\nmoving_cars "
+        "= {}\npeople = {}\ngait = {}\n",
+        static_cast<std::int64_t>(options.seed), options.n_frames, options.rows, options.columns,
+        number_text(options.range_noise_m), number_text(options.speed_mps), options.moving_cars,
+        options.people, options.gait);
     if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
     if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
 }

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Waymo Open. Pixel (row, column) of a range image is a ray of
 //   elevation(row),  azimuth pi - 2 pi (column + 0.5) / columns - yaw of the mounting,
-// in the LiDAR's frame, so with the frame turned by that yaw the image is the ray table of a spinning sensor. Points of TOP were brought
-// from the vehicle at their own pixel's pose, those of the other LiDARs to the vehicle of the record: each ray is placed in the world by
-// that pose, and stored as seen from the vehicle that the track has at the ray's time.
+// in the LiDAR's frame, so with the frame turned by that yaw the image is the ray table
+// of a spinning sensor. Points of TOP were brought from the vehicle at their own pixel's
+// pose, those of the other LiDARs to the vehicle of the record: each ray is placed in the
+// world by that pose, and stored as seen from the vehicle that the track has at the ray's
+// time.
 #include "log/readers/waymo/waymo.hpp"
 
 #include <algorithm>
@@ -18,12 +20,12 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/codecs/tfrecord.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/paper_parts.hpp"
-#include "base/codecs/tfrecord.hpp"
 #include "log/readers/waymo/waymo_frame.hpp"
 
 namespace relidar {
@@ -32,13 +34,14 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
-constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};  // by LaserName
+// by LaserName
+constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
 struct Segment {
     fs::path file;
     FrameRange frames;
     bool top_alone = false;
-    std::vector<int> test_frames = {};   ///< see ChosenPart
+    std::vector<int> test_frames = {};  ///< see ChosenPart
     std::vector<std::string> notes = {};
 };
 
@@ -48,7 +51,8 @@ std::vector<fs::path> list_segments(const fs::path& path) {
     if (!fs::is_directory(path, failed)) return {path};
     for (const fs::path& file : list_folder(path))
         if (file.extension() == ".tfrecord") files.push_back(file);
-    if (files.empty()) throw DataError(fmt::format("{}: no segment, expected files *.tfrecord", path.string()));
+    if (files.empty())
+        throw DataError(fmt::format("{}: no segment, expected files *.tfrecord", path.string()));
     return files;
 }
 
@@ -57,7 +61,9 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     const ChosenPart part = choose_part(options, kWaymoParts);
     if (part.drive.empty()) {
         Segment segment{files.front(), part.frames};
-        if (files.size() > 1) segment.notes = {fmt::format("the first of {} segments; dataset.sequence names another", files.size())};
+        if (files.size() > 1)
+            segment.notes = {
+                fmt::format("the first of {} segments; dataset.sequence names another", files.size())};
         return segment;
     }
     for (const fs::path& file : files) {
@@ -66,7 +72,8 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
             return {file, part.frames, part.of_paper, part.test_frames};
     }
     throw UsageError(
-        fmt::format("dataset.sequence: found '{}', expected how one of the {} segments of {} begins, or ws1 to ws4 or wd1 to wd4",
+        fmt::format("dataset.sequence: found '{}', expected how one of the {} segments of {} begins, or ws1 "
+                    "to ws4 or wd1 to wd4",
                     excerpt(options.sequence), files.size(), path.string()));
 }
 
@@ -75,8 +82,9 @@ std::pair<int, int> record_range(const TfRecords& records, const FrameRange& fra
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
     if (frames.begin >= end)
-        throw UsageError(fmt::format("frames {}:{}: no record of {} lies in it, expected numbers in [0, {}]", frames.begin,
-                                     frames.end < 0 ? "" : std::to_string(frames.end), records.file().string(), n - 1));
+        throw UsageError(fmt::format("frames {}:{}: no record of {} lies in it, expected numbers in [0, {}]",
+                                     frames.begin, frames.end < 0 ? "" : std::to_string(frames.end),
+                                     records.file().string(), n - 1));
     return {frames.begin, end};
 }
 
@@ -88,29 +96,34 @@ std::string where_of(const TfRecords& records, int record) {
 Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where) {
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
-        throw DataError(fmt::format("{}: pose of pixel {} is ({}), expected finite numbers", where, pixel, fmt::join(v, v + 6, ", ")));
+        throw DataError(fmt::format("{}: pose of pixel {} is ({}), expected finite numbers", where, pixel,
+                                    fmt::join(v, v + 6, ", ")));
     return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-constexpr int kImageChannels = 4, kPoseChannels = 6;  // range, intensity, elongation, no-label zone; roll, pitch, yaw, x, y, z
+// range, intensity, elongation, no-label zone; roll, pitch, yaw, x, y, z
+constexpr int kImageChannels = 4, kPoseChannels = 6;
 
 /// The pixel poses of a LiDAR, of the size of its image; nothing where there are none.
-std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image, const std::string& where) {
+std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
+                                      const std::string& where) {
     if (laser.pixel_pose.empty()) return std::nullopt;
     Image poses = inflate_image(laser.pixel_pose, kPoseChannels, where + ", pixel poses");
     if (poses.rows != image.rows || poses.columns != image.columns)
-        throw DataError(
-            fmt::format("{}: pixel poses of {} x {} for an image of {} x {}", where, poses.rows, poses.columns, image.rows, image.columns));
+        throw DataError(fmt::format("{}: pixel poses of {} x {} for an image of {} x {}", where, poses.rows,
+                                    poses.columns, image.rows, image.columns));
     return poses;
 }
 
 const LaserImages& images_of(const FrameRecord& frame, int laser, const std::string& where) {
     for (const LaserImages& images : frame.images)
         if (images.laser == laser && !images.first.empty()) return images;
-    throw DataError(fmt::format("{}: no range image of {}, expected one as in the first frame", where, kLaserNames[laser]));
+    throw DataError(fmt::format("{}: no range image of {}, expected one as in the first frame", where,
+                                kLaserNames[laser]));
 }
 
-/// The vehicle when the head of TOP faces forward: the pose of the returned pixel that is nearest to the middle column.
+/// The vehicle when the head of TOP faces forward: the pose of the returned pixel that is
+/// nearest to the middle column.
 Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
     const std::string in_top = where + ": TOP";
@@ -135,34 +148,43 @@ struct FrameHead {
 FrameHead read_head(const TfRecords& records, int record) {
     const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
     FrameRecord frame = parse_frame(data, where);
-    for (BoxLabel& label : frame.labels) label.world_from_box = frame.world_from_vehicle * label.world_from_box;
+    for (BoxLabel& label : frame.labels)
+        label.world_from_box = frame.world_from_vehicle * label.world_from_box;
     return {frame.timestamp_us, forward_pose(frame, where), std::move(frame.labels)};
 }
 
 double median_period(const std::vector<FrameHead>& heads, const std::string& where) {
     std::vector<double> steps_s;
-    for (std::size_t i = 1; i < heads.size(); ++i) steps_s.push_back(1e-6 * double(heads[i].timestamp_us - heads[i - 1].timestamp_us));
+    for (std::size_t i = 1; i < heads.size(); ++i)
+        steps_s.push_back(1e-6 * double(heads[i].timestamp_us - heads[i - 1].timestamp_us));
     if (steps_s.empty()) return 0.1;
     std::nth_element(steps_s.begin(), steps_s.begin() + std::ptrdiff_t(steps_s.size() / 2), steps_s.end());
     const double period_s = steps_s[steps_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0))
-        throw DataError(fmt::format("{}: timestamp_micros rise by {:.6g} s a record, expected 0.01 ... 1 s", where, period_s));
+        throw DataError(fmt::format("{}: timestamp_micros rise by {:.6g} s a record, expected 0.01 ... 1 s",
+                                    where, period_s));
     return period_s;
 }
 
-Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double period_s, const std::string& where) {
+Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double period_s,
+                 const std::string& where) {
     if (images.laser < 1 || images.laser >= int(std::size(kLaserNames)))
-        throw DataError(fmt::format("{}: laser {}, expected 1 to {}", where, images.laser, std::size(kLaserNames) - 1));
-    const auto calibration = std::find_if(frame.lasers.begin(), frame.lasers.end(), [&](const auto& c) { return c.laser == images.laser; });
+        throw DataError(
+            fmt::format("{}: laser {}, expected 1 to {}", where, images.laser, std::size(kLaserNames) - 1));
+    const auto calibration = std::find_if(frame.lasers.begin(), frame.lasers.end(),
+                                          [&](const auto& c) { return c.laser == images.laser; });
     if (calibration == frame.lasers.end())
-        throw DataError(fmt::format("{}: no laser_calibrations of {}, whose image is there", where, kLaserNames[images.laser]));
-    const Image image = inflate_image(images.first, kImageChannels, fmt::format("{}: {}", where, kLaserNames[images.laser]));
+        throw DataError(fmt::format("{}: no laser_calibrations of {}, whose image is there", where,
+                                    kLaserNames[images.laser]));
+    const Image image =
+        inflate_image(images.first, kImageChannels, fmt::format("{}: {}", where, kLaserNames[images.laser]));
     Lidar lidar{kLaserNames[images.laser], {}, {}};
     lidar.sensor.name = fmt::format("Waymo {}", lidar.name);
     lidar.sensor.columns = image.columns;
     lidar.sensor.period_s = period_s;
     lidar.sensor.first_azimuth_rad = kPi - kPi / image.columns;
-    for (const double elevation : row_elevations(*calibration, image.rows, where)) lidar.sensor.beams.push_back({elevation});
+    for (const double elevation : row_elevations(*calibration, image.rows, where))
+        lidar.sensor.beams.push_back({elevation});
     const glm::dvec3 ahead = calibration->vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
     const Pose turned{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
     lidar.vehicle_from_sensor = calibration->vehicle_from_laser * turned;
@@ -173,14 +195,17 @@ Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double per
 class RangeImageReader {
 public:
     /// @param clamps  intensities are cut at 1; false: their tanh
-    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where, bool clamps)
+    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where,
+                     bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(where)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        for (int column = 0; column < scan.rays.columns; ++column) {  // all rows of a column are fired together
+        // all rows of a column are fired together
+        for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
-            sensor_from_world_.push_back(inverse(sequence.world_from_vehicle.at(time_s, lidar_.vehicle_from_sensor)));
+            sensor_from_world_.push_back(
+                inverse(sequence.world_from_vehicle.at(time_s, lidar_.vehicle_from_sensor)));
         }
     }
 
@@ -191,12 +216,11 @@ public:
         const std::optional<Image> poses = read_pixel_poses(images, image, where_);
         read_returns(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-            if (!poses)
-                place(ray, world_from_vehicle);
-            else if (scan.range_m[ray] > 0.0f)
-                place(ray, pixel_pose(*poses, ray, where_));
+            if (!poses) place(ray, world_from_vehicle);
+            else if (scan.range_m[ray] > 0.0f) place(ray, pixel_pose(*poses, ray, where_));
         if (images.second.empty()) return;
-        SecondReturn& second = scan.second_returns.emplace_back(SecondReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
+        SecondReturn& second = scan.second_returns.emplace_back(
+            SecondReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
         read_returns(inflated(images.second), second.range_m, second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
@@ -211,8 +235,8 @@ private:
     Image inflated(std::string_view packed) const {
         Image image = inflate_image(packed, kImageChannels, where_);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
-        throw DataError(fmt::format("{}: a range image of {} x {}, expected {} x {} as in the first frame", where_, image.rows,
-                                    image.columns, scan.rays.rows, scan.rays.columns));
+        throw DataError(fmt::format("{}: a range image of {} x {}, expected {} x {} as in the first frame",
+                                    where_, image.rows, image.columns, scan.rays.rows, scan.rays.columns));
     }
 
     /// Of a return, 0 to 1.
@@ -225,23 +249,27 @@ private:
         for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
             const float range = image.pixel(ray)[0], brightness = image.pixel(ray)[1];
             if (!(range <= kFarthest_m) || !std::isfinite(brightness))
-                throw DataError(fmt::format("{}: pixel {} has range {} m and intensity {}, expected finite values within {} m", where_, ray,
-                                            range, brightness, kFarthest_m));
+                throw DataError(fmt::format(
+                    "{}: pixel {} has range {} m and intensity {}, expected finite values within {} m",
+                    where_, ray, range, brightness, kFarthest_m));
             range_m[ray] = std::max(range, 0.0f);
             intensity[ray] = range > 0.0f ? intensity_of(brightness) : 0.0f;
         }
     }
 
-    /// The ray of a vehicle at a pose, as seen from the sensor of the track at the ray's time.
+    /// The ray of a vehicle at a pose, as seen from the sensor of the track at the ray's
+    /// time.
     void place(std::size_t ray, const Pose& world_from_vehicle) {
-        const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] * (world_from_vehicle * lidar_.vehicle_from_sensor);
+        const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] *
+                           (world_from_vehicle * lidar_.vehicle_from_sensor);
         scan.rays.origin[ray] = glm::vec3(moved.translation);
         scan.rays.direction[ray] = glm::vec3(moved.rotation * glm::dvec3(scan.rays.direction[ray]));
     }
 };
 
 /// LiDARs of the first frame, frames and labels; the scans are still empty.
-void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin, bool top_alone) {
+void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
+                bool top_alone) {
     const double period_s = median_period(heads, records.file().string());
     const std::string first = records.read(std::size_t(begin)), where = where_of(records, begin);
     const FrameRecord frame = parse_frame(first, where);
@@ -249,11 +277,14 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     for (const LaserImages& images : frame.images)
         if (!images.first.empty() && (!top_alone || images.laser == kTop))
             sequence.lidars.push_back(make_lidar(frame, images, period_s, where));
-    if (sequence.lidars.empty()) throw DataError(fmt::format("{}: no range image{}, expected lasers", where, top_alone ? " of TOP" : ""));
+    if (sequence.lidars.empty())
+        throw DataError(
+            fmt::format("{}: no range image{}, expected lasers", where, top_alone ? " of TOP" : ""));
     const std::int64_t start_us = parse_frame(records.read(0), where_of(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
-        const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;  // the first firing looks backward
+        // the first firing looks backward
+        const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, begin + int(i), time_s, heads[i].world_from_vehicle, lidar);
         for (BoxLabel label : heads[i].labels) {
@@ -269,24 +300,30 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        if (lidar.name != kLaserNames[kTop]) std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);   // of one moment
+        // of one moment
+        if (lidar.name != kLaserNames[kTop])
+            std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
     const std::size_t n_lidars = sequence.lidars.size();
-    for_each_told(sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
-        const int record = sequence.frames[sweep * n_lidars].index;
-        const std::string data = records.read(std::size_t(record)), where = where_of(records, record);   // whole: its pose was read
-        const FrameRecord parsed = parse_frame(data, where);
-        for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
-            Frame& frame = sequence.frames[sweep * n_lidars + lidar];
-            const std::string& name = sequence.lidars[lidar].name;
-            const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) - std::begin(kLaserNames));
-            broken.attempt(sweep * n_lidars + lidar, [&] {
-                RangeImageReader reader(sequence, frame, models[lidar], fmt::format("{}: {}", where, name), options.clamp_intensity);
-                reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
-                frame.scan = std::move(reader.scan);
-            });
-        }
-    });
+    for_each_told(
+        sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
+            const int record = sequence.frames[sweep * n_lidars].index;
+            // whole: its pose was read
+            const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
+            const FrameRecord parsed = parse_frame(data, where);
+            for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
+                Frame& frame = sequence.frames[sweep * n_lidars + lidar];
+                const std::string& name = sequence.lidars[lidar].name;
+                const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) -
+                                      std::begin(kLaserNames));
+                broken.attempt(sweep * n_lidars + lidar, [&] {
+                    RangeImageReader reader(sequence, frame, models[lidar],
+                                            fmt::format("{}: {}", where, name), options.clamp_intensity);
+                    reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
+                    frame.scan = std::move(reader.scan);
+                });
+            }
+        });
     broken.leave_out(sequence);
 }
 
@@ -303,7 +340,8 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, seconds after the segment's first firing; "
+        "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, seconds after the "
+        "segment's first firing; "
         "intensity is " +
         std::string(options.clamp_intensity ? "Waymo's cut at 1" : "the tanh of Waymo's") +
         "; rays of TOP in time, the other LiDARs at one moment";

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Messages of Waymo Open 1.4, by the numbers of dataset.proto and label.proto. What has another wire type than it should is skipped, as
-// protobuf does with fields it does not know.
+// Messages of Waymo Open 1.4, by the numbers of dataset.proto and label.proto. What has
+// another wire type than it should is skipped, as protobuf does with fields it does not
+// know.
 #include "log/readers/waymo/waymo_frame.hpp"
 
 #include <algorithm>
@@ -43,7 +44,8 @@ std::string_view view_of(pbf_reader& from) {
 
 double checked(double value, const char* field, const std::string& where) {
     if (!(std::abs(value) <= kLargestOfFrame))
-        throw DataError(fmt::format("{}: {} is {}, expected one within {:.0e}", where, field, value, kLargestOfFrame));
+        throw DataError(
+            fmt::format("{}: {} is {}, expected one within {:.0e}", where, field, value, kLargestOfFrame));
     return value;
 }
 
@@ -66,7 +68,8 @@ Pose parse_transform(pbf_reader from, const std::string& where) {
                 from.skip();
         }
     }
-    if (m.size() != 16) throw DataError(fmt::format("{}: a transform of {} numbers, expected 16", where, m.size()));
+    if (m.size() != 16)
+        throw DataError(fmt::format("{}: a transform of {} numbers, expected 16", where, m.size()));
     for (const double value : m) checked(value, "a number of the transform", where);
     return rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
 }
@@ -104,8 +107,7 @@ void parse_context(pbf_reader from, FrameRecord& frame, const std::string& where
     while (from.next()) {
         if (from.tag_and_type() == message(3))
             frame.lasers.push_back(parse_calibration(from.get_message(), where + ": laser_calibrations"));
-        else
-            from.skip();
+        else from.skip();
     }
 }
 
@@ -164,7 +166,10 @@ void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
 /// What can move; signs are background.
 const char* category_of(int type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
-    return type == kVehicle ? "vehicle" : type == kPedestrian ? "pedestrian" : type == kCyclist ? "cyclist" : nullptr;
+    return type == kVehicle      ? "vehicle"
+           : type == kPedestrian ? "pedestrian"
+           : type == kCyclist    ? "cyclist"
+                                 : nullptr;
 }
 
 void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) {
@@ -189,8 +194,9 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) 
     if (!category) return;
     label.category = category;
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
-        throw DataError(fmt::format("{}: a {} with id '{}' and a size of {} x {} x {} m, expected an id and all above 0", where, category,
-                                    excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
+        throw DataError(
+            fmt::format("{}: a {} with id '{}' and a size of {} x {} x {} m, expected an id and all above 0",
+                        where, category, excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
     frame.labels.push_back(std::move(label));
 }
 
@@ -208,12 +214,10 @@ void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::
             }
             case message(2):
                 for (pbf_reader shape = from.get_message(); shape.next();) {
-                    if (shape.tag_and_type() == number(1))
-                        dims.push_back(shape.get_int32());
+                    if (shape.tag_and_type() == number(1)) dims.push_back(shape.get_int32());
                     else if (shape.tag_and_type() == message(1)) {
                         for (const std::int32_t dim : shape.get_packed_int32()) dims.push_back(dim);
-                    } else
-                        shape.skip();
+                    } else shape.skip();
                 }
                 break;
             default:
@@ -239,8 +243,10 @@ std::string inflate(std::string_view packed, const std::string& where) {
     }
     inflateEnd(&stream);
     if (bytes.size() > kMostInflated)
-        throw DataError(fmt::format("{}: a zlib stream of more than {} bytes, expected a range image", where, kMostInflated));
-    if (status != Z_STREAM_END) throw DataError(fmt::format("{}: a damaged zlib stream after {} bytes", where, bytes.size()));
+        throw DataError(fmt::format("{}: a zlib stream of more than {} bytes, expected a range image", where,
+                                    kMostInflated));
+    if (status != Z_STREAM_END)
+        throw DataError(fmt::format("{}: a damaged zlib stream after {} bytes", where, bytes.size()));
     return bytes;
 }
 
@@ -269,7 +275,8 @@ FrameRecord parse_frame(std::string_view record, const std::string& where) {
                     frame.timestamp_us = from.get_int64();
                     break;
                 case message(3):
-                    frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose"), has_pose = true;
+                    frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose"),
+                    has_pose = true;
                     break;
                 case message(5):
                     frame.images.push_back(parse_laser(from.get_message()));
@@ -295,12 +302,15 @@ Image inflate_image(std::string_view packed, int channels, const std::string& wh
     std::vector<std::int32_t> dims;
     const std::string bytes = inflate(packed, where);
     parse_told(where, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), image.values, dims); });
-    const bool fits = dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
-                      dims[2] == channels && image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(channels);
+    const bool fits =
+        dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
+        dims[2] == channels &&
+        image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(channels);
     if (!fits)
-        throw DataError(fmt::format("{}: {} values in {} dimensions{}, expected rows x columns x {} with a value each", where,
-                                    image.values.size(), dims.size(),
-                                    dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", channels));
+        throw DataError(fmt::format(
+            "{}: {} values in {} dimensions{}, expected rows x columns x {} with a value each", where,
+            image.values.size(), dims.size(),
+            dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", channels));
     image.rows = dims[0];
     image.columns = dims[1];
     image.channels = channels;
@@ -313,12 +323,13 @@ std::vector<double> row_elevations(const Calibration& calibration, int rows, con
     if (elevations.empty())
         for (int k = 0; k < rows; ++k) elevations.push_back(low + (k + 0.5) / rows * (high - low));
     if (elevations.size() != std::size_t(rows))
-        throw DataError(fmt::format("{}: {} beam_inclinations of laser {} with {} rows, expected one a row", where, elevations.size(),
-                                    calibration.laser, rows));
+        throw DataError(fmt::format("{}: {} beam_inclinations of laser {} with {} rows, expected one a row",
+                                    where, elevations.size(), calibration.laser, rows));
     for (const double elevation : elevations)
         if (!(std::abs(elevation) <= kPi / 2))
-            throw DataError(fmt::format("{}: a beam inclination of {} of laser {}, expected radians within a quarter turn", where,
-                                        elevation, calibration.laser));
+            throw DataError(fmt::format(
+                "{}: a beam inclination of {} of laser {}, expected radians within a quarter turn", where,
+                elevation, calibration.laser));
     std::reverse(elevations.begin(), elevations.end());
     return elevations;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One record of Waymo Open Perception 1.4: the Frame message, as far as LiDARs and their labels go.
+// One record of Waymo Open Perception 1.4: the Frame message, as far as LiDARs and their
+// labels go.
 #pragma once
 
 #include <cstdint>
@@ -25,7 +26,8 @@ struct Calibration {
 struct LaserImages {
     int laser = 0;
     std::string_view first, second;  ///< returns; the second is empty where there is none
-    std::string_view pixel_pose;     ///< of the first return; empty where all are in the vehicle's frame of the record
+    /// of the first return; empty where all are in the vehicle's frame of the record
+    std::string_view pixel_pose;
 };
 
 struct FrameRecord {
@@ -33,7 +35,8 @@ struct FrameRecord {
     Pose world_from_vehicle;          ///< about the middle of the sweep
     std::vector<Calibration> lasers;  ///< by LaserName
     std::vector<LaserImages> images;  ///< by LaserName
-    std::vector<BoxLabel> labels;     ///< in the vehicle's frame, without times: vehicles, pedestrians, cyclists
+    /// in the vehicle's frame, without times: vehicles, pedestrians, cyclists
+    std::vector<BoxLabel> labels;
 };
 /// @param where  names file and record, for messages @throws DataError naming the field
 FrameRecord parse_frame(std::string_view record, const std::string& where);

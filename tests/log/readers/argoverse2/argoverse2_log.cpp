@@ -14,13 +14,17 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-// By Argoverse's laser number, modulo 32 (../shared/data/sensors/VLP-32C_Argoverse2.csv; pairs as measured in a published sweep).
-constexpr double kElevation_deg[32] = {7,      -1.667, 1.667,  -0.667, 15,     -0.333, 3.333,   0.667,  1.333,  0,  1,
-                                       2.333,  0.333,  -1,     4.667,  10.333, -6.148, -15.639, -3,     -2,     -4, -8.843,
-                                       -4.667, -3.333, -2.667, -5.333, -1.333, -7.254, -3.667,  -11.31, -2.333, -25};
-constexpr double kAzimuth_deg[32] = {1.4, -1.4, 4.2,  -4.2, 1.4, -1.4, 1.4,  -4.2, 1.4, 1.4,  -1.4, -1.4, 4.2, 4.2,  -1.4, -1.4,
-                                     1.4, 1.4,  -1.4, -4.2, 1.4, 1.4,  -1.4, -4.2, 1.4, -4.2, 1.4,  -1.4, 4.2, -1.4, 4.2,  -1.4};
-constexpr int kPair[32] = {12, 1, 8, 3, 14, 5, 10, 7, 6, 2, 9, 11, 4, 0, 13, 15, 5, 1, 12, 14, 7, 3, 8, 10, 11, 6, 15, 4, 9, 2, 13, 0};
+// By Argoverse's laser number, modulo 32 (../shared/data/sensors/VLP-32C_Argoverse2.csv;
+// pairs as measured in a published sweep).
+constexpr double kElevation_deg[32] = {7,      -1.667,  1.667,  -0.667, 15,     -0.333, 3.333,  0.667,
+                                       1.333,  0,       1,      2.333,  0.333,  -1,     4.667,  10.333,
+                                       -6.148, -15.639, -3,     -2,     -4,     -8.843, -4.667, -3.333,
+                                       -2.667, -5.333,  -1.333, -7.254, -3.667, -11.31, -2.333, -25};
+constexpr double kAzimuth_deg[32] = {1.4,  -1.4, 4.2, -4.2, 1.4,  -1.4, 1.4, -4.2, 1.4,  1.4, -1.4,
+                                     -1.4, 4.2,  4.2, -1.4, -1.4, 1.4,  1.4, -1.4, -4.2, 1.4, 1.4,
+                                     -1.4, -4.2, 1.4, -4.2, 1.4,  -1.4, 4.2, -1.4, 4.2,  -1.4};
+constexpr int kPair[32] = {12, 1, 8,  3,  14, 5, 10, 7,  6,  2, 9,  11, 4, 0, 13, 15,
+                           5,  1, 12, 14, 7,  3, 8,  10, 11, 6, 15, 4,  9, 2, 13, 0};
 
 constexpr glm::dvec3 kCity_m(5223.8, 2385.4, 69.1);
 constexpr std::int64_t kCycle_ns = 55296, kPair_ns = 2304;
@@ -32,8 +36,10 @@ struct Points {
     std::vector<std::int32_t> offset_ns;
 };
 
-/// What a LiDAR fires in a sweep, and what of it is in the file. @param lidar 0 up, 1 down
-std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options, double sweep_s, Points& points) {
+/// What a LiDAR fires in a sweep, and what of it is in the file. @param lidar 0 up, 1
+/// down
+std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
+                                double sweep_s, Points& points) {
     const int half = lidar ^ int(options.lower_half_up);
     std::vector<Argoverse2Ray> rays;
     const Pose vehicle_at_sweep = Argoverse2Log::vehicle_at(sweep_s);
@@ -43,16 +49,22 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             Argoverse2Ray ray;
             ray.time_s = 1e-9 * double(offset_ns);
             ray.elevation_rad = kElevation_deg[k] * kPi / 180.0;
-            // Clockwise seen from above: that is counter-clockwise for a LiDAR that hangs upside down.
-            const double head = (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * ray.time_s - 2.5 + 3.0 * lidar);
+            // Clockwise seen from above: that is counter-clockwise for a LiDAR that hangs
+            // upside down.
+            const double head =
+                (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * ray.time_s - 2.5 + 3.0 * lidar);
             const double azimuth = head + kAzimuth_deg[k] * kPi / 180.0;
-            ray.direction = {std::cos(ray.elevation_rad) * std::cos(azimuth), std::cos(ray.elevation_rad) * std::sin(azimuth),
-                             std::sin(ray.elevation_rad)};
+            ray.direction = {std::cos(ray.elevation_rad) * std::cos(azimuth),
+                             std::cos(ray.elevation_rad) * std::sin(azimuth), std::sin(ray.elevation_rad)};
             const Pose city_from_lidar = Argoverse2Log::vehicle_at(sweep_s + ray.time_s) * mounted;
             ray.origin_m = city_from_lidar.translation;
-            ray.point_m = kCity_m + yard_hit(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
+            ray.point_m =
+                kCity_m + yard_hit(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
             const bool hidden = lidar == 1 && n >= 700 && n < 741;  // by the vehicle, from all beams
-            ray.returned = !hidden && hash64(std::uint64_t(n * 32 + k), std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) % 10 != 0;
+            ray.returned = !hidden && hash64(std::uint64_t(n * 32 + k),
+                                             std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
+                                              10 !=
+                                          0;
             rays.push_back(ray);
             if (!ray.returned) continue;
             const glm::dvec3 p = inverse(vehicle_at_sweep) * ray.point_m;
@@ -70,8 +82,9 @@ std::string sweep_bytes(const Points& points, const Argoverse2Options& options) 
         return options.half_precision ? half_column(name, values) : number_column(name, values);
     };
     return feather_bytes(
-        {coordinate("x", points.x), coordinate("y", points.y), coordinate("z", points.z), number_column("intensity", points.intensity),
-         number_column("laser_number", points.laser), number_column("offset_ns", points.offset_ns)},
+        {coordinate("x", points.x), coordinate("y", points.y), coordinate("z", points.z),
+         number_column("intensity", points.intensity), number_column("laser_number", points.laser),
+         number_column("offset_ns", points.offset_ns)},
         options.codec);
 }
 
@@ -86,10 +99,12 @@ std::string annotation_bytes(int sweeps, FeatherCodec codec) {
         length.push_back(4.5), width.push_back(1.9), height.push_back(1.6);
         poses.push_back(inverse(Argoverse2Log::vehicle_at(time_s)) * Argoverse2Log::box_at(time_s));
     }
-    const std::vector<std::string> id(std::size_t(sweeps), "1046f12a"), category(std::size_t(sweeps), "REGULAR_VEHICLE");
-    std::vector<FeatherColumn> columns{number_column("timestamp_ns", time_ns),  text_column("track_uuid", id),
-                                       text_column("category", category, true), number_column("length_m", length),
-                                       number_column("width_m", width),         number_column("height_m", height)};
+    const std::vector<std::string> id(std::size_t(sweeps), "1046f12a"),
+        category(std::size_t(sweeps), "REGULAR_VEHICLE");
+    std::vector<FeatherColumn> columns{
+        number_column("timestamp_ns", time_ns),  text_column("track_uuid", id),
+        text_column("category", category, true), number_column("length_m", length),
+        number_column("width_m", width),         number_column("height_m", height)};
     columns = with_poses(std::move(columns), poses);
     columns.push_back(number_column("num_interior_pts", n_points));
     return feather_bytes(columns, codec);
@@ -100,7 +115,8 @@ std::string annotation_bytes(int sweeps, FeatherCodec codec) {
 std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses) {
     std::array<std::vector<double>, 7> values;
     for (const Pose& p : poses) {
-        const double row[7] = {p.rotation.w, p.rotation.x, p.rotation.y, p.rotation.z, p.translation.x, p.translation.y, p.translation.z};
+        const double row[7] = {p.rotation.w,    p.rotation.x,    p.rotation.y,   p.rotation.z,
+                               p.translation.x, p.translation.y, p.translation.z};
         for (std::size_t i = 0; i < 7; ++i) values[i].push_back(row[i]);
     }
     const char* names[7] = {"qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"};
@@ -115,7 +131,8 @@ std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const 
 }
 
 Pose Argoverse2Log::vehicle_at(double time_s) {
-    return {glm::angleAxis(0.6 + 0.35 * time_s, glm::dvec3(0, 0, 1)), kCity_m + time_s * glm::dvec3(9.0, 6.0, 0.1)};
+    return {glm::angleAxis(0.6 + 0.35 * time_s, glm::dvec3(0, 0, 1)),
+            kCity_m + time_s * glm::dvec3(9.0, 6.0, 0.1)};
 }
 
 Pose Argoverse2Log::box_at(double time_s) {
@@ -129,10 +146,12 @@ fs::path Argoverse2Log::sweep(int number) const {
 Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& options)
     : folder(fs::path(testing::TempDir()) / ("relidar_argoverse2_" + name)) {
     vehicle_from_lidar = {Pose{glm::dquat(1, 0, 0, 0), {1.3626, 0.0006, 1.6406}},
-                          Pose{glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)), {1.37536, 0.00165, 1.52427}}};
+                          Pose{glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)),
+                               {1.37536, 0.00165, 1.52427}}};
     const Pose camera{glm::dquat(0.5, -0.5, 0.5, -0.5), {1.6, 0.0, 1.4}};
-    const std::vector<FeatherColumn> sensors = with_poses({text_column("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})},
-                                                          {camera, vehicle_from_lidar[0], vehicle_from_lidar[1]});
+    const std::vector<FeatherColumn> sensors =
+        with_poses({text_column("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})},
+                   {camera, vehicle_from_lidar[0], vehicle_from_lidar[1]});
     write_text(file("calibration/egovehicle_SE3_sensor.feather"), feather_bytes(sensors, options.codec));
     // poses between the sweeps too, as the dataset has them
     std::vector<std::int64_t> time_ns;
@@ -149,7 +168,8 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
         const double sweep_s = 1e-9 * double(sweep_ns(i) - kFirstSweep_ns);
         rays.emplace_back();
         for (int lidar = 0; lidar < 2; ++lidar)
-            rays.back()[std::size_t(lidar)] = fire(vehicle_from_lidar[std::size_t(lidar)], lidar, options, sweep_s, points);
+            rays.back()[std::size_t(lidar)] =
+                fire(vehicle_from_lidar[std::size_t(lidar)], lidar, options, sweep_s, points);
         write_text(sweep(i), sweep_bytes(points, options));
     }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small Argoverse 2 log written by the tests: two virtual VLP-32C on a vehicle that drives and turns between four walls, their points
-// brought to the time of each sweep as the dataset does.
+// A small Argoverse 2 log written by the tests: two virtual VLP-32C on a vehicle that
+// drives and turns between four walls, their points brought to the time of each sweep as
+// the dataset does.
 #pragma once
 
 #include <array>
@@ -19,10 +20,12 @@ std::vector<FeatherColumn> pose_columns(const std::vector<Pose>& poses);
 std::vector<FeatherColumn> with_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
-    bool half_precision = false;  ///< coordinates as the dataset has them; else single precision, so that truth can be compared
-    bool lower_half_up = false;   ///< lasers 32..63 are the upper LiDAR's
+    /// coordinates as the dataset has them; else single precision, so that truth can be
+    /// compared
+    bool half_precision = false;
+    bool lower_half_up = false;  ///< lasers 32..63 are the upper LiDAR's
     int sweeps = 3;
-    int firings = 1813;             ///< of each LiDAR in a sweep: more than a turn
+    int firings = 1813;  ///< of each LiDAR in a sweep: more than a turn
     FeatherCodec codec = FeatherCodec::lz4;
 };
 

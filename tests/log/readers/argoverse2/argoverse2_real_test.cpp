@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Two consecutive sweeps of a published Argoverse 2 log (../shared/data/argoverse2; skipped where RELIDAR_SHARED does not hold them, or
-// Python with numpy is missing), written as a log and read back. The data has no calibration: where the LiDARs are mounted was fitted to
-// the same sweeps, five numbers each, so that elevations of 64 lasers still tell whether halves, order and compensation are right.
+// Two consecutive sweeps of a published Argoverse 2 log (../shared/data/argoverse2;
+// skipped where RELIDAR_SHARED does not hold them, or Python with numpy is missing),
+// written as a log and read back. The data has no calibration: where the LiDARs are
+// mounted was fitted to the same sweeps, five numbers each, so that elevations of 64
+// lasers still tell whether halves, order and compensation are right.
 #include <relidar/log/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
 
@@ -26,8 +28,9 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::int64_t kTimes_ns[2] = {315966265259836000, 315966265360032000};
-const Pose kMounted[2] = {{glm::normalize(glm::dquat(1.0, -0.0000762, 0.0000566, 0.0)), {1.3626, 0.0006, 1.6406}},
-                          {glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)), {1.37536, 0.00165, 1.52427}}};
+const Pose kMounted[2] = {
+    {glm::normalize(glm::dquat(1.0, -0.0000762, 0.0000566, 0.0)), {1.3626, 0.0006, 1.6406}},
+    {glm::normalize(glm::dquat(0.000639, 0.9944968, -0.1047668, 0.0000928)), {1.37536, 0.00165, 1.52427}}};
 
 fs::path shared_folder() {
     const char* shared = std::getenv("RELIDAR_SHARED");
@@ -71,16 +74,19 @@ std::vector<RealSweep> read_real(const fs::path& scratch) {
         fs::create_directories(scratch);
         const std::string script =
             "import sys, numpy as np; z = np.load(sys.argv[1]); "
-            "np.savez(sys.argv[2], **{k: z[k].astype('S') if z[k].dtype.kind == 'U' else z[k] for k in z.files})";
+            "np.savez(sys.argv[2], **{k: z[k].astype('S') if z[k].dtype.kind == 'U' else z[k] for k in "
+            "z.files})";
         const auto run = [&](const char* python) {
-            return std::system(
-                       fmt::format("{} -c \"{}\" '{}' '{}' 2>/dev/null", python, script, source.string(), bytes.string()).c_str()) == 0;
+            return std::system(fmt::format("{} -c \"{}\" '{}' '{}' 2>/dev/null", python, script,
+                                           source.string(), bytes.string())
+                                   .c_str()) == 0;
         };
         if (!run("python3") && !run("/usr/bin/python3")) return {};
         std::map<std::string, NamedArray> arrays;
         for (NamedArray& array : read_npz(bytes)) arrays[array.name] = std::move(array);
         const std::vector<double> m = values_of<double>(arrays.at("city_T_ego"));
-        const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);  // GLM: column by column
+        // GLM: column by column
+        const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
         sweeps.push_back({values_of<float>(arrays.at("xyz")),
                           values_of<std::uint8_t>(arrays.at("intensity")),
                           values_of<std::uint8_t>(arrays.at("laser")),
@@ -96,10 +102,11 @@ std::vector<RealSweep> read_real(const fs::path& scratch) {
 std::string sweep_bytes(const RealSweep& sweep) {
     std::vector<float> coordinate[3];
     for (std::size_t i = 0; i < sweep.xyz.size(); ++i) coordinate[i % 3].push_back(sweep.xyz[i]);
-    return test::feather_bytes({test::half_column("x", coordinate[0]), test::half_column("y", coordinate[1]),
-                                test::half_column("z", coordinate[2]), test::number_column("intensity", sweep.intensity),
-                                test::number_column("laser_number", sweep.laser), test::number_column("offset_ns", sweep.offset_ns)},
-                               test::FeatherCodec::lz4);
+    return test::feather_bytes(
+        {test::half_column("x", coordinate[0]), test::half_column("y", coordinate[1]),
+         test::half_column("z", coordinate[2]), test::number_column("intensity", sweep.intensity),
+         test::number_column("laser_number", sweep.laser), test::number_column("offset_ns", sweep.offset_ns)},
+        test::FeatherCodec::lz4);
 }
 
 void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
@@ -108,7 +115,8 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
     std::vector<std::string> track, category;
     std::vector<Pose> boxes;
     for (std::size_t s = 0; s < 2; ++s) {
-        test::write_text(folder / "sensors/lidar" / fmt::format("{}.feather", kTimes_ns[s]), sweep_bytes(sweeps[s]));
+        test::write_text(folder / "sensors/lidar" / fmt::format("{}.feather", kTimes_ns[s]),
+                         sweep_bytes(sweeps[s]));
         for (std::size_t i = 0; i < sweeps[s].track.size(); ++i) {
             const double* b = &sweeps[s].boxes[10 * i];
             time_ns.push_back(kTimes_ns[s]);
@@ -120,20 +128,22 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
     const auto write = [&](const char* file, const std::vector<test::FeatherColumn>& columns) {
         test::write_text(folder / file, test::feather_bytes(columns, test::FeatherCodec::lz4));
     };
-    write("annotations.feather", test::with_poses({test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
-                                                   test::text_column("category", category), test::number_column("length_m", size[0]),
-                                                   test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
-                                                  boxes));
+    write("annotations.feather",
+          test::with_poses(
+              {test::number_column("timestamp_ns", time_ns), test::text_column("track_uuid", track),
+               test::text_column("category", category), test::number_column("length_m", size[0]),
+               test::number_column("width_m", size[1]), test::number_column("height_m", size[2])},
+              boxes));
     write("city_SE3_egovehicle.feather",
-          test::with_poses({test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
-                           {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
+          test::with_poses(
+              {test::number_column("timestamp_ns", std::vector<std::int64_t>{kTimes_ns[0], kTimes_ns[1]})},
+              {sweeps[0].city_from_vehicle, sweeps[1].city_from_vehicle}));
     write("calibration/egovehicle_SE3_sensor.feather",
-          test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, {kMounted[0], kMounted[1]}));
+          test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})},
+                           {kMounted[0], kMounted[1]}));
 }
 
-double elevation_deg(const glm::dvec3& p) {
-    return std::atan2(p.z, std::hypot(p.x, p.y)) * 180.0 / kPi;
-}
+double elevation_deg(const glm::dvec3& p) { return std::atan2(p.z, std::hypot(p.x, p.y)) * 180.0 / kPi; }
 
 class Argoverse2Real : public testing::Test {
 protected:
@@ -145,7 +155,9 @@ protected:
         DatasetOptions options;
         options.max_range_m = 300.0;
         log_ = load_sequence(folder_.string(), options);
-        beams_ = std::get<SpinningSensor>(find_sensor((shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern).beams;
+        beams_ = std::get<SpinningSensor>(
+                     find_sensor((shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern)
+                     .beams;
     }
     static void TearDownTestSuite() {
         std::error_code failed;
@@ -157,9 +169,11 @@ protected:
                          << " or python3 with numpy is not there";
     }
 
-    /// A stored point in a LiDAR's frame when it was measured: the vehicle moves evenly from sweep to sweep.
+    /// A stored point in a LiDAR's frame when it was measured: the vehicle moves evenly
+    /// from sweep to sweep.
     static glm::dvec3 measured(std::size_t s, std::size_t i, int lidar) {
-        const double at = double(kTimes_ns[s] + real_[s].offset_ns[i] - kTimes_ns[0]) / double(kTimes_ns[1] - kTimes_ns[0]);
+        const double at =
+            double(kTimes_ns[s] + real_[s].offset_ns[i] - kTimes_ns[0]) / double(kTimes_ns[1] - kTimes_ns[0]);
         const Pose vehicle = interpolate(real_[0].city_from_vehicle, real_[1].city_from_vehicle, at);
         const glm::dvec3 stored(real_[s].xyz[3 * i], real_[s].xyz[3 * i + 1], real_[s].xyz[3 * i + 2]);
         return inverse(vehicle * kMounted[lidar]) * (real_[s].city_from_vehicle * stored);
@@ -178,7 +192,8 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const std::size_t beam = frame.scan.rays.channel[i];
-            const double error = elevation_deg(frame.scan.rays.direction[i]) - beams_[beam].elevation_rad * 180.0 / kPi;
+            const double error =
+                elevation_deg(frame.scan.rays.direction[i]) - beams_[beam].elevation_rad * 180.0 / kPi;
             sum[beam] += error, n[beam] += 1.0;
             off += std::abs(error) > 0.1, ++returns;
         }
@@ -186,7 +201,8 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
         for (std::size_t k = 0; k < 32; ++k) worst = std::max(worst, std::abs(sum[k] / n[k]));
         EXPECT_LT(worst, 0.1) << log_.lidar_of(frame).name;
         EXPECT_LT(double(off), 5e-3 * double(returns));
-        RecordProperty(fmt::format("worst_beam_deg_{}_{}", frame.index, frame.lidar), fmt::format("{:.4f}", worst));
+        RecordProperty(fmt::format("worst_beam_deg_{}_{}", frame.index, frame.lidar),
+                       fmt::format("{:.4f}", worst));
         RecordProperty(fmt::format("share_beyond_0.1_deg_{}_{}", frame.index, frame.lidar),
                        fmt::format("{:.5f}", double(off) / double(returns)));
     }
@@ -206,7 +222,8 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
         const int laser = real_[0].laser[i];
         for (int swapped = 0; swapped < 2; ++swapped)
             error[swapped] +=
-                std::abs(elevation_deg(measured(0, i, laser / 32 ^ swapped)) - elevation.at(laser % 32)) / double(real_[0].laser.size());
+                std::abs(elevation_deg(measured(0, i, laser / 32 ^ swapped)) - elevation.at(laser % 32)) /
+                double(real_[0].laser.size());
     }
     RecordProperty("straight_deg", fmt::format("{:.4f}", error[0]));
     RecordProperty("swapped_deg", fmt::format("{:.4f}", error[1]));
@@ -217,7 +234,8 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
 TEST_F(Argoverse2Real, BoxesHoldPoints) {
     std::vector<glm::dvec3> points;  // of the first sweep, in the world at its time: as published
     for (std::size_t i = 0; i < real_[0].laser.size(); ++i)
-        points.push_back(real_[0].city_from_vehicle * glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
+        points.push_back(real_[0].city_from_vehicle *
+                         glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
     std::vector<glm::dvec3> read;
     for (const Frame& frame : log_.frames) {
         if (frame.index != 0) continue;
@@ -232,11 +250,15 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
     std::size_t near = 0, empty = 0;
     for (const BoxTrack& box : log_.boxes) {
         const auto count = [&](const std::vector<glm::dvec3>& cloud, const glm::dvec3& shift) {
-            return std::count_if(cloud.begin(), cloud.end(), [&](const glm::dvec3& p) { return box.holds(p - shift, 0.0, 0.0); });
+            return std::count_if(cloud.begin(), cloud.end(),
+                                 [&](const glm::dvec3& p) { return box.holds(p - shift, 0.0, 0.0); });
         };
         const auto published = count(points, log_.world_offset_m), found = count(read, glm::dvec3(0.0));
-        EXPECT_NEAR(double(found), double(published), 2.0) << box.category << ": points at its faces may fall to either side";
-        if (glm::distance(box.world_from_box.pose[0].translation, log_.world_from_vehicle.pose[0].translation) > 40.0) continue;
+        EXPECT_NEAR(double(found), double(published), 2.0)
+            << box.category << ": points at its faces may fall to either side";
+        if (glm::distance(box.world_from_box.pose[0].translation,
+                          log_.world_from_vehicle.pose[0].translation) > 40.0)
+            continue;
         ++near;
         empty += found == 0;
     }
@@ -244,7 +266,8 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
     EXPECT_LE(empty, 1u) << "a bollard 30 m away has none as published";
 }
 
-/// Each published point projected: the beam nearest in elevation, and of its rays fired within a millisecond of it the nearest in azimuth.
+/// Each published point projected: the beam nearest in elevation, and of its rays fired
+/// within a millisecond of it the nearest in azimuth.
 TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
     for (std::size_t s = 0; s < 2; ++s) {
         std::size_t in_another_cell = 0;
@@ -253,13 +276,17 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
             const Frame& frame = log_.frames[2 * s + std::size_t(lidar)];
             const RayTable& rays = frame.scan.rays;
             const glm::dvec3 p = measured(s, i, lidar);
-            const double elevation = std::atan2(p.z, std::hypot(p.x, p.y)), time_s = 1e-9 * double(real_[s].offset_ns[i]);
+            const double elevation = std::atan2(p.z, std::hypot(p.x, p.y)),
+                         time_s = 1e-9 * double(real_[s].offset_ns[i]);
             std::size_t row = 0;
             for (std::size_t k = 1; k < 32; ++k)
-                if (std::abs(beams_[k].elevation_rad - elevation) < std::abs(beams_[row].elevation_rad - elevation)) row = k;
+                if (std::abs(beams_[k].elevation_rad - elevation) <
+                    std::abs(beams_[row].elevation_rad - elevation))
+                    row = k;
             std::size_t cell = 0;
             double nearest = 10.0;
-            for (std::size_t at = row * std::size_t(rays.columns); at < (row + 1) * std::size_t(rays.columns); ++at) {
+            for (std::size_t at = row * std::size_t(rays.columns); at < (row + 1) * std::size_t(rays.columns);
+                 ++at) {
                 if (std::abs(double(rays.time_offset_s[at]) - time_s) > 1e-3) continue;
                 const double azimuth = std::atan2(p.y * rays.direction[at].x - p.x * rays.direction[at].y,
                                                   p.x * rays.direction[at].x + p.y * rays.direction[at].y);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Argoverse 2: a log written here, whose every ray is known, and damage of each of its files.
+// Argoverse 2: a log written here, whose every ray is known, and damage of each of its
+// files.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -27,7 +28,8 @@ DatasetOptions far_options() {
     return options;
 }
 
-/// Rays of a frame with the true ones by beam and time: beams by elevation, firings within half of the time between two pairs.
+/// Rays of a frame with the true ones by beam and time: beams by elevation, firings
+/// within half of the time between two pairs.
 class TrueRays {
 public:
     TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
@@ -42,8 +44,8 @@ public:
     }
     const Argoverse2Ray& at(std::uint16_t channel, double time_s) const {
         const auto& rays = of_channel_[channel];
-        const auto after =
-            std::lower_bound(rays.begin(), rays.end(), time_s, [](const Argoverse2Ray* r, double t) { return r->time_s < t; });
+        const auto after = std::lower_bound(rays.begin(), rays.end(), time_s,
+                                            [](const Argoverse2Ray* r, double t) { return r->time_s < t; });
         if (after == rays.begin()) return **after;
         if (after == rays.end() || time_s - after[-1]->time_s < (*after)->time_s - time_s) return *after[-1];
         return **after;
@@ -53,9 +55,12 @@ private:
     std::array<std::vector<const Argoverse2Ray*>, 32> of_channel_;
 };
 
-// A LiDAR's place is interpolated along chords, r = 1.3754 m from the axle at 0.035088 rad a sweep. At s sweeps after the first end of a
-// chord it is r angle^2 |s (s - 1)| / 2 off the arc: an eighth in the middle; the last sweep goes on along the last chord until s = 2.027.
-constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6, kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
+// A LiDAR's place is interpolated along chords, r = 1.3754 m from the axle at 0.035088
+// rad a sweep. At s sweeps after the first end of a chord it is r angle^2 |s (s - 1)| / 2
+// off the arc: an eighth in the middle; the last sweep goes on along the last chord until
+// s = 2.027.
+constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6,
+                 kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
 constexpr double kNearest_m = 4.7;
 
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
@@ -72,29 +77,38 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         const Lidar& lidar = found.lidar_of(frame);
         ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
-        EXPECT_EQ(frame.scan.count_returns(), std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
+        EXPECT_EQ(frame.scan.count_returns(),
+                  std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         const TrueRays truth(rays, lidar.sensor);
         const PoseTrack track = found.world_from_sensor(frame.lidar);
         const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const float range_m = frame.scan.range_m[i];
-            const Argoverse2Ray& ray = truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
-            // a ray without a return has the time of its whole firing, up to 35 us beside its own
+            const Argoverse2Ray& ray =
+                truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
+            // a ray without a return has the time of its whole firing, up to 35 us beside
+            // its own
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), range_m > 0.0f ? off_m : 2e-3);
-            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction), range_m > 0.0f ? off_m / kNearest_m : 5e-4)
+            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m),
+                      range_m > 0.0f ? off_m : 2e-3);
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
+                      range_m > 0.0f ? off_m / kNearest_m : 5e-4)
                 << i;
             if (range_m > 0.0f) {
-                ASSERT_LT(glm::distance(placed.origin_m + double(range_m) * placed.direction + found.world_offset_m, ray.point_m), 1e-4);
+                ASSERT_LT(
+                    glm::distance(placed.origin_m + double(range_m) * placed.direction + found.world_offset_m,
+                                  ray.point_m),
+                    1e-4);
                 ASSERT_EQ(frame.scan.intensity[i], 0.2f);
             }
         }
     }
 }
 
-/// The heads face forward at times of their own: what moves is placed at the time of its rays all the same.
+/// The heads face forward at times of their own: what moves is placed at the time of its
+/// rays all the same.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
     const Sequence found = load_sequence(log.folder.string(), far_options());
@@ -106,7 +120,8 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
             const double facing_s = facing_time(found, point_m, moment_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
-        // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a turn, so its ends are seen twice.
+        // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a
+        // turn, so its ends are seen twice.
         EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
     }
 }
@@ -119,8 +134,11 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
         const double time_s = double(i) * 0.100252;
         EXPECT_NEAR(found.world_from_vehicle.time_s[i], time_s, 1e-9);
         const Pose& pose = found.world_from_vehicle.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, Argoverse2Log::vehicle_at(time_s).translation), 1e-8);
-        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::vehicle_at(time_s).rotation)), 1.0, 1e-12);
+        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m,
+                                Argoverse2Log::vehicle_at(time_s).translation),
+                  1e-8);
+        EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::vehicle_at(time_s).rotation)), 1.0,
+                    1e-12);
     }
     ASSERT_EQ(found.boxes.size(), 1u);
     const BoxTrack& box = found.boxes[0];
@@ -130,7 +148,9 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
     ASSERT_EQ(box.world_from_box.pose.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
         const Pose truth = Argoverse2Log::box_at(box.world_from_box.time_s[i]);
-        EXPECT_LT(glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation), 1e-8);
+        EXPECT_LT(
+            glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation),
+            1e-8);
         EXPECT_NEAR(std::abs(glm::dot(box.world_from_box.pose[i].rotation, truth.rotation)), 1.0, 1e-12);
     }
 }
@@ -141,17 +161,21 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Sequence found = load_sequence(log.folder.string(), far_options());
     double worst = 0.0;
     for (const Frame& frame : found.frames) {
-        const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)], found.lidar_of(frame).sensor);
+        const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
+                             found.lidar_of(frame).sensor);
         const PoseTrack track = found.world_from_sensor(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const Argoverse2Ray& ray = truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
+            const Argoverse2Ray& ray =
+                truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
             ASSERT_TRUE(ray.returned);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            const glm::dvec3 point_m = placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m;
+            const glm::dvec3 point_m =
+                placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m;
             const glm::dvec3 seen = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * ray.point_m;
             const glm::dvec3 rounded = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * point_m;
-            for (int axis = 0; axis < 3; ++axis) ASSERT_LE(std::abs(seen[axis] - rounded[axis]), std::abs(seen[axis]) / 2048.0 + 1e-4);
+            for (int axis = 0; axis < 3; ++axis)
+                ASSERT_LE(std::abs(seen[axis] - rounded[axis]), std::abs(seen[axis]) / 2048.0 + 1e-4);
             worst = std::max(worst, glm::distance(point_m, ray.point_m));
         }
     }
@@ -159,11 +183,13 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 }
 
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
-    const Argoverse2Log log("halves", {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
+    const Argoverse2Log log("halves",
+                            {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
     const Sequence found = load_sequence(log.folder.string(), far_options());
     for (const Frame& frame : found.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
-        EXPECT_EQ(frame.scan.count_returns(), std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
+        EXPECT_EQ(frame.scan.count_returns(),
+                  std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
             const double beam = found.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
@@ -184,31 +210,37 @@ TEST(Argoverse2, FrameRangePosesAndNoLabels) {
     EXPECT_TRUE(found.boxes.empty());
     EXPECT_THAT(found.notes, testing::Contains("no annotations.feather: nothing in this log is labelled"));
     options.poses_file = log.file("poses.txt");
-    test::write_text(options.poses_file, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
+    test::write_text(options.poses_file,
+                     "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
     found = load_sequence(log.folder.string(), options);
     EXPECT_EQ(found.world_offset_m, glm::dvec3(6, 0, 0));
     options.poses_file = kNoPoses;
-    EXPECT_EQ(load_sequence(log.folder.string(), options).world_from_vehicle.pose[1].translation, glm::dvec3(0, 0, 0));
+    EXPECT_EQ(load_sequence(log.folder.string(), options).world_from_vehicle.pose[1].translation,
+              glm::dvec3(0, 0, 0));
     options.frames = {3, -1};
     EXPECT_THROW(load_sequence(log.folder.string(), options), UsageError);
 }
 
 TEST(Argoverse2, ASweepMayLackALidar) {
     const Argoverse2Log log("lacking");
-    test::write_text(log.sweep(1), test::feather_bytes({test::number_column("x", std::vector<float>{8.0f}),
-                                                        test::number_column("y", std::vector<float>{1.0f}),
-                                                        test::number_column("z", std::vector<float>{2.0f}),
-                                                        test::number_column("intensity", std::vector<std::uint8_t>{1}),
-                                                        test::number_column("laser_number", std::vector<std::uint8_t>{40}),
-                                                        test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
+    test::write_text(
+        log.sweep(1),
+        test::feather_bytes({test::number_column("x", std::vector<float>{8.0f}),
+                             test::number_column("y", std::vector<float>{1.0f}),
+                             test::number_column("z", std::vector<float>{2.0f}),
+                             test::number_column("intensity", std::vector<std::uint8_t>{1}),
+                             test::number_column("laser_number", std::vector<std::uint8_t>{40}),
+                             test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
     const Sequence found = load_sequence(log.folder.string(), {});
     ASSERT_EQ(found.frames.size(), 5u);
     EXPECT_EQ(found.frames[2].lidar, 1);
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("1 times a sweep has no point of one LiDAR")));
+    EXPECT_THAT(found.notes,
+                testing::Contains(testing::HasSubstr("1 times a sweep has no point of one LiDAR")));
 }
 
 /// Loads with a file replaced, and expects one line that holds a part.
-void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes, const std::string& part) {
+void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes,
+                    const std::string& part) {
     const std::string good = test::read_text(file);
     test::write_text(file, bytes);
     try {
@@ -224,13 +256,16 @@ void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::s
 
 TEST(Argoverse2, SaysWhichFileIsWrong) {
     const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
-    const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns, const std::string& part) {
+    const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns,
+                            const std::string& part) {
         expect_refused(log, file, test::feather_bytes(columns), part);
     };
-    const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"), way = log.file("city_SE3_egovehicle.feather"),
-                   boxes = log.file("annotations.feather"), sweep = log.sweep(1);
+    const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"),
+                   way = log.file("city_SE3_egovehicle.feather"), boxes = log.file("annotations.feather"),
+                   sweep = log.sweep(1);
     const std::vector<Pose> two(2);
-    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "ring"})}, two), "column 'sensor_name': no down_lidar");
+    refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "ring"})}, two),
+           "column 'sensor_name': no down_lidar");
     std::vector<Pose> bad = two;
     bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
     refuse(sensors, test::with_poses({test::text_column("sensor_name", {"up_lidar", "down_lidar"})}, bad),
@@ -239,32 +274,38 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
     refuse(way, test::with_poses({times({first, first})}, two),
            "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
-    refuse(way, test::with_poses({times({first, first + 1})}, two), "no pose at 315966265360088000, the time of a sweep");
+    refuse(way, test::with_poses({times({first, first + 1})}, two),
+           "no pose at 315966265360088000, the time of a sweep");
     bad = two;
     bad[0].translation.y = NAN;
-    refuse(way, test::with_poses({times({first, second})}, bad), "column 'ty_m': row 0 is nan, expected a finite number");
+    refuse(way, test::with_poses({times({first, second})}, bad),
+           "column 'ty_m': row 0 is nan, expected a finite number");
     const auto label = [&](double length_m) {
         const std::vector<double> one{1.0};
-        return test::with_poses({times({first}), test::text_column("track_uuid", {"a"}), test::text_column("category", {"DOG"}),
-                           test::number_column("length_m", std::vector<double>{length_m}), test::number_column("width_m", one),
-                           test::number_column("height_m", one)},
-                          {Pose{}});
+        return test::with_poses(
+            {times({first}), test::text_column("track_uuid", {"a"}), test::text_column("category", {"DOG"}),
+             test::number_column("length_m", std::vector<double>{length_m}),
+             test::number_column("width_m", one), test::number_column("height_m", one)},
+            {Pose{}});
     };
     refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1, expected all above 0");
     const auto point = [](float x, std::uint8_t laser, std::int32_t offset_ns) {
-        return std::vector<test::FeatherColumn>{test::number_column("x", std::vector<float>{x}),
-                                                test::number_column("y", std::vector<float>{1.0f}),
-                                                test::number_column("z", std::vector<float>{1.0f}),
-                                                test::number_column("intensity", std::vector<std::uint8_t>{1}),
-                                                test::number_column("laser_number", std::vector<std::uint8_t>{laser}),
-                                                test::number_column("offset_ns", std::vector<std::int32_t>{offset_ns})};
+        return std::vector<test::FeatherColumn>{
+            test::number_column("x", std::vector<float>{x}),
+            test::number_column("y", std::vector<float>{1.0f}),
+            test::number_column("z", std::vector<float>{1.0f}),
+            test::number_column("intensity", std::vector<std::uint8_t>{1}),
+            test::number_column("laser_number", std::vector<std::uint8_t>{laser}),
+            test::number_column("offset_ns", std::vector<std::int32_t>{offset_ns})};
     };
     refuse(sweep, point(2e4f, 1, 0), "point 0 at (20000, 1, 1), expected metres within 10000");
     refuse(sweep, point(NAN, 1, 0), "column 'x': row 0 is nan");
     refuse(sweep, point(1.0f, 64, 0), "column 'laser_number': row 0 is 64, expected 0 to 63");
-    refuse(sweep, point(1.0f, 1, 300000000), "column 'offset_ns': row 0 is 300000000, expected nanoseconds within 200000000");
+    refuse(sweep, point(1.0f, 1, 300000000),
+           "column 'offset_ns': row 0 is 300000000, expected nanoseconds within 200000000");
     refuse(sweep, {test::number_column("x", std::vector<float>())}, "no points, expected a sweep");
-    refuse(sweep, {test::number_column("x", std::vector<float>{1.0f})}, "column 'y': no such column among 'x'");
+    refuse(sweep, {test::number_column("x", std::vector<float>{1.0f})},
+           "column 'y': no such column among 'x'");
     const std::string whole = test::read_text(sweep);
     expect_refused(log, sweep, whole.substr(0, whole.size() / 2), "cut short");
     expect_refused(log, sweep, "", "0 bytes");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boreas: a sequence written here, whose every ray is known, and what is wrong with its files.
+// Boreas: a sequence written here, whose every ray is known, and what is wrong with its
+// files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -8,8 +9,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/clouds/stamped_folders.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -32,9 +33,12 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& found) {
             const StampedRay& ray = truth.at(column * data.drive.beams.size() + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // straight between scans, 8 m/s turning by 0.3 rad/s: 9 mm beside it half a scan before the first
+            // straight between scans, 8 m/s turning by 0.3 rad/s: 9 mm beside it half a
+            // scan before the first
             ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), 0.01);
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
+                                        found.world_offset_m,
+                                    ray.point_m),
                       0.011);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
         }
@@ -47,15 +51,17 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const Sequence found = load_sequence(data.folder.string(), {});
     EXPECT_EQ(found.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(found.conventions, testing::HasSubstr("turned about z by -42.60 degrees"));
-    EXPECT_THAT(found.notes, testing::ElementsAre("nothing in this log is labelled", "128 beams x 360 columns are fitted to its points"));
+    EXPECT_THAT(found.notes, testing::ElementsAre("nothing in this log is labelled",
+                                                  "128 beams x 360 columns are fitted to its points"));
     ASSERT_EQ(found.frames.size(), std::size_t(BoreasFolder::kScans));
     const SpinningSensor& sensor = found.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(sensor.clockwise);
     ASSERT_EQ(sensor.beams.size(), 128u);
-    for (std::size_t b = 0; b < 128; ++b) EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
+    for (std::size_t b = 0; b < 128; ++b)
+        EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
     expect_boreas_truth(data, found);
-    for (std::size_t i = 0; i < found.frames.size(); ++i) {   // x looks forward
+    for (std::size_t i = 0; i < found.frames.size(); ++i) {  // x looks forward
         const glm::dvec3 ahead = found.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
         const glm::dvec3 truth = data.drive.vehicle_at(0.1 * double(i)).rotation * glm::dvec3(1, 0, 0);
         EXPECT_LT(glm::distance(ahead, truth), 1e-6);
@@ -63,13 +69,15 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
 }
 
 TEST(Boreas, AnglesThatOthersWouldWrite) {
-    const char* names[] = {"", "R_z(yaw) R_y(pitch) R_x(roll)", "R_z(-yaw) R_y(-pitch) R_x(-roll)", "R_x(roll) R_y(pitch) R_z(yaw)"};
+    const char* names[] = {"", "R_z(yaw) R_y(pitch) R_x(roll)", "R_z(-yaw) R_y(-pitch) R_x(-roll)",
+                           "R_x(roll) R_y(pitch) R_z(yaw)"};
     for (const int angles : {1, 2, 3}) {
         const BoreasFolder data("angles", angles);
         for (const bool calibrated : {true, false}) {
             if (!calibrated) fs::remove(data.calibration());
             const Sequence found = load_sequence(data.folder.string(), {});
-            EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr(std::string("angles of poses are taken as ") + names[angles])));
+            EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr(
+                                         std::string("angles of poses are taken as ") + names[angles])));
             expect_boreas_truth(data, found);
         }
     }
@@ -118,19 +126,24 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
     const Sequence found = load_sequence(data.folder.string(), {});
     ASSERT_EQ(found.frames.size(), 4u);
     EXPECT_EQ(found.frames[0].index, 2);
-    EXPECT_THAT(found.notes, testing::Contains("2 of 6 scans are left out, the first of them frame 0, the last frame 1: lidar_poses.csv "
-                                               "has no poses around their times"));
+    EXPECT_THAT(found.notes,
+                testing::Contains(
+                    "2 of 6 scans are left out, the first of them frame 0, the last frame 1: lidar_poses.csv "
+                    "has no poses around their times"));
     DatasetOptions options;
     options.frames = {0, 2};
-    data.expect_error("lidar_poses.csv: poses from 0.200 to 39.900 s, expected some around frames 0 to 1, at 0.000 to 0.100 s",
-                        options);
-    without(2, 3);   // 0.3 s between two poses
+    data.expect_error(
+        "lidar_poses.csv: poses from 0.200 to 39.900 s, expected some around frames 0 to 1, at 0.000 to "
+        "0.100 s",
+        options);
+    without(2, 3);  // 0.3 s between two poses
     EXPECT_EQ(load_sequence(data.folder.string(), {}).frames.size(), 6u);
 }
 
 TEST(Boreas, SaysWhichFileAndLineIsWrong) {
     const BoreasFolder data("errors");
-    const auto with = [&](const fs::path& file, const std::function<void(std::string&)>& change, const std::string& part) {
+    const auto with = [&](const fs::path& file, const std::function<void(std::string&)>& change,
+                          const std::string& part) {
         const std::string good = test::read_text(file);
         std::string text = good;
         change(text);
@@ -145,25 +158,34 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
             text.replace(text.find(from, at), from.size(), to);
         };
     };
-    with(data.poses(), line(3, ",0.0,0.0\n", "\n"), "lidar_poses.csv line 3: 11 cells, expected a time and 12 numbers");
-    with(data.poses(), line(4, ",0.3,", ",x,"), "lidar_poses.csv line 4: cell 11 is 'x', expected a number within 1e+08");
-    with(data.poses(), line(4, ",0.3,", ",nan,"), "lidar_poses.csv line 4: cell 11 is 'nan', expected a number");
+    with(data.poses(), line(3, ",0.0,0.0\n", "\n"),
+         "lidar_poses.csv line 3: 11 cells, expected a time and 12 numbers");
+    with(data.poses(), line(4, ",0.3,", ",x,"),
+         "lidar_poses.csv line 4: cell 11 is 'x', expected a number within 1e+08");
+    with(data.poses(), line(4, ",0.3,", ",nan,"),
+         "lidar_poses.csv line 4: cell 11 is 'nan', expected a number");
     with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: 't6064");
     with(data.poses(), line(5, "16064", "16063"),
          "lidar_poses.csv line 5: time 1606317097828152 after 1606417097728152, expected times that rise");
-    with(data.poses(), [](std::string& text) { text.erase(text.find('\n') + 1); }, "lidar_poses.csv: no pose, expected lines");
-    with(data.calibration(), line(1, " ", " x"), "T_applanix_lidar.txt: a word is no number, expected 4 lines of 4 numbers");
+    with(
+        data.poses(), [](std::string& text) { text.erase(text.find('\n') + 1); },
+        "lidar_poses.csv: no pose, expected lines");
+    with(data.calibration(), line(1, " ", " x"),
+         "T_applanix_lidar.txt: a word is no number, expected 4 lines of 4 numbers");
     with(data.calibration(), line(4, "0 0 0 1", ""), "T_applanix_lidar.txt: 12 numbers, expected");
     with(data.calibration(), line(1, "0.", "3."), "T_applanix_lidar.txt: the 3x3 block is no rotation");
-    with(data.scan(3), [](std::string& bytes) { bytes.resize(bytes.size() - 5); }, ".bin: ");
-    with(data.scan(3), [](std::string& bytes) { bytes.clear(); }, "0 points, expected 1 to");
+    with(
+        data.scan(3), [](std::string& bytes) { bytes.resize(bytes.size() - 5); }, ".bin: ");
+    with(
+        data.scan(3), [](std::string& bytes) { bytes.clear(); }, "0 points, expected 1 to");
     DatasetOptions options;
     options.skip_broken = true;
     test::write_text(data.scan(3), "cut");
     EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 5u);
     data.expect_error("1606417097828152.bin: 3 bytes, expected a multiple of 24: 6 float32 a point");
     fs::remove(data.poses());
-    data.expect_error("lidar_poses.csv: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none");
+    data.expect_error(
+        "lidar_poses.csv: no such file; expected poses, dataset.poses=FILE with them, or dataset.poses=none");
     fs::remove_all(data.folder / "lidar");
     fs::create_directory(data.folder / "lidar");
     data.expect_error("lidar: no scan, expected files named by their times");

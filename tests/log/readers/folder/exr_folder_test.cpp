@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder as EXR range images: a street whose truth is known, images that OpenEXR itself wrote, and damage.
+// Scans of a plain folder as EXR range images: a street whose truth is known, images that
+// OpenEXR itself wrote, and damage.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -58,23 +59,28 @@ Channels channels_of(const Scan& scan) {
     return channels;
 }
 
-/// A street with second returns, saved as a plain folder, its scans replaced by images. @param keep  channels that are written
+/// A street with second returns, saved as a plain folder, its scans replaced by images.
+/// @param keep  channels that are written
 struct StreetOfImages {
     Sequence truth = make_synthetic_street({.n_frames = 3, .rows = 32, .columns = 500});
     fs::path folder;
 
-    StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep) : folder(fresh_exr_folder(name)) {
+    StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep)
+        : folder(fresh_exr_folder(name)) {
         for (Frame& frame : truth.frames) {
             Scan& scan = frame.scan;
-            scan.second_returns.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
+            scan.second_returns.assign(
+                1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
             for (std::size_t i = 0; i < scan.range_m.size(); i += 5)
                 if (scan.range_m[i] > 0.0f && scan.range_m[i] < 70.0f)
-                    scan.second_returns[0].range_m[i] = scan.range_m[i] + 1.75f, scan.second_returns[0].intensity[i] = 0.125f;
+                    scan.second_returns[0].range_m[i] = scan.range_m[i] + 1.75f,
+                    scan.second_returns[0].intensity[i] = 0.125f;
         }
         fs::remove_all(folder);
         save_folder(truth, folder);
         std::string head = test::read_text(folder / "sequence.json");
-        for (std::size_t at = 0; (at = head.find(".npz", at)) != std::string::npos;) head.replace(at, 4, ".exr");
+        for (std::size_t at = 0; (at = head.find(".npz", at)) != std::string::npos;)
+            head.replace(at, 4, ".exr");
         test::write_text(folder / "sequence.json", head);
         for (const Frame& frame : truth.frames) {
             Channels channels = channels_of(frame.scan);
@@ -83,12 +89,14 @@ struct StreetOfImages {
             std::erase_if(channels, [&](const auto& channel) { return !keep(channel.first); });
             const std::string stem = fmt::format("scans/{:06}", frame.index);
             fs::remove(folder / (stem + ".npz"));
-            write_exr(folder / (stem + ".exr"), frame.scan.rays.rows, frame.scan.rays.columns, channels, {{"relidar", "test"}});
+            write_exr(folder / (stem + ".exr"), frame.scan.rays.rows, frame.scan.rays.columns, channels,
+                      {{"relidar", "test"}});
         }
     }
 };
 
-/// Every ray: its return within 1 mm of the truth where it lies in the world of the sensor, its beam, column and time.
+/// Every ray: its return within 1 mm of the truth where it lies in the world of the
+/// sensor, its beam, column and time.
 void expect_same_scans(const Sequence& found, const Sequence& truth, double ray_tolerance) {
     ASSERT_EQ(found.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
@@ -97,7 +105,8 @@ void expect_same_scans(const Sequence& found, const Sequence& truth, double ray_
         EXPECT_EQ(a.rays.channel, b.rays.channel);
         EXPECT_EQ(a.intensity, b.intensity);
         ASSERT_EQ(a.second_returns.size(), 1u);
-        EXPECT_TRUE(a.range_m == b.range_m && a.second_returns[0].range_m == b.second_returns[0].range_m) << "ranges are kept bit by bit";
+        EXPECT_TRUE(a.range_m == b.range_m && a.second_returns[0].range_m == b.second_returns[0].range_m)
+            << "ranges are kept bit by bit";
         EXPECT_EQ(a.second_returns[0].intensity, b.second_returns[0].intensity);
         std::size_t n_returns = 0;
         for (std::size_t i = 0; i < b.range_m.size(); ++i) {
@@ -116,10 +125,12 @@ TEST(ExrFolder, ImagesWithRaysAreReadBitByBit) {
 }
 
 TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
-    const auto keep = [](const std::string& name) { return name.starts_with("range") || name.starts_with("intensity"); };
+    const auto keep = [](const std::string& name) {
+        return name.starts_with("range") || name.starts_with("intensity");
+    };
     const StreetOfImages street("sensor", keep);
     const Sequence found = load_sequence(street.folder.string(), {});
-    expect_same_scans(found, street.truth, 1e-6);   // 0.1 mm at 80 m
+    expect_same_scans(found, street.truth, 1e-6);  // 0.1 mm at 80 m
 }
 
 TEST(ExrFolder, RowsFromBelow) {
@@ -130,7 +141,8 @@ TEST(ExrFolder, RowsFromBelow) {
         const fs::path folder = one_frame("below", text.replace(text.find("\"RING\""), 6, ring));
         write_exr(folder / "scans/0.exr", 3, 4, {{"range", {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}}});
         const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
-        EXPECT_NEAR(scan.rays.direction[0].z, std::sin(5.0 * kPi / 180.0), 1e-6) << "row 0 is the highest beam in either case";
+        EXPECT_NEAR(scan.rays.direction[0].z, std::sin(5.0 * kPi / 180.0), 1e-6)
+            << "row 0 is the highest beam in either case";
         return scan.range_m;
     };
     EXPECT_EQ(ranges(R"("ring_0": "highest",)"), (ScanArray<float>{1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}));
@@ -144,24 +156,31 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
     const std::vector<float> range(rays.size(), 12.0f);
     write_exr(folder / "scans/0.exr", 16, 180, {{"range", range}}, {{"sensor", "VLP-16:180x10"}});
     const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
-    EXPECT_TRUE(scan.rays.direction == rays.direction && scan.rays.origin == rays.origin && scan.rays.channel == rays.channel);
+    EXPECT_TRUE(scan.rays.direction == rays.direction && scan.rays.origin == rays.origin &&
+                scan.rays.channel == rays.channel);
     write_exr(folder / "scans/0.exr", 16, 180, {{"range", range}}, {{"sensor", "/etc/passwd.csv"}});
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "a file of the user's is not read because an image says so";
+    EXPECT_THROW(load_sequence(folder.string(), {}), DataError)
+        << "a file of the user's is not read because an image says so";
 }
 
-/// An image as OpenEXR writes it for others: half precision or whole numbers, another compression, a window that does not begin at 0.
+/// An image as OpenEXR writes it for others: half precision or whole numbers, another
+/// compression, a window that does not begin at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
-    const fs::path folder = one_frame("others", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 1000,
+    const fs::path folder =
+        one_frame("others", R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 1000,
         "lidars": [{"sensor": "rays.json", "spins": false}]})");
     std::string directions;
-    for (int i = 0; i < n; ++i) directions += fmt::format("{}[{}, {}, 0]", i == 0 ? "" : ", ", std::cos(0.001 * i), std::sin(0.001 * i));
+    for (int i = 0; i < n; ++i)
+        directions +=
+            fmt::format("{}[{}, {}, 0]", i == 0 ? "" : ", ", std::cos(0.001 * i), std::sin(0.001 * i));
     test::write_text(folder / "rays.json", fmt::format(R"({{"directions": [{}]}})", directions));
     std::vector<Imath::half> range(n);
     std::vector<unsigned> intensity(n);
     for (std::size_t i = 0; i < range.size(); ++i)
         range[i] = Imath::half(float(i % 2048) / 32.0f), intensity[i] = unsigned(i % 1000);
-    for (const Imf::Compression compression : {Imf::NO_COMPRESSION, Imf::RLE_COMPRESSION, Imf::ZIPS_COMPRESSION, Imf::PIZ_COMPRESSION}) {
+    for (const Imf::Compression compression :
+         {Imf::NO_COMPRESSION, Imf::RLE_COMPRESSION, Imf::ZIPS_COMPRESSION, Imf::PIZ_COMPRESSION}) {
         const Imath::Box2i window({-7, 11}, {-7 + n - 1, 11});
         Imf::Header header(window, window);
         header.compression() = compression;
@@ -197,7 +216,8 @@ protected:
             const double a = 0.01 * i;
             channels["range"].push_back(5.0f + 0.01f * float((i * 7919) % 997));
             channels["intensity"].push_back(0.5f);
-            channels["direction.x"].push_back(float(std::cos(a))), channels["direction.y"].push_back(float(std::sin(a)));
+            channels["direction.x"].push_back(float(std::cos(a))),
+                channels["direction.y"].push_back(float(std::sin(a)));
             channels["direction.z"].push_back(0.0f);
         }
         return channels;
@@ -228,12 +248,15 @@ protected:
         EXPECT_EQ(complaint(), "nothing");
         return test::read_text(file);
     }
-    /// A number behind an attribute's name and type, its size left out. @param at  in its value; -4: the size
-    std::string patched(const std::string& bytes, const std::string& name, const std::string& type, int at, std::int32_t value) const {
+    /// A number behind an attribute's name and type, its size left out. @param at  in its
+    /// value; -4: the size
+    std::string patched(const std::string& bytes, const std::string& name, const std::string& type, int at,
+                        std::int32_t value) const {
         std::string changed = bytes;
         const std::size_t begin = bytes.find(name + '\0' + type + '\0');
         EXPECT_NE(begin, std::string::npos);
-        std::memcpy(changed.data() + std::ptrdiff_t(begin + name.size() + type.size() + 2 + 4) + at, &value, sizeof value);
+        std::memcpy(changed.data() + std::ptrdiff_t(begin + name.size() + type.size() + 2 + 4) + at, &value,
+                    sizeof value);
         return changed;
     }
 };
@@ -253,7 +276,9 @@ TEST_F(ExrDamage, CutAnywhere) {
 
 TEST_F(ExrDamage, OfHeaders) {
     const std::string bytes = good_bytes();
-    const auto window = [&](int at, std::int32_t value) { return patched(bytes, "dataWindow", "box2i", at, value); };
+    const auto window = [&](int at, std::int32_t value) {
+        return patched(bytes, "dataWindow", "box2i", at, value);
+    };
     expect_bytes(window(8, 1 << 28), "pixels, expected at most 16777216");
     expect_bytes(window(8, 400'000), "20 x 400001 pixels of 5 channels are impossible in a file of");
     expect_bytes(window(8, 2147483647), "a corner of dataWindow at 2147483647");
@@ -262,10 +287,11 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(-4, -1), "attribute 'dataWindow' of -1 bytes");
     expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
                  "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
-    std::int32_t list_bytes = 0;   // more are told than its channels take: OpenEXR would read on within it
+    std::int32_t list_bytes = 0;  // more are told than its channels take: OpenEXR would read on within it
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
-    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9), "its list of channels ends before the bytes");
+    expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9),
+                 "its list of channels ends before the bytes");
     std::string other = bytes;
     other[5] = 0x02;
     expect_bytes(other, "an image of tiles");
@@ -274,10 +300,10 @@ TEST_F(ExrDamage, OfHeaders) {
     other[5] = 0x10;
     expect_bytes(other, "several images in one file");
     other = bytes;
-    other[bytes.find(std::string("range\0\2", 7)) + 6] = 9;   // its type of numbers
+    other[bytes.find(std::string("range\0\2", 7)) + 6] = 9;  // its type of numbers
     EXPECT_NE((test::write_text(file, other), complaint()), "nothing");
     other = bytes;
-    other[bytes.find(std::string("range\0\2", 7)) + 14] = 2;   // every second pixel
+    other[bytes.find(std::string("range\0\2", 7)) + 14] = 2;  // every second pixel
     expect_bytes(other, "channel 'range' has every 2 x 1th pixel");
     other = bytes;
     for (std::size_t at = bytes.size() - 60; at < bytes.size(); ++at) other[at] = char(0xAA);
@@ -312,8 +338,9 @@ TEST_F(ExrDamage, OfWhatIsMissing) {
     expect(good(), "deskewed or in the world", {{"points_in", "world: the dataset's own"}});
     expect(good(), "deskewed or in the world", {{"points_in", "sensor at time_s: x forward, y left, z up"}});
     expect(good(), "nothing", {{"points_in", "sensor at each ray's firing time: x forward, y left, z up"}});
-    test::write_text(folder / "sequence.json",
-                     R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": "VLP-16"}]})");
+    test::write_text(
+        folder / "sequence.json",
+        R"({"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{"sensor": "VLP-16"}]})");
     expect(range, "range of 20 x 12 without directions, expected 16 x 1808");
 }
 

@@ -10,8 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/clouds/point_writers.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -27,7 +27,8 @@ protected:
         for (int b = 0; b < 16; ++b)
             for (int c = 0; c < 90; ++c) {
                 const double e = 0.1 - 0.02 * b, a = kPi - (c + 0.5) * 2.0 * kPi / 90;
-                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f, std::uint16_t(b), 0.0});
+                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f,
+                                  std::uint16_t(b), 0.0});
             }
         put("scans/a.pcd", test::pcd_binary(points));
         put("scans/b.pcd", test::pcd_compressed(points));
@@ -36,10 +37,13 @@ protected:
         put("boxes.json",
             R"({"boxes": [{"track": "a", "category": "Car", "time_s": 0, "size": [4, 2, 1], "position": [5, 0, 0], "yaw_deg": 0}]})");
     }
-    void put(const std::string& name, const std::string& text) const { test::write_text(folder / name, text); }
+    void put(const std::string& name, const std::string& text) const {
+        test::write_text(folder / name, text);
+    }
 
     /// What is said of a folder in which one file holds something else, or is missing.
-    std::string complaint(const std::string& name, const std::string& text, const DatasetOptions& options = {}) const {
+    std::string complaint(const std::string& name, const std::string& text,
+                          const DatasetOptions& options = {}) const {
         const std::string good = fs::exists(folder / name) ? test::read_text(folder / name) : "";
         text == kMissing ? void(fs::remove(folder / name)) : put(name, text);
         std::string said = "nothing";
@@ -53,7 +57,8 @@ protected:
         good.empty() ? void(fs::remove(folder / name)) : put(name, good);
         return said;
     }
-    void expect(const std::string& name, const std::string& text, const std::string& part, const DatasetOptions& options = {}) const {
+    void expect(const std::string& name, const std::string& text, const std::string& part,
+                const DatasetOptions& options = {}) const {
         const std::string said = complaint(name, text, options);
         EXPECT_NE(said.find(part), std::string::npos) << "said: " << said << "\nexpected: " << part;
     }
@@ -63,14 +68,17 @@ protected:
         return options;
     }
     /// The head with members of its own.
-    std::string with(const std::string& members) const { return head.substr(0, head.size() - 1) + ", " + members + "}"; }
+    std::string with(const std::string& members) const {
+        return head.substr(0, head.size() - 1) + ", " + members + "}";
+    }
     std::string replaced(std::string text, const std::string& from, const std::string& to) const {
         EXPECT_NE(text.find(from), std::string::npos) << from;
         return text.replace(text.find(from), from.size(), to);
     }
 
     static constexpr const char* kMissing = "(missing)";
-    const std::string head = R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 255, "point_times": "absolute"})";
+    const std::string head =
+        R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 255, "point_times": "absolute"})";
     fs::path folder;
     test::FilePoints points;
 };
@@ -87,38 +95,55 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", head.substr(0, 40), "sequence.json: not valid JSON");
     expect("sequence.json", "[]", "expected an object");
     expect("sequence.json", "{}", "format: missing");
-    expect("sequence.json", replaced(head, "relidar log", "relidar"), "format: found another one, expected \"relidar log\"");
+    expect("sequence.json", replaced(head, "relidar log", "relidar"),
+           "format: found another one, expected \"relidar log\"");
     expect("sequence.json", replaced(head, "1,", "2,"), "version: found 2");
-    expect("sequence.json", with("\"intensity_maks\": 1"), "found the unknown member 'intensity_maks', expected only format, version");
+    expect("sequence.json", with("\"intensity_maks\": 1"),
+           "found the unknown member 'intensity_maks', expected only format, version");
     expect("sequence.json", with("\"frames\": []"), "found frames and rate_hz");
     expect("sequence.json", replaced(head, "\"rate_hz\": 10, ", ""), "found neither frames nor rate_hz");
     expect("sequence.json", replaced(head, "10", "0"), "rate_hz: found 0");
-    expect("sequence.json", with("\"time_unit\": \"sec\""), "time_unit: found \"sec\", expected one of: s, ms, us, ns");
+    expect("sequence.json", with("\"time_unit\": \"sec\""),
+           "time_unit: found \"sec\", expected one of: s, ms, us, ns");
     expect("sequence.json", with("\"lidars\": []"), "lidars: found no LiDAR");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": \"VLP-61\"}]"), "VLP-16");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": \"missing.csv\"}]"), "missing.csv");
     expect("sequence.json", with("\"lidars\": [{\"scans\": \"nowhere\"}]"), "nowhere: no such folder");
-    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [], \"columns\": 8}}]"), "beams: found 0 beams");
-    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}]}}]"), "columns: missing");
+    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [], \"columns\": 8}}]"),
+           "beams: found 0 beams");
+    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}]}}]"),
+           "columns: missing");
     expect("sequence.json",
-           with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}, {\"elevation_deg\": 2}], \"columns\": 8}}]"),
+           with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}, {\"elevation_deg\": 2}], "
+                "\"columns\": 8}}]"),
            "found the lowest beam first");
-    expect("sequence.json", with("\"lidars\": [{\"spins\": false, \"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
+    expect("sequence.json",
+           with("\"lidars\": [{\"spins\": false, \"sensor\": {\"beams\": [{\"elevation_deg\": 1}], "
+                "\"columns\": 8}}]"),
            "spins: found false beside beams");
-    expect("sequence.json", with("\"lidars\": [{\"vehicle_from_sensor\": [2,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}]"),
+    expect("sequence.json",
+           with("\"lidars\": [{\"vehicle_from_sensor\": [2,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}]"),
            "vehicle_from_sensor: the 3x3 block is no rotation");
-    expect("sequence.json", with("\"lidars\": [{\"vehicle_from_sensor\": {\"translation\": [0,0,0], \"quaternion\": [0,0,0,0]}}]"),
-           "found a quaternion of length 0");
-    expect("sequence.json", with(R"("lidars": [{"name": "a"}, {"name": "a", "scans": "scans"}])"), "scans/a: no such folder");
+    expect(
+        "sequence.json",
+        with(
+            "\"lidars\": [{\"vehicle_from_sensor\": {\"translation\": [0,0,0], \"quaternion\": [0,0,0,0]}}]"),
+        "found a quaternion of length 0");
+    expect("sequence.json", with(R"("lidars": [{"name": "a"}, {"name": "a", "scans": "scans"}])"),
+           "scans/a: no such folder");
 }
 
 TEST_F(FolderDamage, OfListedFrames) {
-    const auto frames = [&](const std::string& list) { return replaced(head, "\"rate_hz\": 10", "\"frames\": [" + list + "]"); };
+    const auto frames = [&](const std::string& list) {
+        return replaced(head, "\"rate_hz\": 10", "\"frames\": [" + list + "]");
+    };
     const std::string a = R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd"})";
     expect("sequence.json", frames(""), "frames: found no frame");
     expect("sequence.json", frames(R"({"number": 0, "scan": "scans/a.pcd"})"), "frames[0].time_s: missing");
-    expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"), "frames[0].number: found -1");
-    expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"), "time 0 s after 0 s of frame 0");
+    expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"),
+           "frames[0].number: found -1");
+    expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),
+           "time 0 s after 0 s of frame 0");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
            "found \"x\", expected the name of");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),
@@ -132,29 +157,35 @@ TEST_F(FolderDamage, OfListedFrames) {
 }
 
 TEST_F(FolderDamage, OfPosesAndBoxes) {
-    expect("poses.txt", kMissing, "poses.txt: no such file; expected poses of the vehicle, dataset.poses=FILE");
+    expect("poses.txt", kMissing,
+           "poses.txt: no such file; expected poses of the vehicle, dataset.poses=FILE");
     expect("poses.txt", "", "poses.txt: no pose");
     expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: 1 lines, frame 1 needs line 2");
     expect("poses.txt", "1 2 3\n", "poses.txt line 1: '1 2 3', expected 8 numbers");
-    expect("poses.txt", "0 0 0 0 1 0 0 0\n0 0 0 0 1 0 0 0\n", "poses.txt line 2: time 0 s after 0 s, expected times that rise");
+    expect("poses.txt", "0 0 0 0 1 0 0 0\n0 0 0 0 1 0 0 0\n",
+           "poses.txt line 2: time 0 s after 0 s, expected times that rise");
     expect("poses.txt", "0 0 0 nan 1 0 0 0\n", "expected finite numbers");
     expect("poses.txt", "0 0 0 0 0.5 0 0 0\n", "a quaternion of length 0.5");
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");
-    expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n", "poses.txt line 1: column 'yaw' is not known");
+    expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n",
+           "poses.txt line 1: column 'yaw' is not known");
     expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1: found no column 'qz'");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json: not valid JSON");
     expect("boxes.json", replaced(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
-           "boxes[0]: found the unknown member 'yaw', expected only track, category, time_s, frame, size, position, yaw_deg, quaternion");
+           "boxes[0]: found the unknown member 'yaw', expected only track, category, time_s, frame, size, "
+           "position, yaw_deg, quaternion");
     expect("boxes.json", replaced(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a': a size of 4 x 2 x 0 m");
-    expect("boxes.json", replaced(good, "\"time_s\": 0", "\"frame\": 9"), "frame: found 9, expected the number of a frame");
+    expect("boxes.json", replaced(good, "\"time_s\": 0", "\"frame\": 9"),
+           "frame: found 9, expected the number of a frame");
 }
 
 TEST_F(FolderDamage, OfPointFiles) {
     const std::string good = test::pcd_binary(points);
     expect("scans/a.pcd", "", "a.pcd: no line DATA");
     expect("scans/a.pcd", good.substr(0, good.size() - 1), "a.pcd: truncated");
-    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 999999999"), "a.pcd: 999999999 points, expected 1 to");
+    expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 999999999"),
+           "a.pcd: 999999999 points, expected 1 to");
     expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS 0"), "a.pcd: 0 points");
     expect("scans/a.pcd", replaced(good, "POINTS 1440", "POINTS -3"), "POINTS '-3', expected a whole number");
     expect("scans/a.pcd", replaced(good, "SIZE 4 4 4", "SIZE 4 4"), "7 FIELDS, 6 SIZE");
@@ -173,21 +204,27 @@ TEST_F(FolderDamage, OfPointFiles) {
     const std::string ply = test::ply_binary(points);
     fs::remove(folder / "scans/a.pcd");
     expect("scans/a.ply", ply.substr(0, ply.size() - 1), "a.ply: truncated");
-    expect("scans/a.ply", replaced(ply, "binary_little_endian", "binary_big_endian"), "format 'binary_big_endian'");
-    expect("scans/a.ply", replaced(ply, "element vertex", "element camera"), "expected 'element vertex N' first");
-    expect("scans/a.ply", replaced(ply, "property ushort", "property list ushort"), "property 'ushort' of type 'list'");
+    expect("scans/a.ply", replaced(ply, "binary_little_endian", "binary_big_endian"),
+           "format 'binary_big_endian'");
+    expect("scans/a.ply", replaced(ply, "element vertex", "element camera"),
+           "expected 'element vertex N' first");
+    expect("scans/a.ply", replaced(ply, "property ushort", "property list ushort"),
+           "property 'ushort' of type 'list'");
     expect("scans/a.bin", std::string(15, 'x'), "a.bin: 15 bytes, expected a multiple of 16");
     expect("scans/a.bin", "", "a.bin: 0 points");
-    expect("scans/a.npy", test::npy(points), "a.npy: an array of 2 dimensions, the last of 6, expected [points, 4]");
+    expect("scans/a.npy", test::npy(points),
+           "a.npy: an array of 2 dimensions, the last of 6, expected [points, 4]");
     expect("scans/a.npy", "x", "a.npy");
     expect("scans/a.npz", "x", "a.npz");
 }
 
 /// Point clouds of relidar say in which frame their points are.
 TEST_F(FolderDamage, OfDeskewedPoints) {
-    for (const char* frame : {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {
+    for (const char* frame :
+         {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {
         const std::string pcd = fmt::format("# {}\n", frame) + test::pcd_binary(points);
-        const std::string ply = replaced(test::ply_binary(points), "ply\n", fmt::format("ply\ncomment {}\n", frame));
+        const std::string ply =
+            replaced(test::ply_binary(points), "ply\n", fmt::format("ply\ncomment {}\n", frame));
         expect("scans/a.pcd", pcd, "a.pcd: its rays are deskewed or in the world");
         fs::rename(folder / "scans/a.pcd", folder / "a.pcd");
         expect("scans/a.ply", ply, "a.ply: its rays are deskewed or in the world");
@@ -196,7 +233,8 @@ TEST_F(FolderDamage, OfDeskewedPoints) {
         EXPECT_EQ(complaint("scans/a.pcd", pcd, without_poses()), "nothing");
         put("sequence.json", head);
     }
-    expect("scans/a.pcd", "# points_in sensor at each ray's firing time\n" + test::pcd_binary(points), "nothing");
+    expect("scans/a.pcd", "# points_in sensor at each ray's firing time\n" + test::pcd_binary(points),
+           "nothing");
 }
 
 TEST_F(FolderDamage, OfValues) {
@@ -207,13 +245,17 @@ TEST_F(FolderDamage, OfValues) {
     };
     expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = INFINITY; }), "a.pcd: point 7: (");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7: time nan");
-    expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }), "\"time_unit\" and \"point_times\" in sequence.json");
+    expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
+           "\"time_unit\" and \"point_times\" in sequence.json");
     expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7: ring 65535");
-    expect("sequence.json", replaced(head, "\"intensity_max\": 255, ", ""), "intensity 51, expected 0..1, or \"intensity_max\"");
-    expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
+    expect("sequence.json", replaced(head, "\"intensity_max\": 255, ", ""),
+           "intensity 51, expected 0..1, or \"intensity_max\"");
+    expect("sequence.json",
+           with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
            "expected one of 1 beams");
     for (test::FilePoint& p : points) p.ring = 0, p.point_m = {5.0f, 0.0f, 0.0f};
-    expect("scans/a.pcd", test::pcd_binary(points), "\"spins\": false in sequence.json takes points as they are");
+    expect("scans/a.pcd", test::pcd_binary(points),
+           "\"spins\": false in sequence.json takes points as they are");
 }
 
 }  // namespace

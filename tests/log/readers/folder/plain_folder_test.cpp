@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The plain folder: logs whose truth is known, written by save_folder() or as other programs write points, and read again.
+// The plain folder: logs whose truth is known, written by save_folder() or as other
+// programs write points, and read again.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -11,14 +12,14 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
-#include "../../../support/rig_street.hpp"
 #include <relidar/base/arrays.hpp>
+#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
+#include "../../../support/rig_street.hpp"
 
 #include "../../../support/two_lidars.hpp"
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/clouds/point_writers.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -37,10 +38,12 @@ Sequence rich_street() {
     Sequence street = test::two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (Frame& frame : street.frames) {
         Scan& scan = frame.scan;
-        scan.second_returns.assign(1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
+        scan.second_returns.assign(
+            1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
         for (std::size_t i = 0; i < scan.range_m.size(); i += 7)
             if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f)
-                scan.second_returns[0].range_m[i] = scan.range_m[i] + 2.5f, scan.second_returns[0].intensity[i] = 0.125f;
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 2.5f,
+                scan.second_returns[0].intensity[i] = 0.125f;
     }
     street.notes = {"a first note", "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // as of a map
@@ -62,23 +65,27 @@ void expect_same_log(const Sequence& found, const Sequence& truth) {
     EXPECT_EQ(found.notes, truth.notes);
     EXPECT_EQ(found.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(found.world_offset_m, truth.world_offset_m);
-    expect_same_poses(found.world_from_vehicle, truth.world_from_vehicle, 2e-9);  // 5 million metres from the origin: the last digit
+    // 5 million metres from the origin: the last digit
+    expect_same_poses(found.world_from_vehicle, truth.world_from_vehicle, 2e-9);
     ASSERT_EQ(found.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
         EXPECT_EQ(found.lidars[l].name, truth.lidars[l].name);
-        EXPECT_EQ(found.lidars[l].vehicle_from_sensor.translation, truth.lidars[l].vehicle_from_sensor.translation);
+        EXPECT_EQ(found.lidars[l].vehicle_from_sensor.translation,
+                  truth.lidars[l].vehicle_from_sensor.translation);
         EXPECT_EQ(found.lidars[l].vehicle_from_sensor.rotation, truth.lidars[l].vehicle_from_sensor.rotation);
         const SpinningSensor &a = found.lidars[l].sensor, &b = truth.lidars[l].sensor;
         EXPECT_EQ(a.name, b.name);
-        EXPECT_EQ(std::tuple(a.columns, a.period_s, a.clockwise, a.min_range_m, a.max_range_m, a.divergence_rad),
-                  std::tuple(b.columns, b.period_s, b.clockwise, b.min_range_m, b.max_range_m, b.divergence_rad));
+        EXPECT_EQ(
+            std::tuple(a.columns, a.period_s, a.clockwise, a.min_range_m, a.max_range_m, a.divergence_rad),
+            std::tuple(b.columns, b.period_s, b.clockwise, b.min_range_m, b.max_range_m, b.divergence_rad));
         EXPECT_NEAR(a.first_azimuth_rad, b.first_azimuth_rad, 1e-14);
         ASSERT_EQ(a.beams.size(), b.beams.size());
         for (std::size_t k = 0; k < b.beams.size(); ++k) {
             EXPECT_NEAR(a.beams[k].elevation_rad, b.beams[k].elevation_rad, 1e-14);
             EXPECT_NEAR(a.beams[k].azimuth_offset_rad, b.beams[k].azimuth_offset_rad, 1e-14);
-            EXPECT_EQ(std::tuple(a.beams[k].origin_offset_m, a.beams[k].origin_up_m, a.beams[k].origin_left_m),
-                      std::tuple(b.beams[k].origin_offset_m, b.beams[k].origin_up_m, b.beams[k].origin_left_m));
+            EXPECT_EQ(
+                std::tuple(a.beams[k].origin_offset_m, a.beams[k].origin_up_m, a.beams[k].origin_left_m),
+                std::tuple(b.beams[k].origin_offset_m, b.beams[k].origin_up_m, b.beams[k].origin_left_m));
         }
     }
     ASSERT_EQ(found.boxes.size(), truth.boxes.size());
@@ -98,9 +105,14 @@ void expect_same_scans(const Sequence& found, const Sequence& truth) {
         EXPECT_EQ(std::tuple(a.scan.rays.rows, a.scan.rays.columns, a.scan.rays.divergence_rad),
                   std::tuple(b.scan.rays.rows, b.scan.rays.columns, b.scan.rays.divergence_rad));
         EXPECT_TRUE(a.scan.rays.ray_divergence_rad == b.scan.rays.ray_divergence_rad) << "frame " << i;
-        EXPECT_TRUE(a.scan.range_m == b.scan.range_m && a.scan.intensity == b.scan.intensity) << "frame " << i;
-        EXPECT_TRUE(a.scan.rays.origin == b.scan.rays.origin && a.scan.rays.direction == b.scan.rays.direction) << "frame " << i;
-        EXPECT_TRUE(a.scan.rays.time_offset_s == b.scan.rays.time_offset_s && a.scan.rays.channel == b.scan.rays.channel) << "frame " << i;
+        EXPECT_TRUE(a.scan.range_m == b.scan.range_m && a.scan.intensity == b.scan.intensity)
+            << "frame " << i;
+        EXPECT_TRUE(a.scan.rays.origin == b.scan.rays.origin &&
+                    a.scan.rays.direction == b.scan.rays.direction)
+            << "frame " << i;
+        EXPECT_TRUE(a.scan.rays.time_offset_s == b.scan.rays.time_offset_s &&
+                    a.scan.rays.channel == b.scan.rays.channel)
+            << "frame " << i;
         ASSERT_EQ(a.scan.second_returns.size(), b.scan.second_returns.size());
         for (std::size_t k = 0; k < b.scan.second_returns.size(); ++k)
             EXPECT_TRUE(a.scan.second_returns[k].range_m == b.scan.second_returns[k].range_m &&
@@ -131,7 +143,8 @@ TEST(SaveFolder, KeepsADrive) {
 
 TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
     Sequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
-    street.lidars[0].sensor = {.name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
+    street.lidars[0].sensor = {
+        .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
     const fs::path folder = fresh("flash");
     save_folder(street, folder);
     const Sequence found = load_sequence(folder.string(), {});
@@ -156,13 +169,16 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
     ASSERT_EQ(found.lidars.size(), 4u);
     EXPECT_FALSE(found.lidars[test::kSpinning].pattern);
     for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
-        const RayTable a = nominal_rays(found.lidars[std::size_t(l)], 0.7), b = nominal_rays(street.lidars[std::size_t(l)], 0.7);
+        const RayTable a = nominal_rays(found.lidars[std::size_t(l)], 0.7),
+                       b = nominal_rays(street.lidars[std::size_t(l)], 0.7);
         ASSERT_EQ(a.size(), b.size());
-        for (std::size_t i = 0; i < a.size(); ++i) ASSERT_LT(glm::distance(a.direction[i], b.direction[i]), 2e-7f);
+        for (std::size_t i = 0; i < a.size(); ++i)
+            ASSERT_LT(glm::distance(a.direction[i], b.direction[i]), 2e-7f);
         EXPECT_EQ(a.time_offset_s, b.time_offset_s);
         EXPECT_FLOAT_EQ(a.divergence_rad, b.divergence_rad);
         EXPECT_EQ(a.ray_divergence_rad, b.ray_divergence_rad);
-        EXPECT_EQ(found.lidars[std::size_t(l)].sensor.max_range_m, street.lidars[std::size_t(l)].sensor.max_range_m);
+        EXPECT_EQ(found.lidars[std::size_t(l)].sensor.max_range_m,
+                  street.lidars[std::size_t(l)].sensor.max_range_m);
     }
     expect_same_scans(found, street);
 }
@@ -179,12 +195,14 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     EXPECT_FALSE(found.rolling_shutter);
     EXPECT_FALSE(found.frames[1].start);
     for (std::size_t i = 0; i < 8 * 64; ++i) {
-        const auto seen = world_return(found, found.frames[1], i), truth = world_return(street, street.frames[1], i);
+        const auto seen = world_return(found, found.frames[1], i),
+                   truth = world_return(street, street.frames[1], i);
         ASSERT_LT(glm::distance(seen.point_m, truth.point_m), 1e-6) << i;
     }
     const std::regex statement("\"motion_compensated\": true");
     const std::string head = test::read_text(folder / "sequence.json");
-    test::write_text(folder / "sequence.json", std::regex_replace(head, statement, "\"motion_compensated\": false"));
+    test::write_text(folder / "sequence.json",
+                     std::regex_replace(head, statement, "\"motion_compensated\": false"));
     EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "each scan says it too";
 }
 
@@ -197,7 +215,8 @@ TEST(SaveFolder, ReadsARangeOfItsFrames) {
     const Sequence found = load_sequence(folder.string(), options);
     ASSERT_EQ(found.frames.size(), 4u);
     EXPECT_EQ(found.frames[0].scan.range_m, street.frames[2].scan.range_m);
-    for (const BoxTrack& box : found.boxes) EXPECT_TRUE(found.world_from_vehicle.covers(box.world_from_box.time_s.front())) << box.id;
+    for (const BoxTrack& box : found.boxes)
+        EXPECT_TRUE(found.world_from_vehicle.covers(box.world_from_box.time_s.front())) << box.id;
 }
 
 /// Names in a folder, the hidden ones too.
@@ -208,7 +227,7 @@ std::vector<std::string> names_in(const fs::path& folder) {
 }
 
 TEST(SaveFolder, ReadsAFewScansForALook) {
-    const Sequence street = rich_street();   // five frames of each LiDAR
+    const Sequence street = rich_street();  // five frames of each LiDAR
     const fs::path folder = fresh("looked_at");
     save_folder(street, folder);
     DatasetOptions options;
@@ -219,7 +238,8 @@ TEST(SaveFolder, ReadsAFewScansForALook) {
     for (std::size_t i = 0; i < street.frames.size(); ++i) {
         const int of_its_lidar = int(i) / 2;
         EXPECT_EQ(found.frames[i].time_s, street.frames[i].time_s);
-        if (of_its_lidar == 0 || of_its_lidar == 2) EXPECT_TRUE(found.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
+        if (of_its_lidar == 0 || of_its_lidar == 2)
+            EXPECT_TRUE(found.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
         else EXPECT_TRUE(found.frames[i].scan.range_m.empty()) << i;
     }
 }
@@ -238,7 +258,8 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_THROW(save_folder(street, folder), UsageError);
     options.overwrite = true;
     EXPECT_THROW(save_folder(street, folder, options), Error);
-    EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), street.frames.size()) << "the old one stays until the new one is complete";
+    EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), street.frames.size())
+        << "the old one stays until the new one is complete";
     Sequence shorter = street;
     shorter.frames.resize(2);
     shorter.world_from_vehicle.time_s.resize(1), shorter.world_from_vehicle.pose.resize(1);
@@ -252,11 +273,12 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
 
 /// A log of points: those of the street's returns, in the order of its rays.
 struct PointLog {
-    Sequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
+    Sequence street = make_synthetic_street(
+        {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     fs::path folder;
 
-    PointLog(const std::string& name, const std::string& ending, const std::function<std::string(const test::FilePoints&)>& written,
-             const std::string& members)
+    PointLog(const std::string& name, const std::string& ending,
+             const std::function<std::string(const test::FilePoints&)>& written, const std::string& members)
         : folder(fresh(name)) {
         fs::create_directories(folder / "scans");
         std::string poses;
@@ -269,14 +291,16 @@ struct PointLog {
             poses += "\n";
         }
         test::write_text(folder / "poses.txt", poses);
-        test::write_text(folder / "sequence.json", "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
+        test::write_text(folder / "sequence.json",
+                         "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
     }
 
     static test::FilePoints points(const Frame& frame) {
         test::FilePoints points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
-                points.push_back({frame.scan.point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f, frame.scan.rays.channel[i],
+                points.push_back({frame.scan.point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
+                                  frame.scan.rays.channel[i],
                                   frame.time_s + double(frame.scan.rays.time_offset_s[i])});
         return points;
     }
@@ -297,11 +321,13 @@ Difference difference(const Sequence& found, const Sequence& street) {
             worst.drops += (a.range_m[i] > 0.0f) != (b.range_m[i] > 0.0f);
             worst.rings += a.rays.channel[i] != b.rays.channel[i];
             worst.ray = std::max(worst.ray, double(glm::distance(a.rays.direction[i], b.rays.direction[i])));
-            worst.time_s = std::max(worst.time_s, double(std::abs(a.rays.time_offset_s[i] - b.rays.time_offset_s[i])));
+            worst.time_s =
+                std::max(worst.time_s, double(std::abs(a.rays.time_offset_s[i] - b.rays.time_offset_s[i])));
             if (a.range_m[i] == 0.0f || b.range_m[i] == 0.0f) continue;
             worst.intensity = std::max(worst.intensity, double(std::abs(a.intensity[i] - b.intensity[i])));
-            worst.point_m = std::max(worst.point_m, glm::distance(world_return(found, found.frames[f], i).point_m,
-                                                                  world_return(street, street.frames[f], i).point_m));
+            worst.point_m =
+                std::max(worst.point_m, glm::distance(world_return(found, found.frames[f], i).point_m,
+                                                      world_return(street, street.frames[f], i).point_m));
         }
     }
     return worst;
@@ -321,15 +347,9 @@ void expect_street(const PointLog& log, double time_s) {
 
 constexpr const char* kStamped = R"(, "intensity_max": 255, "point_times": "absolute")";
 
-TEST(PlainFolder, PcdAsText) {
-    expect_street({"pcd_text", "pcd", test::pcd_text, kStamped}, 1e-6);
-}
-TEST(PlainFolder, PcdPacked) {
-    expect_street({"pcd_binary", "pcd", test::pcd_binary, kStamped}, 1e-6);
-}
-TEST(PlainFolder, PcdCompressed) {
-    expect_street({"pcd_lzf", "pcd", test::pcd_compressed, kStamped}, 1e-6);
-}
+TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::pcd_text, kStamped}, 1e-6); }
+TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::pcd_binary, kStamped}, 1e-6); }
+TEST(PlainFolder, PcdCompressed) { expect_street({"pcd_lzf", "pcd", test::pcd_compressed, kStamped}, 1e-6); }
 TEST(PlainFolder, PlyAsText) {
     expect_street({"ply_text", "ply", test::ply_text, R"(, "point_times": "absolute")"}, 1e-6);
 }
@@ -337,8 +357,10 @@ TEST(PlainFolder, PlyPacked) {
     expect_street({"ply_binary", "ply", test::ply_binary, R"(, "point_times": "absolute")"}, 1e-6);
 }
 TEST(PlainFolder, NpyOfColumns) {
-    expect_street({"npy", "npy", test::npy, R"(, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")"},
-                  1e-6);
+    expect_street(
+        {"npy", "npy", test::npy,
+         R"(, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")"},
+        1e-6);
 }
 TEST(PlainFolder, BinWithRingsAlone) {
     const PointLog log("bin", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
@@ -347,18 +369,23 @@ TEST(PlainFolder, BinWithRingsAlone) {
 }
 
 TEST(PlainFolder, FindsRingsThatPointsDoNotHave) {
-    expect_street({"no_rings", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "unused"])"}, 1e-4);
+    expect_street({"no_rings", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "unused"])"},
+                  1e-4);
 }
 
 TEST(PlainFolder, TakesBeamsThatAreGiven) {
     const PointLog log("given", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
     std::string beams;
     for (const Beam& beam : log.street.lidars[0].sensor.beams)
-        beams += fmt::format("{}{{\"elevation_deg\": {}}}", beams.empty() ? "" : ", ", beam.elevation_rad * 180.0 / kPi);
-    const std::string sensor = fmt::format(R"("lidars": [{{"sensor": {{"beams": [{}], "columns": 360}}}}])", beams);
+        beams += fmt::format("{}{{\"elevation_deg\": {}}}", beams.empty() ? "" : ", ",
+                             beam.elevation_rad * 180.0 / kPi);
+    const std::string sensor =
+        fmt::format(R"("lidars": [{{"sensor": {{"beams": [{}], "columns": 360}}}}])", beams);
     const auto head = [&](const std::string& columns) {
-        test::write_text(log.folder / "sequence.json",
-                         fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10, "columns": [{}], {}}})", columns, sensor));
+        test::write_text(
+            log.folder / "sequence.json",
+            fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10, "columns": [{}], {}}})",
+                        columns, sensor));
     };
     head(R"("x", "y", "z", "intensity", "ring")");
     expect_street(log, 1e-4);
@@ -371,10 +398,13 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
         for (test::FilePoint& p : points) p.ring = std::uint16_t(15 - p.ring);
         return test::bin(points);
     };
-    expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);  // fitted
+    // fitted
+    expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"},
+                  1e-4);
     std::string csv = "elevation_deg\n";
     const Sequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
-    for (const Beam& beam : street.lidars[0].sensor.beams) csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
+    for (const Beam& beam : street.lidars[0].sensor.beams)
+        csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
     test::write_text(fs::path(testing::TempDir()) / "relidar_folder/lowest/beams.csv", csv);
     const PointLog log(
         "lowest_given", "bin", upside_down,
@@ -383,25 +413,29 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
 }
 
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
-    const PointLog log("solid", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
+    const PointLog log("solid", "bin", test::bin,
+                       R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
     const Sequence found = load_sequence(log.folder.string(), {});
     EXPECT_EQ(found.lidars[0].sensor.period_s, 0.0);
     for (std::size_t f = 0; f < found.frames.size(); ++f) {
         const test::FilePoints points = PointLog::points(log.street.frames[f]);
         ASSERT_EQ(found.frames[f].scan.rays.rows, 1);
         ASSERT_EQ(found.frames[f].scan.range_m.size(), points.size());
-        for (std::size_t i = 0; i < points.size(); ++i) EXPECT_LT(glm::distance(found.frames[f].scan.point(i), points[i].point_m), 1e-4f);
+        for (std::size_t i = 0; i < points.size(); ++i)
+            EXPECT_LT(glm::distance(found.frames[f].scan.point(i), points[i].point_m), 1e-4f);
     }
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
     // the street is driven along at 8 m/s: half a sweep is 0.4 m
-    const Sequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
+    const Sequence street = make_synthetic_street(
+        {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     const PoseTrack track = street.world_from_sensor(0);
     std::size_t frame = 0;
     const auto compensated = [&](test::FilePoints points) {
         const double t_s = street.frames[frame++].time_s;
-        for (test::FilePoint& p : points) p.point_m = glm::vec3(inverse(track.at(t_s)) * (track.at(p.time_s) * glm::dvec3(p.point_m)));
+        for (test::FilePoint& p : points)
+            p.point_m = glm::vec3(inverse(track.at(t_s)) * (track.at(p.time_s) * glm::dvec3(p.point_m)));
         return test::npy(points);
     };
     const PointLog log(
@@ -416,12 +450,15 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    // by position; then by the names of TUM, whose quaternions have w last, after a byte-order mark
+    // by position; then by the names of TUM, whose quaternions have w last, after a
+    // byte-order mark
     const std::string logs[] = {
-        "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 0 0.3826834323650898\n"
+        "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 "
+        "0 0.3826834323650898\n"
         "0.35 2 3 1 0.7071067811865476 0 0 0.7071067811865476\n",
         "\xEF\xBB\xBF# timestamp tx ty tz qx qy qz qw\n-0.05 0 0 0 0 0 0 1\n0.15 2 0 0 0 0 0 1\n"
-        "0.25 2 3 0 0 0 0.3826834323650898 0.9238795325112867\n0.35 2 3 1 0 0 0.7071067811865476 0.7071067811865476\n"};
+        "0.25 2 3 0 0 0 0.3826834323650898 0.9238795325112867\n0.35 2 3 1 0 0 0.7071067811865476 "
+        "0.7071067811865476\n"};
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
         const Sequence found = load_sequence(log.folder.string(), {});
@@ -434,8 +471,9 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
 
 TEST(PlainFolder, BoxesByFrameAndYaw) {
     const PointLog log("boxes", "bin", test::bin, "");
-    test::write_text(log.folder / "sequence.json",
-                     R"({"format": "relidar log", "version": 1, "rate_hz": 10, "columns": ["x", "y", "z", "intensity", "ring"]})");
+    test::write_text(
+        log.folder / "sequence.json",
+        R"({"format": "relidar log", "version": 1, "rate_hz": 10, "columns": ["x", "y", "z", "intensity", "ring"]})");
     test::write_text(log.folder / "boxes.json", R"({"boxes": [
         {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
         {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
@@ -453,7 +491,8 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
 TEST(PlainFolder, ReadsRenderedScans) {
     const fs::path folder = fresh("rendered");
     fs::create_directories(folder / "scans");
-    const std::vector<float> range = {5.0f, 7.0f}, median = {5.5f, 7.5f}, drop = {0.2f, 0.9f}, intensity = {0.25f, 0.5f};
+    const std::vector<float> range = {5.0f, 7.0f}, median = {5.5f, 7.5f}, drop = {0.2f, 0.9f},
+                             intensity = {0.25f, 0.5f};
     const std::vector<float> directions = {1, 0, 0, 0, 1, 0};
     std::vector<NamedArray> arrays{make_array("range", {1, 2}, range.data(), 2),
                                    make_array("median_range", {1, 2}, median.data(), 2),

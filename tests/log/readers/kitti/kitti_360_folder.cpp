@@ -20,7 +20,8 @@ glm::dmat4 frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm::dve
     return {glm::dvec4(x, 0), glm::dvec4(y, 0), glm::dvec4(z, 0), glm::dvec4(at, 1)};
 }
 
-/// imu_from_cam0: the camera looks along the IMU's x, its y is down as the IMU's z is, with a small tilt.
+/// imu_from_cam0: the camera looks along the IMU's x, its y is down as the IMU's z is,
+/// with a small tilt.
 glm::dmat4 imu_from_cam0() {
     return turned(frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03, {1, 0, 0});
 }
@@ -40,10 +41,12 @@ std::string numbers(const glm::dmat4& m) {
 /// A matrix as OpenCV's FileStorage writes it.
 std::string matrix_xml(const std::string& name, int rows, int cols, const std::vector<double>& values) {
     std::string data;
-    for (std::size_t i = 0; i < values.size(); ++i) data += fmt::format("{}{:.16e}", i % 2 == 0 ? "\n      " : " ", values[i]);
+    for (std::size_t i = 0; i < values.size(); ++i)
+        data += fmt::format("{}{:.16e}", i % 2 == 0 ? "\n      " : " ", values[i]);
     return fmt::format(
-        "  <{0} type_id=\"opencv-matrix\">\n    <rows>{1}</rows>\n    <cols>{2}</cols>\n    <dt>d</dt>\n    <data>{3}</data></{0}>\n", name,
-        rows, cols, data);
+        "  <{0} type_id=\"opencv-matrix\">\n    <rows>{1}</rows>\n    <cols>{2}</cols>\n    <dt>d</dt>\n    "
+        "<data>{3}</data></{0}>\n",
+        name, rows, cols, data);
 }
 
 std::string timestamps(int n_frames) {
@@ -67,14 +70,18 @@ std::string object_xml(int number, const std::string& fields, const glm::dmat4& 
     for (int corner = 0; corner < 8; ++corner)
         for (const int bit : {4, 2, 1}) vertices.push_back(corner & bit ? -0.5 : 0.5);
     const std::vector<double> faces{0, 2, 5, 0, 5, 7, 1, 3, 4, 1, 4, 6};
-    return fmt::format("<object{0}>\n{1}{2}{3}{4}</object{0}>\n", number, fields, matrix_xml("transform", 4, 4, rows),
-                       matrix_xml("vertices", 8, 3, vertices), matrix_xml("faces", 4, 3, faces));
+    return fmt::format("<object{0}>\n{1}{2}{3}{4}</object{0}>\n", number, fields,
+                       matrix_xml("transform", 4, 4, rows), matrix_xml("vertices", 8, 3, vertices),
+                       matrix_xml("faces", 4, 3, faces));
 }
 
-std::string object_fields(const std::string& label, int semantic, int instance, int timestamp, int start_frame, int end_frame) {
+std::string object_fields(const std::string& label, int semantic, int instance, int timestamp,
+                          int start_frame, int end_frame) {
     return fmt::format(
-        "  <index>{2}</index>\n  <label>{0}</label>\n  <semanticId_orig>0</semanticId_orig>\n  <semanticId>{1}</semanticId>\n"
-        "  <instanceId>{2}</instanceId>\n  <category>object</category>\n  <timestamp>{3}</timestamp>\n  <dynamic>{4}</dynamic>\n"
+        "  <index>{2}</index>\n  <label>{0}</label>\n  <semanticId_orig>0</semanticId_orig>\n  "
+        "<semanticId>{1}</semanticId>\n"
+        "  <instanceId>{2}</instanceId>\n  <category>object</category>\n  <timestamp>{3}</timestamp>\n  "
+        "<dynamic>{4}</dynamic>\n"
         "  <start_frame>{5}</start_frame>\n  <end_frame>{6}</end_frame>\n",
         label, semantic, instance, timestamp, timestamp >= 0 ? 1 : 0, start_frame, end_frame);
 }
@@ -86,7 +93,8 @@ std::string boxes_xml(const std::string& objects) {
 glm::dmat4 Kitti360Folder::world_from_imu(double frame) {
     const double s = frame - kFirst;
     const glm::dmat4 heading =
-        turned(glm::translate(glm::dmat4(1.0), {1254.5 + 0.9 * s, 3811.25 - 0.4 * s, 114.0 + 0.01 * s}), -0.4 + 0.02 * s, {0, 0, 1});
+        turned(glm::translate(glm::dmat4(1.0), {1254.5 + 0.9 * s, 3811.25 - 0.4 * s, 114.0 + 0.01 * s}),
+               -0.4 + 0.02 * s, {0, 0, 1});
     return turned(turned(heading, 0.01, {0, 1, 0}), glm::pi<double>(), {1, 0, 0});  // z down
 }
 
@@ -94,9 +102,7 @@ glm::dmat4 Kitti360Folder::world_from_velo(double frame) {
     return world_from_imu(frame) * imu_from_cam0() * glm::inverse(velo_from_cam0());
 }
 
-fs::path Kitti360Folder::scan(int frame) const {
-    return raw() / "data" / fmt::format("{:010d}.bin", frame);
-}
+fs::path Kitti360Folder::scan(int frame) const { return raw() / "data" / fmt::format("{:010d}.bin", frame); }
 
 void Kitti360Folder::write_poses(const std::vector<int>& frames) const {
     std::string text;
@@ -106,14 +112,17 @@ void Kitti360Folder::write_poses(const std::vector<int>& frames) const {
 
 Kitti360Folder::Kitti360Folder(const std::string& name, int first)
     : sweeps(name), folder(sweeps.folder.parent_path().parent_path() / "KITTI-360") {
-    for (int frame = 0; frame < kFrames; ++frame) write_text(scan(first + frame), read_text(sweeps.scan(frame)));
+    for (int frame = 0; frame < kFrames; ++frame)
+        write_text(scan(first + frame), read_text(sweeps.scan(frame)));
     write_text(raw() / "timestamps.txt", timestamps(first + 10));
     write_poses({first, first + 1, first + 2});
     std::string cameras;
-    for (int camera = 0; camera < 4; ++camera) cameras += fmt::format("image_{:02d}: {}\n", camera, numbers(imu_from_cam0()));
+    for (int camera = 0; camera < 4; ++camera)
+        cameras += fmt::format("image_{:02d}: {}\n", camera, numbers(imu_from_cam0()));
     write_text(calibration("calib_cam_to_pose.txt"), cameras);
     write_text(calibration("calib_cam_to_velo.txt"), numbers(velo_from_cam0()) + "\n");
-    // A car that goes along ahead, mirrored in its second label; one that stands; a wall, and someone without a place.
+    // A car that goes along ahead, mirrored in its second label; one that stands; a wall,
+    // and someone without a place.
     std::string objects;
     for (int i = 0; i < kFrames; ++i) {
         const glm::dvec3 size = i == 1 ? glm::dvec3(6, -3, 2) : glm::dvec3(6, 3, 2);

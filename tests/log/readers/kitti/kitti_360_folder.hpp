@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small KITTI-360 written by the tests: the sweeps of the virtual HDL-64E as frames 2350 to 2352 of drive 0000, which is in its paper's
-// part kd1 from 2351 on. The car drives an even curve, so that where the LiDAR was at any time is known.
+// A small KITTI-360 written by the tests: the sweeps of the virtual HDL-64E as frames
+// 2350 to 2352 of drive 0000, which is in its paper's part kd1 from 2351 on. The car
+// drives an even curve, so that where the LiDAR was at any time is known.
 #pragma once
 
 #include <filesystem>
@@ -23,10 +24,14 @@ struct Kitti360Folder {
     /// @param first  frame number of the first sweep
     explicit Kitti360Folder(const std::string& name, int first = kFirst);
 
-    std::filesystem::path raw(const std::string& drive = kDrive) const { return folder / "data_3d_raw" / drive / "velodyne_points"; }
+    std::filesystem::path raw(const std::string& drive = kDrive) const {
+        return folder / "data_3d_raw" / drive / "velodyne_points";
+    }
     std::filesystem::path scan(int frame) const;
     std::filesystem::path poses() const { return folder / "data_poses" / kDrive / "poses.txt"; }
-    std::filesystem::path boxes() const { return folder / "data_3d_bboxes/train_full" / (std::string(kDrive) + ".xml"); }
+    std::filesystem::path boxes() const {
+        return folder / "data_3d_bboxes/train_full" / (std::string(kDrive) + ".xml");
+    }
     std::filesystem::path calibration(const std::string& file) const { return folder / "calibration" / file; }
 
     /// Truth, in the dataset's world. @param frame  with a fraction: between two sweeps
@@ -40,10 +45,13 @@ struct Kitti360Folder {
 /// A box of the labels: rotation and size in one matrix, as KITTI-360 has them.
 glm::dmat4 box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
 
-/// A child of opencv_storage with these fields, its transform, and the cube that the transform is of.
+/// A child of opencv_storage with these fields, its transform, and the cube that the
+/// transform is of.
 std::string object_xml(int number, const std::string& fields, const glm::dmat4& transform);
-/// Fields of an object of train_full, drive 0004 excepted. @param timestamp  -1: it stands, over start_frame to end_frame
-std::string object_fields(const std::string& label, int semantic, int instance, int timestamp, int start_frame, int end_frame);
+/// Fields of an object of train_full, drive 0004 excepted. @param timestamp  -1: it
+/// stands, over start_frame to end_frame
+std::string object_fields(const std::string& label, int semantic, int instance, int timestamp,
+                          int start_frame, int end_frame);
 std::string boxes_xml(const std::string& objects);
 
 }  // namespace relidar::test

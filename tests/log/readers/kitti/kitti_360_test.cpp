@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI-360: what the reader makes of a small one against the closed-form way and boxes it was written with.
+// KITTI-360: what the reader makes of a small one against the closed-form way and boxes
+// it was written with.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -29,7 +30,8 @@ Sequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
 std::size_t points_in(const Sequence& log, const Frame& frame, const BoxTrack& box) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
-        n += frame.scan.range_m[i] > 0.0f && box.holds(world_return(log, frame, i).point_m, frame.time_s, 0.0);
+        n +=
+            frame.scan.range_m[i] > 0.0f && box.holds(world_return(log, frame, i).point_m, frame.time_s, 0.0);
     return n;
 }
 
@@ -51,9 +53,12 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const glm::dvec3 point(frame.scan.point(i));
             const double late = double(frame.scan.rays.time_offset_s[i]) / Kitti360Folder::kPeriod_s;
-            const glm::dvec3 truth(Kitti360Folder::world_from_velo(frame.index + late) * glm::dvec4(point, 1.0));
-            farthest = std::max(farthest, glm::distance(truth, world_return(log, frame, i).point_m + log.world_offset_m));
-            const double head = std::atan2(point.y, point.x) - log.lidars[0].sensor.beams[frame.scan.rays.channel[i]].azimuth_offset_rad;
+            const glm::dvec3 truth(Kitti360Folder::world_from_velo(frame.index + late) *
+                                   glm::dvec4(point, 1.0));
+            farthest = std::max(
+                farthest, glm::distance(truth, world_return(log, frame, i).point_m + log.world_offset_m));
+            const double head = std::atan2(point.y, point.x) -
+                                log.lidars[0].sensor.beams[frame.scan.rays.channel[i]].azimuth_offset_rad;
             latest = std::max(latest, std::abs(std::remainder(late + head / (2 * kPi), 1.0)));
         }
     }
@@ -74,12 +79,13 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     ASSERT_EQ(driving.world_from_box.pose.size(), 3u);
     ASSERT_EQ(standing.world_from_box.pose.size(), 2u) << "of the frames in its window";
     for (int i = 0; i < 3; ++i) {
-        const glm::dmat4 truth =
-            Kitti360Folder::world_from_velo(Kitti360Folder::kFirst + i) * test::box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
+        const glm::dmat4 truth = Kitti360Folder::world_from_velo(Kitti360Folder::kFirst + i) *
+                                 test::box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
         const Pose& found = driving.world_from_box.pose[std::size_t(i)];
         EXPECT_EQ(driving.world_from_box.time_s[std::size_t(i)], log.frames[std::size_t(i)].time_s);
         EXPECT_LT(glm::distance(found.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
-        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9) << "front, of a mirrored one too";
+        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9)
+            << "front, of a mirrored one too";
         EXPECT_LT(glm::distance(found.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
@@ -130,7 +136,8 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
         EXPECT_THAT(error.what(), HasSubstr("a drive of KITTI-360, expected"));
     }
     options.sequence = "0001";
-    EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), options), UsageError) << "a KITTI raw drive is one";
+    EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), options), UsageError)
+        << "a KITTI raw drive is one";
 }
 
 TEST(Kitti360, MissingPartsAreErrorsOfUsage) {
@@ -165,7 +172,9 @@ TEST(Kitti360, FramesWithoutAPose) {
         read(kitti);
         FAIL();
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), HasSubstr("none of the frames 2350 to 2352 has a pose, expected some between 100 and 200"));
+        EXPECT_THAT(
+            error.what(),
+            HasSubstr("none of the frames 2350 to 2352 has a pose, expected some between 100 and 200"));
     }
 }
 
@@ -176,7 +185,8 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     const Sequence none = read(kitti, options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     ASSERT_EQ(none.boxes.size(), 2u);
-    for (const Pose& pose : none.boxes[0].world_from_box.pose) EXPECT_LT(glm::distance(pose.translation, glm::dvec3(9.5, 0, 0)), 1e-6);
+    for (const Pose& pose : none.boxes[0].world_from_box.pose)
+        EXPECT_LT(glm::distance(pose.translation, glm::dvec3(9.5, 0, 0)), 1e-6);
     std::string lines;
     for (int frame = 0; frame < 2353; ++frame) lines += fmt::format("1 0 0 {} 0 1 0 0 0 0 1 0\n", frame);
     options.poses_file = kitti.folder / "mine.txt";
@@ -189,21 +199,25 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
-// Drive 0004: objects without numbers, in train_full alone; other drives may have train alone.
+// Drive 0004: objects without numbers, in train_full alone; other drives may have train
+// alone.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
-    const glm::dmat4 place = Kitti360Folder::world_from_velo(2351) * test::box_matrix({9.5, 0, 0}, 0.0, {1, 2, 3});
+    const glm::dmat4 place =
+        Kitti360Folder::world_from_velo(2351) * test::box_matrix({9.5, 0, 0}, 0.0, {1, 2, 3});
     const auto fields = [](const std::string& label, int index, int timestamp) {
         return fmt::format(
-            "<index>{}</index><label>{}</label><timestamp>{}</timestamp><dynamic>{}</dynamic><dynamicSeq>4</dynamicSeq>"
+            "<index>{}</index><label>{}</label><timestamp>{}</timestamp><dynamic>{}</dynamic><dynamicSeq>4</"
+            "dynamicSeq>"
             "<start_frame>2351</start_frame><end_frame>2351</end_frame>",
             index, label, timestamp, timestamp < 0 ? 0 : 1);
     };
     fs::remove(kitti.boxes());
     write_text(kitti.folder / "data_3d_bboxes/train" / kitti.boxes().filename(),
-               test::boxes_xml(
-                   test::object_xml(1, fields("pedestrian", 11, 2350), place) + test::object_xml(2, fields("pedestrian", 12, 2351), place) +
-                   test::object_xml(3, fields("car", 13, -1), place) + test::object_xml(4, fields("trafficSign", 14, -1), place)));
+               test::boxes_xml(test::object_xml(1, fields("pedestrian", 11, 2350), place) +
+                               test::object_xml(2, fields("pedestrian", 12, 2351), place) +
+                               test::object_xml(3, fields("car", 13, -1), place) +
+                               test::object_xml(4, fields("trafficSign", 14, -1), place)));
     const Sequence log = read(kitti);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "car-13");
@@ -216,7 +230,8 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
 }
 
 /// Reads with a file changed, and puts it back.
-void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text, const std::string& part) {
+void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text,
+                  const std::string& part) {
     const std::string good = read_text(file);
     write_text(file, text);
     try {
@@ -234,14 +249,21 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
     const std::string poses = read_text(kitti.poses()), line = poses.substr(0, poses.find('\n') + 1);
     expect_error(kitti, kitti.poses(), "", "poses.txt: empty, expected a frame number and 12 numbers");
     expect_error(kitti, kitti.poses(), line.substr(0, line.size() / 2), "poses.txt line 1: ");
-    expect_error(kitti, kitti.poses(), line + line, "poses.txt line 2: frame '2350' after 2350, expected frame numbers that rise");
+    expect_error(kitti, kitti.poses(), line + line,
+                 "poses.txt line 2: frame '2350' after 2350, expected frame numbers that rise");
     expect_error(kitti, kitti.poses(), "x" + line, "poses.txt line 1: frame 'x2350', expected frame numbers");
-    expect_error(kitti, kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n", "poses.txt line 1: number 4 is nan");
-    expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n", "poses.txt line 1: the 3x3 block is no rotation");
-    expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n", "calib_cam_to_pose.txt: no line 'image_00:'");
-    expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n", "calib_cam_to_velo.txt line 1: 4 numbers, expected 12");
-    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n", "timestamps.txt: no two lines with times");
-    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n", "a sweep lasts 60 s");
+    expect_error(kitti, kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n",
+                 "poses.txt line 1: number 4 is nan");
+    expect_error(kitti, kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n",
+                 "poses.txt line 1: the 3x3 block is no rotation");
+    expect_error(kitti, kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
+                 "calib_cam_to_pose.txt: no line 'image_00:'");
+    expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
+                 "calib_cam_to_velo.txt line 1: 4 numbers, expected 12");
+    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
+                 "timestamps.txt: no two lines with times");
+    expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
+                 "a sweep lasts 60 s");
     expect_error(kitti, kitti.scan(2351), "", "0000002351.bin: empty");
     fs::remove(kitti.calibration("calib_cam_to_velo.txt"));
     EXPECT_THROW(read(kitti), DataError);
@@ -258,12 +280,14 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
         expect_error(kitti, kitti.boxes(), text.replace(text.find(from), from.size(), to), part);
     };
     expect("</opencv_storage>", "", ".xml: malformed XML at byte");
-    expect("<semanticId>13</semanticId>", "<semanticId>x</semanticId>", "object0: semanticId is 'x', expected a whole number");
+    expect("<semanticId>13</semanticId>", "<semanticId>x</semanticId>",
+           "object0: semanticId is 'x', expected a whole number");
     expect("<instanceId>5</instanceId>", "<instanceId>5e9</instanceId>", "object0: instanceId is '5e9'");
     expect("<timestamp>-1</timestamp>", "<timestamp>1.5</timestamp>", "object3: timestamp is '1.5'");
     expect("<start_frame>2351</start_frame>", "", "object3: start_frame is ''");
     expect("<rows>4</rows>", "<rows>400000000</rows>", "object0: transform: rows is '400000000'");
-    expect("<cols>4</cols>", "<cols>3</cols>", "object0: transform of 4 x 3 with 16 numbers, expected 4 x 4 with 16");
+    expect("<cols>4</cols>", "<cols>3</cols>",
+           "object0: transform of 4 x 3 with 16 numbers, expected 4 x 4 with 16");
     expect("e+00 ", "e+00 nan ", "object0: transform of 4 x 4 with 17 numbers");
     expect("e+00 ", "e+99 ", "object0: number 1 of transform is ");
     expect("<semanticId>13</semanticId>\n  <instanceId>7", "<semanticId>14</semanticId>\n  <instanceId>-995",

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the virtual KITTI drive. The sweep's firings lie at ticks floor(n * 4000 / 701 + wobble), 64 beams each.
+// Writes the virtual KITTI drive. The sweep's firings lie at ticks floor(n * 4000 / 701 +
+// wobble), 64 beams each.
 #include "log/readers/kitti/kitti_drive.hpp"
 
 #include <algorithm>
@@ -61,18 +62,24 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
         for (int n = 0; n < KittiDrive::kFirings; ++n) {
             const BeamRay ray = beam_ray(beams[k], head_azimuth(heads, n, frame));
             const double azimuth = std::atan2(ray.direction.y, ray.direction.x);
-            const double reach = 9.0 + 4.0 * std::sin(3.0 * azimuth) + 2.0 * std::cos(7.0 * azimuth + 0.3 * static_cast<double>(k));
-            const bool drop = hash64(k * 1000 + static_cast<std::uint64_t>(n), static_cast<std::uint64_t>(frame)) % 10 == 0;
+            const double reach = 9.0 + 4.0 * std::sin(3.0 * azimuth) +
+                                 2.0 * std::cos(7.0 * azimuth + 0.3 * static_cast<double>(k));
+            const bool drop =
+                hash64(k * 1000 + static_cast<std::uint64_t>(n), static_cast<std::uint64_t>(frame)) % 10 == 0;
             if (drop) {
                 sweep.dropped.push_back(ray.direction);
                 continue;
             }
-            const glm::dvec3 p = glm::round(1000.0 * (ray.origin_m + reach / std::cos(beams[k].elevation_rad) * ray.direction)) / 1000.0;
+            const glm::dvec3 p =
+                glm::round(1000.0 *
+                           (ray.origin_m + reach / std::cos(beams[k].elevation_rad) * ray.direction)) /
+                1000.0;
             const double full = std::atan2(p.y, p.x);
             ring.emplace_back(full < 0.0 ? full + 2.0 * kPi : full, glm::vec4(glm::vec3(p), 0.25f));
         }
         std::sort(ring.begin(), ring.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-        for (const auto& [azimuth, point] : ring) sweep.bytes.append(reinterpret_cast<const char*>(&point), sizeof(point));
+        for (const auto& [azimuth, point] : ring)
+            sweep.bytes.append(reinterpret_cast<const char*>(&point), sizeof(point));
         sweep.n_points += ring.size();
     }
     return sweep;
@@ -87,15 +94,21 @@ const Sweep& sweep_of(Heads heads, int frame) {
 
 /// Times around midnight: 0.1 s a sweep.
 std::string timestamp(double second) {
-    return second < 60.0 ? fmt::format("2011-12-31 23:59:{:012.9f}\n", second) : fmt::format("2012-01-01 00:00:{:012.9f}\n", second - 60.0);
+    return second < 60.0 ? fmt::format("2011-12-31 23:59:{:012.9f}\n", second)
+                         : fmt::format("2012-01-01 00:00:{:012.9f}\n", second - 60.0);
 }
 
 std::string tracklets() {
     const auto pose = [](double x) {
-        return fmt::format("<item><tx>{}</tx><ty>2</ty><tz>-1.5</tz><rx>0</rx><ry>0</ry><rz>0.5</rz><state>2</state></item>", x);
+        return fmt::format(
+            "<item><tx>{}</tx><ty>2</ty><tz>-1.5</tz><rx>0</rx><ry>0</ry><rz>0.5</rz><state>2</state></item>",
+            x);
     };
-    return "<?xml version=\"1.0\"?><boost_serialization><tracklets><count>1</count><item_version>1</item_version><item>"
-           "<objectType>Van</objectType><h>2</h><w>1.8</w><l>4.4</l><first_frame>1</first_frame><poses><count>2</count>" +
+    return "<?xml "
+           "version=\"1.0\"?><boost_serialization><tracklets><count>1</count><item_version>1</"
+           "item_version><item>"
+           "<objectType>Van</objectType><h>2</h><w>1.8</w><l>4.4</l><first_frame>1</"
+           "first_frame><poses><count>2</count>" +
            pose(10) + pose(11) + "</poses><finished>1</finished></item></tracklets></boost_serialization>";
 }
 
@@ -128,7 +141,8 @@ KittiDrive::KittiDrive(const std::string& name, Heads heads)
         times[0] += timestamp(second);
         times[1] += timestamp(second - 0.05);
         times[2] += timestamp(second + 0.05);
-        // 1e-5 degrees of longitude a frame; yaw a quarter turn: the car drives north while the log moves it east
+        // 1e-5 degrees of longitude a frame; yaw a quarter turn: the car drives north
+        // while the log moves it east
         std::string oxts = fmt::format("60.0 {:.10f} 100.5 0 0 {:.12f}", 8.0 + 1e-5 * frame, kPi / 2);
         for (int i = 6; i < 30; ++i) oxts += " 0";
         write_text(file(fmt::format("oxts/data/{:010d}.txt", frame)), oxts + "\n");

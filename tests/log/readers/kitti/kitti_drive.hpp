@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small KITTI raw drive written by the tests: a virtual HDL-64E (two optical centres, azimuth and left offsets, encoder
-// ticks of 0.09 degrees) in a wavy room, coordinates rounded to millimetres and stored ring by ring as KITTI does.
+// A small KITTI raw drive written by the tests: a virtual HDL-64E (two optical centres,
+// azimuth and left offsets, encoder ticks of 0.09 degrees) in a wavy room, coordinates
+// rounded to millimetres and stored ring by ring as KITTI does.
 #pragma once
 
 #include <array>
@@ -14,7 +15,8 @@
 
 namespace relidar::test {
 
-/// Where the heads of the virtual sweeps stand: on encoder ticks, at even steps, or anywhere near even steps.
+/// Where the heads of the virtual sweeps stand: on encoder ticks, at even steps, or
+/// anywhere near even steps.
 enum class Heads { ticks, even, jittered };
 
 struct KittiDrive {

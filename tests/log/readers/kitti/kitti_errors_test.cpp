@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every defect of a KITTI drive gives one line that holds the path, what was found and what was expected.
+// Every defect of a KITTI drive gives one line that holds the path, what was found and
+// what was expected.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -21,8 +22,10 @@ using test::KittiDrive;
 using test::read_text;
 using test::write_text;
 
-/// Loads the drive, expects a failure of the given code whose message holds all parts and is one line.
-void expect_failure(const KittiDrive& drive, const DatasetOptions& options, ExitCode code, const std::vector<std::string>& parts) {
+/// Loads the drive, expects a failure of the given code whose message holds all parts and
+/// is one line.
+void expect_failure(const KittiDrive& drive, const DatasetOptions& options, ExitCode code,
+                    const std::vector<std::string>& parts) {
     try {
         load_sequence("kitti_raw:" + drive.folder.string(), options);
         FAIL() << "no failure, expected one with '" << parts[0] << "'";
@@ -50,7 +53,7 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     expect_data_error(drive, {"oxts/data/0000000001.txt: no such file"});
     fs::remove_all(drive.file("oxts"));
     expect_data_error(drive, {"oxts/data: no OXTS files", "dataset.poses=FILE", "dataset.poses=none"});
-    write_text(drive.file("oxts/data/nan.txt"), "");   // no frame's
+    write_text(drive.file("oxts/data/nan.txt"), "");  // no frame's
     expect_data_error(drive, {"oxts/data: no OXTS files"});
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
     expect_data_error(drive, {"timestamps_end.txt: no such file"});
@@ -63,20 +66,24 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
 TEST(KittiErrors, MissingCalibration) {
     const KittiDrive drive("uncalibrated");
     fs::remove(drive.calibration());
-    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file, nor in the drive", "2011_12_31_calib", "dataset.poses"});
+    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file, nor in the drive", "2011_12_31_calib",
+                              "dataset.poses"});
 }
 
 TEST(KittiErrors, NumbersOfScans) {
     const KittiDrive drive("numbers");
     write_text(drive.file("velodyne_points/data/2147483646.bin"), "");
     expect_data_error(drive, {"2147483646.bin: the number of a scan", "below 100000000"});
-    fs::rename(drive.file("velodyne_points/data/2147483646.bin"), drive.file("velodyne_points/data/9999999999.bin"));
+    fs::rename(drive.file("velodyne_points/data/2147483646.bin"),
+               drive.file("velodyne_points/data/9999999999.bin"));
     expect_data_error(drive, {"9999999999.bin: the number of a scan"});
-    fs::rename(drive.file("velodyne_points/data/9999999999.bin"), drive.file("velodyne_points/data/0099999999.bin"));
+    fs::rename(drive.file("velodyne_points/data/9999999999.bin"),
+               drive.file("velodyne_points/data/0099999999.bin"));
     expect_data_error(drive, {"timestamps.txt: 3 lines, frame 99999999 needs line 100000000"});
     DatasetOptions complete;
     complete.allow_missing_scans = false;
-    expect_failure(drive, complete, ExitCode::data, {"99999996 of the scans 0 to 99999999 missing (3, 4, 5, 6, 7, ...), expected all"});
+    expect_failure(drive, complete, ExitCode::data,
+                   {"99999996 of the scans 0 to 99999999 missing (3, 4, 5, 6, 7, ...), expected all"});
 }
 
 TEST(KittiErrors, FoldersThatAreNoDrive) {
@@ -91,15 +98,18 @@ TEST(KittiErrors, FoldersThatAreNoDrive) {
             }
         }
     };
-    expect(drive.folder.parent_path(), {"2011_12_31: no", "holds 1 dataset; expected one of them, as", "2011_12_31_drive_0001_sync"});
+    expect(drive.folder.parent_path(),
+           {"2011_12_31: no", "holds 1 dataset; expected one of them, as", "2011_12_31_drive_0001_sync"});
     expect(drive.file("velodyne_points"), {"within a dataset; expected", "2011_12_31_drive_0001_sync"});
     expect(drive.file("oxts/data"), {"within a dataset; expected"});
     const fs::path odometry = drive.folder.parent_path().parent_path() / "dataset/sequences/00";
     write_text(odometry / "velodyne/000000.bin", "");
     write_text(odometry / "times.txt", "0\n");
-    expect(odometry, {"sequences/00: no", "a KITTI odometry sequence, whose scans are motion-compensated", "KITTI raw"});
+    expect(odometry, {"sequences/00: no", "a KITTI odometry sequence, whose scans are motion-compensated",
+                      "KITTI raw"});
     expect(odometry.parent_path().parent_path(), {"a KITTI odometry sequence"});
-    for (int frame = 0; frame < 3; ++frame) fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
+    for (int frame = 0; frame < 3; ++frame)
+        fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
     expect_data_error(drive, {"scans as text", "_extract", "_sync"});
 }
 
@@ -109,9 +119,11 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
     DatasetOptions options;
     options.poses_file = drive.file("poses.txt");
     write_text(options.poses_file, good + "1 0 0 1e308 0 1 0 0 0 0 1 0\n" + good);
-    expect_failure(drive, options, ExitCode::data, {"poses.txt: the pose of frame 1 is at (1e+308, 0, 0), expected metres within"});
+    expect_failure(drive, options, ExitCode::data,
+                   {"poses.txt: the pose of frame 1 is at (1e+308, 0, 0), expected metres within"});
     write_text(options.poses_file, good + "1 0 0 2e5 0 1 0 0 0 0 1 0\n" + good);
-    expect_failure(drive, options, ExitCode::data, {"poses.txt: the poses of frames 0 and 1 are 200000 m apart"});
+    expect_failure(drive, options, ExitCode::data,
+                   {"poses.txt: the poses of frames 0 and 1 are 200000 m apart"});
     const fs::path oxts = drive.file("oxts/data/0000000002.txt");
     write_text(oxts, read_text(oxts).replace(read_text(oxts).find("100.5"), 5, "1e308"));
     expect_data_error(drive, {"oxts/data: the pose of frame 2 is at ("});
@@ -121,7 +133,8 @@ TEST(KittiErrors, BrokenScans) {
     const KittiDrive drive("scans");
     const std::string whole = read_text(drive.scan(1));
     write_text(drive.scan(1), whole.substr(0, 100));
-    expect_data_error(drive, {"0000000001.bin: truncated: 100 bytes", "multiple of 16", "6 points and 4 bytes"});
+    expect_data_error(drive,
+                      {"0000000001.bin: truncated: 100 bytes", "multiple of 16", "6 points and 4 bytes"});
     write_text(drive.scan(1), "");
     expect_data_error(drive, {"0000000001.bin: empty"});
     std::string bad = whole;
@@ -149,7 +162,8 @@ std::string even_scan(double step_rad, int n_a_ring) {
             const double azimuth = i < n_a_ring - 3 ? i * step_rad : 2.0 * kPi - (n_a_ring - i) * 1e-3;
             const double elevation = (2.0 - 0.42 * ring) * kPi / 180.0;
             const double rho = 12.0 + 8.0 * std::sin(0.01 * i);
-            const glm::vec4 point(rho * std::cos(azimuth), rho * std::sin(azimuth), rho * std::tan(elevation), 0.5);
+            const glm::vec4 point(rho * std::cos(azimuth), rho * std::sin(azimuth), rho * std::tan(elevation),
+                                  0.5);
             bytes.append(reinterpret_cast<const char*>(&point), sizeof point);
         }
     }
@@ -159,7 +173,8 @@ std::string even_scan(double step_rad, int n_a_ring) {
 TEST(KittiErrors, AzimuthStepsOfNoSensor) {
     const KittiDrive drive("steps");
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), even_scan(2e-5, 1000));
-    expect_data_error(drive, {"velodyne_points/data: azimuths of neighbouring points differ by 1/", "at most 8192 firings"});
+    expect_data_error(drive, {"velodyne_points/data: azimuths of neighbouring points differ by 1/",
+                              "at most 8192 firings"});
 }
 
 TEST(KittiErrors, Timestamps) {
@@ -170,7 +185,7 @@ TEST(KittiErrors, Timestamps) {
     expect_data_error(drive, {"timestamps.txt: 1 lines, frame 1 needs line 2"});
     write_text(file, "2011-13-31 23:59:10.0\n");
     expect_data_error(drive, {"timestamps.txt line 1", "2011-13-31", "expected YYYY-MM-DD"});
-    write_text(file, "9999-01-01 00:00:00.0\n");   // beyond 64 bits of nanoseconds
+    write_text(file, "9999-01-01 00:00:00.0\n");  // beyond 64 bits of nanoseconds
     expect_data_error(drive, {"timestamps.txt line 1", "9999-01-01", "1970 to 2199"});
     write_text(file, std::string(1 << 20, '7') + "\n");
     try {
@@ -184,7 +199,7 @@ TEST(KittiErrors, Timestamps) {
     expect_data_error(drive, {"timestamps.txt line 2: empty, expected the time of frame 1"});
     write_text(file, "\n \n");
     expect_data_error(drive, {"timestamps.txt: empty"});
-    write_text(file, "   " + whole);   // leading blanks: a time all the same
+    write_text(file, "   " + whole);  // leading blanks: a time all the same
     EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
     expect_data_error(drive, {"timestamps.txt line 2", "rising"});
@@ -231,7 +246,8 @@ TEST(KittiErrors, Tracklets) {
     const KittiDrive drive("tracklets");
     const auto file = drive.file("tracklet_labels.xml");
     const std::string whole = read_text(file);
-    const auto expect = [&](const std::string& from, const std::string& to, const std::vector<std::string>& parts) {
+    const auto expect = [&](const std::string& from, const std::string& to,
+                            const std::vector<std::string>& parts) {
         std::string text = whole;
         write_text(file, text.replace(text.find(from), from.size(), to));
         expect_data_error(drive, parts);
@@ -241,8 +257,10 @@ TEST(KittiErrors, Tracklets) {
     expect("<l>4.4</l>", "<l>nan</l>", {"tracklet_labels.xml: track 0: l is 'nan'"});
     expect("<tx>11</tx>", "<tx>inf</tx>", {"track 0 frame 2: tx is 'inf'"});
     expect("<w>1.8</w>", "", {"track 0: w is ''"});
-    expect("<first_frame>1</first_frame>", "<first_frame>1e300</first_frame>", {"track 0: first_frame is '1e300'"});
-    expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>", {"track 0 frame 2: tx is '11111", "...'"});
+    expect("<first_frame>1</first_frame>", "<first_frame>1e300</first_frame>",
+           {"track 0: first_frame is '1e300'"});
+    expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>",
+           {"track 0 frame 2: tx is '11111", "...'"});
     write_text(file, "<html/>");
     expect_data_error(drive, {"tracklet_labels.xml: no element boost_serialization/tracklets"});
 }

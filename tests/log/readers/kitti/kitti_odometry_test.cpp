@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI odometry: a sequence written here, from the scans of the virtual HDL-64E. What is true of it is known: times, poses, directions.
+// KITTI odometry: a sequence written here, from the scans of the virtual HDL-64E. What is
+// true of it is known: times, poses, directions.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -18,20 +19,24 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Three frames, 1.5 m apart along the camera's z; the camera looks along the LiDAR's x, 0.3 m ahead of it and 0.1 m below.
+/// Three frames, 1.5 m apart along the camera's z; the camera looks along the LiDAR's x,
+/// 0.3 m ahead of it and 0.1 m below.
 struct Odometry {
     test::KittiDrive drive;
     fs::path folder;
 
-    explicit Odometry(const std::string& name) : drive(name), folder(drive.folder.parent_path() / "sequences/04") {
+    explicit Odometry(const std::string& name)
+        : drive(name), folder(drive.folder.parent_path() / "sequences/04") {
         for (int frame = 0; frame < 3; ++frame) {
             fs::create_directories(folder / "velodyne");
             fs::copy_file(drive.scan(frame), folder / "velodyne" / fmt::format("{:06d}.bin", frame));
         }
-        test::write_text(folder / "calib.txt", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
+        test::write_text(folder / "calib.txt",
+                         "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 -0.1 1 0 0 -0.3\n");
         test::write_text(folder / "times.txt", "0.000000e+00\n1.037e-01\n2.074e-01\n");
         test::write_text(poses(),
-                         "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1.5\n0.995004165278 0 0.099833416647 0 0 1 0 0 -0.099833416647 0 "
+                         "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1.5\n0.995004165278 0 "
+                         "0.099833416647 0 0 1 0 0 -0.099833416647 0 "
                          "0.995004165278 3\n");
     }
     fs::path poses() const { return folder.parent_path().parent_path() / "poses/04.txt"; }
@@ -52,13 +57,16 @@ TEST(KittiOdometry, IsRecognisedAndRead) {
     EXPECT_FALSE(log.rolling_shutter);
     EXPECT_EQ(log.frames[1].time_s, 0.1037);
     const std::vector<Pose>& poses = log.world_from_vehicle.pose;
-    EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(1.5, 0.0, 0.0)), 1e-9) << "forward is the LiDAR's x";
+    EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(1.5, 0.0, 0.0)), 1e-9)
+        << "forward is the LiDAR's x";
     EXPECT_LT(glm::distance(poses[0].translation, glm::dvec3(-1.5, 0.0, 0.0)), 1e-9);
-    // The camera has turned by 0.1 about its y, downwards: to the right. Its place is 3 m ahead of where it was, the LiDAR's 0.3 m behind
-    // it.
+    // The camera has turned by 0.1 about its y, downwards: to the right. Its place is 3 m
+    // ahead of where it was, the LiDAR's 0.3 m behind it.
     const glm::dvec3 ahead = poses[2].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), -0.1, 1e-9);
-    EXPECT_LT(glm::distance(poses[2].translation, glm::dvec3(-1.5 + 0.3 + 3.0 - 0.3 * std::cos(0.1), 0.3 * std::sin(0.1), 0.0)), 1e-9);
+    EXPECT_LT(glm::distance(poses[2].translation,
+                            glm::dvec3(-1.5 + 0.3 + 3.0 - 0.3 * std::cos(0.1), 0.3 * std::sin(0.1), 0.0)),
+              1e-9);
     EXPECT_EQ(log.frames[0].scan.count_returns(), odometry.drive.n_points);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), 64u);
     EXPECT_EQ(log.lidars[0].sensor.columns, test::KittiDrive::kFirings);
@@ -67,10 +75,10 @@ TEST(KittiOdometry, IsRecognisedAndRead) {
 
 TEST(KittiOdometry, TakesPosesOfTheLidar) {
     const Odometry odometry("odometry_poses");
-    test::write_text(odometry.folder / "lidar.txt", "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n");
+    test::write_text(odometry.folder / "lidar.txt",
+                     "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n");
     EXPECT_EQ(read(odometry, odometry.folder / "lidar.txt").world_offset_m, glm::dvec3(6, 0, 0));
-    EXPECT_EQ(read(odometry, kNoPoses).world_from_vehicle.pose[2].translation,
-              glm::dvec3(0, 0, 0));
+    EXPECT_EQ(read(odometry, kNoPoses).world_from_vehicle.pose[2].translation, glm::dvec3(0, 0, 0));
 }
 
 TEST(KittiOdometry, SaysWhichFileIsWrong) {
@@ -88,12 +96,15 @@ TEST(KittiOdometry, SaysWhichFileIsWrong) {
     };
     expect(odometry.folder / "times.txt", "0\n0.1\n", "times.txt: 2 lines, frame 2 needs line 3");
     expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: 'x', expected seconds");
-    expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n", "pose 2: time 0.1 s after 0.2 s, expected finite times that rise");
+    expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n",
+           "pose 2: time 0.1 s after 0.2 s, expected finite times that rise");
     expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt: no line 'Tr:'");
     expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt key Tr: 3 numbers, expected 12");
-    expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt key Tr: the 3x3 block is no rotation");
+    expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n",
+           "calib.txt key Tr: the 3x3 block is no rotation");
     fs::remove(odometry.poses());
-    expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"), "poses.txt: no such file, nor ");
+    expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"),
+           "poses.txt: no such file, nor ");
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI raw: what the reader recovers from a virtual drive against the truth it was written from, and from the real drive
-// 2011_09_26_drive_0005_sync where RELIDAR_KITTI_DRIVE names its folder.
+// KITTI raw: what the reader recovers from a virtual drive against the truth it was
+// written from, and from the real drive 2011_09_26_drive_0005_sync where
+// RELIDAR_KITTI_DRIVE names its folder.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -36,7 +37,9 @@ TEST(KittiRaw, RecoversTheSensorFromItsScans) {
     for (std::size_t k = 0; k < 64; ++k) {
         const Beam &found = log.lidars[0].sensor.beams[k], &truth = drive.beams[k];
         EXPECT_NEAR(found.elevation_rad, truth.elevation_rad, 1e-4) << k;
-        EXPECT_NEAR(found.origin_up_m / std::cos(found.elevation_rad), truth.origin_up_m / std::cos(truth.elevation_rad), 1e-3) << k;
+        EXPECT_NEAR(found.origin_up_m / std::cos(found.elevation_rad),
+                    truth.origin_up_m / std::cos(truth.elevation_rad), 1e-3)
+            << k;
         EXPECT_NEAR(found.azimuth_offset_rad, truth.azimuth_offset_rad, 2e-4) << k;
         EXPECT_NEAR(found.origin_left_m, truth.origin_left_m, 1e-3) << k;
     }
@@ -67,7 +70,8 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
         const double head = azimuth - log.lidars[0].sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
         const double late = std::remainder(scan.rays.time_offset_s[i] + head / (2 * kPi) * 0.1, 0.1);
         ASSERT_LT(std::abs(late), 2e-4);  // the left offset turns a ray by 26 mm over its range
-        const double column_azimuth = kPi - (static_cast<double>(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
+        const double column_azimuth =
+            kPi - (static_cast<double>(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
         ASSERT_LT(std::abs(std::remainder(azimuth - column_azimuth, 2 * kPi)), 0.03);
     }
 }
@@ -79,7 +83,8 @@ TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
     EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
     log = load_sequence(jittered.folder.string(), {});
     EXPECT_NEAR(log.lidars[0].sensor.columns, KittiDrive::kFirings, 15);
-    EXPECT_GT(static_cast<double>(log.frames[0].scan.count_returns()), 0.99 * static_cast<double>(jittered.n_points));
+    EXPECT_GT(static_cast<double>(log.frames[0].scan.count_returns()),
+              0.99 * static_cast<double>(jittered.n_points));
 }
 
 TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
@@ -109,7 +114,8 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
     EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, step, 1e-6);
     EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
-    // The sensor sits at -T = (0.8, -0.3, 0.8) in the car, which is turned a quarter to the left.
+    // The sensor sits at -T = (0.8, -0.3, 0.8) in the car, which is turned a quarter to
+    // the left.
     EXPECT_NEAR(log.world_offset_m.x - step, 0.3, 1e-6);
     EXPECT_NEAR(log.world_offset_m.y, 0.8, 1e-6);
     EXPECT_NEAR(log.world_offset_m.z, 0.8, 1e-6);
@@ -119,7 +125,8 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_EQ(box.size_m, glm::dvec3(4.4, 1.8, 2.0));
     ASSERT_EQ(box.world_from_box.pose.size(), 2u);
     EXPECT_DOUBLE_EQ(box.world_from_box.time_s[0], log.frames[1].time_s);
-    const glm::dvec3 centre = box.world_from_box.pose[0].translation;  // sensor (10, 2, -1.5 + h/2) of frame 1
+    // sensor (10, 2, -1.5 + h/2) of frame 1
+    const glm::dvec3 centre = box.world_from_box.pose[0].translation;
     EXPECT_NEAR(glm::length(centre - glm::dvec3(-2, 10, -0.5)), 0.0, 1e-6);
     const glm::dvec3 ahead = box.world_from_box.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), kPi / 2 + 0.5, 1e-9);
@@ -163,7 +170,8 @@ void blank_lines(const std::filesystem::path& path, const std::vector<std::size_
     test::write_text(path, text);
 }
 
-// As drive 0009 ships: a scan less, its line of the three timestamp files empty, its OXTS file there.
+// As drive 0009 ships: a scan less, its line of the three timestamp files empty, its OXTS
+// file there.
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     std::filesystem::remove(drive.scan(1));
@@ -175,10 +183,11 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     EXPECT_THAT(log.notes, testing::ElementsAre("1 of the scans 0 to 2 missing (1): left out"));
-    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;   // of OXTS, by number and not by count
-    EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x, 2 * step, 1e-6);
+    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;  // of OXTS, by number and not by count
+    EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x,
+                2 * step, 1e-6);
     ASSERT_EQ(log.boxes.size(), 1u);
-    ASSERT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);   // labelled in frames 1 and 2
+    ASSERT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);  // labelled in frames 1 and 2
     EXPECT_DOUBLE_EQ(log.boxes[0].world_from_box.time_s[0], log.frames[1].time_s);
 }
 
@@ -193,8 +202,9 @@ TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
 }
 
 TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
-    for (const char* place : {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt",
-                              "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
+    for (const char* place :
+         {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt",
+          "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
         const KittiDrive drive("calibration_places");
         const glm::dvec3 usual = load_sequence(drive.folder.string(), {}).world_offset_m;
         const std::string text = test::read_text(drive.calibration());
@@ -219,11 +229,12 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
         EXPECT_EQ(log.world_from_vehicle.time_s[i], whole.world_from_vehicle.time_s[i]);
         EXPECT_EQ(log.frames[i].scan.range_m, whole.frames[i].scan.range_m);
     }
-    EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));   // as labelled
+    EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));  // as labelled
     set_vehicle_poses(log, whole.world_from_vehicle);
     for (std::size_t k = 0; k < 2; ++k)
-        EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation, whole.boxes[0].world_from_box.pose[k].translation), 0.0,
-                    1e-9);
+        EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation,
+                                  whole.boxes[0].world_from_box.pose[k].translation),
+                    0.0, 1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
     log = load_sequence(drive.folder.string(), options);
     EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("no tracklet_labels.xml")));
@@ -241,8 +252,8 @@ TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
 
 TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     const KittiDrive drive("far");
-    float farthest_m = 0.0f;   // from the sensor
-    for (int frame = 0; frame < 3; ++frame) {   // the walls are 16 times as far away
+    float farthest_m = 0.0f;                   // from the sensor
+    for (int frame = 0; frame < 3; ++frame) {  // the walls are 16 times as far away
         std::string bytes = test::read_text(drive.scan(frame));
         for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
             float p[3];
@@ -256,15 +267,18 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     DatasetOptions options;
     options.max_range_m = INFINITY;
     const Sequence log = load_sequence(drive.folder.string(), options);
-    double offset_m = 0.0;   // ranges count from where a beam starts, not from the sensor
+    double offset_m = 0.0;  // ranges count from where a beam starts, not from the sensor
     for (const Beam& beam : drive.beams)
-        offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m, beam.origin_left_m)));
+        offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m,
+                                                                    beam.origin_left_m)));
     const double limit_m = log.lidars[0].sensor.max_range_m;
     EXPECT_GT(farthest_m, 80.0f);
     EXPECT_GE(limit_m, double(farthest_m) - offset_m);
     EXPECT_LE(limit_m, std::ceil(double(farthest_m) + offset_m));
     EXPECT_EQ(limit_m, std::floor(limit_m)) << "whole metres";
-    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("the farthest return; the sensor's own limit is not known")));
+    EXPECT_THAT(
+        log.notes,
+        testing::Contains(testing::HasSubstr("the farthest return; the sensor's own limit is not known")));
 }
 
 TEST(KittiRaw, RealDrive) {
@@ -284,10 +298,12 @@ TEST(KittiRaw, RealDrive) {
         double elevation_error = 0.0;
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
             if (scan.range_m[i] > 5.0f)
-                elevation_error = std::max<double>(elevation_error, std::abs(scan.rays.direction[i].z - nominal.direction[i].z));
+                elevation_error = std::max<double>(
+                    elevation_error, std::abs(scan.rays.direction[i].z - nominal.direction[i].z));
         }
         EXPECT_LT(elevation_error, 5e-4) << "frame " << frame.index;
-        const double returned = static_cast<double>(scan.count_returns()) / static_cast<double>(scan.rays.size());
+        const double returned =
+            static_cast<double>(scan.count_returns()) / static_cast<double>(scan.rays.size());
         EXPECT_GT(returned, 0.8);
         EXPECT_LT(returned, 0.95);
     }
@@ -309,7 +325,8 @@ std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm:
     constexpr float kSame_m = 1e-3f;
     std::ranges::sort(others, {}, &glm::vec3::x);
     return std::size_t(std::ranges::count_if(points, [&](const glm::vec3& p) {
-        for (auto o = std::ranges::lower_bound(others, p.x - kSame_m, {}, &glm::vec3::x); o != others.end() && o->x <= p.x + kSame_m; ++o)
+        for (auto o = std::ranges::lower_bound(others, p.x - kSame_m, {}, &glm::vec3::x);
+             o != others.end() && o->x <= p.x + kSame_m; ++o)
             if (glm::distance(*o, p) <= kSame_m) return false;
         return true;
     }));
@@ -323,7 +340,8 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
     const Sequence log = load_sequence(folder, options);
     std::size_t all = 0, lost_native = 0, lost_grid = 0;
     for (const Frame& frame : log.frames) {
-        const fs::path file = fs::path(folder) / "velodyne_points/data" / (fmt::format("{:010}.bin", frame.index));
+        const fs::path file =
+            fs::path(folder) / "velodyne_points/data" / (fmt::format("{:010}.bin", frame.index));
         std::vector<float> intensity;
         const std::vector<glm::vec3> points = file_points(file, 79.9f, intensity);
         std::vector<glm::vec3> kept;
@@ -332,15 +350,18 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
         const GridImage grid = project_points(kitti360_grid(), points, intensity);
         all += points.size();
         lost_native += count_missing(points, std::move(kept));
-        lost_grid += points.size() - std::size_t(std::ranges::count_if(grid.source, [](int s) { return s >= 0; }));
+        lost_grid +=
+            points.size() - std::size_t(std::ranges::count_if(grid.source, [](int s) { return s >= 0; }));
     }
-    std::cout << fmt::format("[ collisions ] of {} returns: {:.3f} % lost on the native grid, {:.1f} % in 66 x 1030 pixels\n", all,
-                             100.0 * double(lost_native) / double(all), 100.0 * double(lost_grid) / double(all));
+    std::cout << fmt::format(
+        "[ collisions ] of {} returns: {:.3f} % lost on the native grid, {:.1f} % in 66 x 1030 pixels\n", all,
+        100.0 * double(lost_native) / double(all), 100.0 * double(lost_grid) / double(all));
     EXPECT_LE(double(lost_native), 1e-3 * double(all));
     EXPECT_GT(lost_grid, lost_native);
 }
 
-/// What render.follow_sweeps rests on: nominal rays, each firing turned as one, are the rays of the scan, of dropped ones as well.
+/// What render.follow_sweeps rests on: nominal rays, each firing turned as one, are the
+/// rays of the scan, of dropped ones as well.
 TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
@@ -349,7 +370,8 @@ TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     const Sequence log = load_sequence(folder, options);
     for (const Frame& frame : log.frames) {
         const SpinningSensor& sensor = log.lidar_of(frame).sensor;
-        const RayTable nominal = make_rays(sensor), turned = shifted_azimuths(nominal, sensor, frame.azimuth_shift_rad);
+        const RayTable nominal = make_rays(sensor),
+                       turned = shifted_azimuths(nominal, sensor, frame.azimuth_shift_rad);
         std::vector<float> evenly, followed;
         for (std::size_t i = 0; i < nominal.size(); ++i) {
             evenly.push_back(glm::length(nominal.direction[i] - frame.scan.rays.direction[i]));
@@ -360,10 +382,10 @@ TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
             return double(values[std::size_t(at * double(values.size() - 1))]);
         };
         const double column_rad = 2.0 * kPi / sensor.columns;
-        std::cout << fmt::format("[ azimuths   ] frame {}: median {:.3f} of a column beside nominal rays, ", frame.index,
-                                 share(evenly, 0.5) / column_rad)
-                  << fmt::format("{:.3f} and at 99 % {:.3f} with its own\n", share(followed, 0.5) / column_rad,
-                                 share(followed, 0.99) / column_rad);
+        std::cout << fmt::format("[ azimuths   ] frame {}: median {:.3f} of a column beside nominal rays, ",
+                                 frame.index, share(evenly, 0.5) / column_rad)
+                  << fmt::format("{:.3f} and at 99 % {:.3f} with its own\n",
+                                 share(followed, 0.5) / column_rad, share(followed, 0.99) / column_rad);
         EXPECT_LT(share(followed, 0.5), 0.05 * column_rad);
         EXPECT_LT(share(followed, 0.99), 0.2 * column_rad);
     }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// MulRan: a sequence written here, whose every ray is known, in both orders of points, and what is wrong with its files.
+// MulRan: a sequence written here, whose every ray is known, in both orders of points,
+// and what is wrong with its files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -8,8 +9,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/clouds/stamped_folders.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -27,13 +28,16 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& found) {
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const auto column = std::size_t(std::lround((double(frame.scan.rays.time_offset_s[i]) / 0.1 + 0.5) * 1024.0));
+            const auto column =
+                std::size_t(std::lround((double(frame.scan.rays.time_offset_s[i]) / 0.1 + 0.5) * 1024.0));
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // poses are straight for 10 ms; corrections of the rays are single precision
             ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), 0.002);
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
+                                        found.world_offset_m,
+                                    ray.point_m),
                       0.003);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 200.0f / 255.0f);
         }
@@ -47,14 +51,17 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(found.name, "MulRan KAIST01");
     ASSERT_EQ(found.frames.size(), 3u);
     EXPECT_EQ(found.frames[0].index, 1);
-    EXPECT_THAT(found.notes, testing::Contains("1 of 4 scans are left out, the first of them frame 0, the last frame 0: global_pose.csv "
-                                               "has no poses around their times"));
+    EXPECT_THAT(found.notes,
+                testing::Contains(
+                    "1 of 4 scans are left out, the first of them frame 0, the last frame 0: global_pose.csv "
+                    "has no poses around their times"));
     EXPECT_THAT(found.notes, testing::Contains("64 beams x 1024 columns are fitted to its points"));
     const Lidar& lidar = found.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
     ASSERT_EQ(lidar.sensor.beams.size(), 64u);
-    for (std::size_t b = 0; b < 64; ++b) EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
+    for (std::size_t b = 0; b < 64; ++b)
+        EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
     const glm::dvec3 ahead = lidar.vehicle_from_sensor.rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x) * 180.0 / kPi, -0.3346, 1e-4) << "looks forward";
     EXPECT_LT(glm::distance(lidar.vehicle_from_sensor.translation, glm::dvec3(1.7042, -0.021, 1.8047)), 1e-9);
@@ -78,12 +85,14 @@ TEST(Mulran, FramesAndOtherPoses) {
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     options.frames = {0, 1};
-    data.expect_error("global_pose.csv: poses from 0.046 to 0.356 s, expected some around frames 0 to 0", options);
+    data.expect_error("global_pose.csv: poses from 0.046 to 0.356 s, expected some around frames 0 to 0",
+                      options);
     options = {};
     options.poses_file = kNoPoses;
     EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 4u);
-    test::write_text(data.folder / "mine.txt", "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n"
-                                               "1 0 0 8 0 1 0 0 0 0 1 0\n");
+    test::write_text(data.folder / "mine.txt",
+                     "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n"
+                     "1 0 0 8 0 1 0 0 0 0 1 0\n");
     options.poses_file = data.folder / "mine.txt";
     EXPECT_EQ(load_sequence(data.folder.string(), options).world_offset_m, glm::dvec3(7, 0, 0));
 }
@@ -91,15 +100,17 @@ TEST(Mulran, FramesAndOtherPoses) {
 TEST(Mulran, PosesOfSomethingElseAreTold) {
     const MulranFolder data("backward");
     std::string lines;
-    for (int k = -10; k < 40; ++k) {   // of what looks to the left
+    for (int k = -10; k < 40; ++k) {  // of what looks to the left
         const Pose pose = data.drive.vehicle_at(0.01 * k);
-        const glm::dvec3 x = pose.rotation * glm::dvec3(0, 1, 0), y = -(pose.rotation * glm::dvec3(1, 0, 0)), &t = pose.translation;
-        lines += fmt::format("{},{},{},0,{},{},{},0,{},0,0,1,{}\n", MulranFolder::stamp(0) + k * 10000000ll, x.x, y.x, t.x, x.y, y.y, t.y,
-                             t.z);
+        const glm::dvec3 x = pose.rotation * glm::dvec3(0, 1, 0), y = -(pose.rotation * glm::dvec3(1, 0, 0)),
+                         &t = pose.translation;
+        lines += fmt::format("{},{},{},0,{},{},{},0,{},0,0,1,{}\n", MulranFolder::stamp(0) + k * 10000000ll,
+                             x.x, y.x, t.x, x.y, y.y, t.y, t.z);
     }
     test::write_text(data.poses(), lines);
     EXPECT_THAT(load_sequence(data.folder.string(), {}).notes,
-                testing::Contains(testing::HasSubstr("poses: the vehicle drives along (-0.00, -1.00, 0.00) of its own frame")));
+                testing::Contains(testing::HasSubstr(
+                    "poses: the vehicle drives along (-0.00, -1.00, 0.00) of its own frame")));
 }
 
 TEST(Mulran, BrightPointsAreCut) {
@@ -109,7 +120,9 @@ TEST(Mulran, BrightPointsAreCut) {
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
     const Sequence found = load_sequence(data.folder.string(), {});
-    EXPECT_THAT(found.notes, testing::Contains("intensities up to 6000: 200, above which 0.5 % of the points are, counts as 1"));
+    EXPECT_THAT(
+        found.notes,
+        testing::Contains("intensities up to 6000: 200, above which 0.5 % of the points are, counts as 1"));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {
@@ -122,17 +135,22 @@ TEST(Mulran, SaysWhichFileAndLineIsWrong) {
         data.expect_error(part);
     };
     with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2: 4 cells, expected a time and 12 numbers");
-    with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0", "global_pose.csv line 2: cell 12 is 'x', expected a number");
-    with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: the 3x3 block is no rotation");
-    with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: time 5 after 1561000444446857630, expected times that rise");
+    with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0",
+         "global_pose.csv line 2: cell 12 is 'x', expected a number");
+    with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0",
+         "global_pose.csv line 3: the 3x3 block is no rotation");
+    with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0",
+         "global_pose.csv line 3: time 5 after 1561000444446857630, expected times that rise");
     with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: 'x', expected a time");
     test::write_text(data.poses(), good);
     const std::string bytes = test::read_text(data.scan(2)), first = test::read_text(data.scan(1));
     test::write_text(data.scan(1), std::string(first).erase(16 * 30000, 160) + first.substr(16 * 30000, 160));
-    data.expect_error("degrees of elevation apart, expected less than 1: all beams of a column after each other");
+    data.expect_error(
+        "degrees of elevation apart, expected less than 1: all beams of a column after each other");
     test::write_text(data.scan(1), first);
     test::write_text(data.scan(2), bytes.substr(0, 1600));
-    data.expect_error(fmt::format("{}.bin: 100 points, expected 64 x 1024, zeros where nothing came back", MulranFolder::stamp(2)));
+    data.expect_error(fmt::format("{}.bin: 100 points, expected 64 x 1024, zeros where nothing came back",
+                                  MulranFolder::stamp(2)));
     test::write_text(data.scan(2), bytes.substr(0, 1601));
     data.expect_error("1601 bytes, expected a multiple of 16");
     DatasetOptions options;

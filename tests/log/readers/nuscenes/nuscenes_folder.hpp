@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small nuScenes folder written by the tests: two scenes, the second of which is driven through with a virtual HDL-32E in a walled yard.
+// A small nuScenes folder written by the tests: two scenes, the second of which is driven
+// through with a virtual HDL-32E in a walled yard.
 #pragma once
 
 #include <filesystem>
@@ -27,13 +28,16 @@ struct NuscenesFolder {
     int columns = 0;
     std::vector<std::vector<NuscenesRay>> rays;  ///< [sweep] column by column, 32 from the lowest beam up
 
-    /// Writes a folder of its own under the tests' temporary one. @param columns  of a turn
+    /// Writes a folder of its own under the tests' temporary one. @param columns  of a
+    /// turn
     explicit NuscenesFolder(const std::string& name, int columns = 360);
     ~NuscenesFolder();
     NuscenesFolder(const NuscenesFolder&) = delete;
     NuscenesFolder& operator=(const NuscenesFolder&) = delete;
 
-    std::filesystem::path table(const std::string& name) const { return folder / "v1.0-mini" / (name + ".json"); }
+    std::filesystem::path table(const std::string& name) const {
+        return folder / "v1.0-mini" / (name + ".json");
+    }
     std::filesystem::path sweep(int number) const;
     /// Poses in the map's frame; times after the scene's first sweep.
     static Pose vehicle_at(double time_s);

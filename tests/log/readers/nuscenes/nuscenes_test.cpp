@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes: a folder written here, whose every ray is known, and damage of each of its files.
+// nuScenes: a folder written here, whose every ray is known, and damage of each of its
+// files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -19,13 +20,15 @@ namespace fs = std::filesystem;
 using test::NuscenesFolder;
 using test::NuscenesRay;
 
-Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103", DatasetOptions options = {}) {
+Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103",
+              DatasetOptions options = {}) {
     options.sequence = scene;
     return load_sequence(data.folder.string(), options);
 }
 
-/// A LiDAR's place is interpolated along chords, 0.944 m from the axle at 0.0175 rad a sweep. At s sweeps after the first end of a chord it
-/// is r angle^2 |s (s - 1)| / 2 off the arc; the first turn, s = -1 to 0, goes back along the chord after it.
+/// A LiDAR's place is interpolated along chords, 0.944 m from the axle at 0.0175 rad a
+/// sweep. At s sweeps after the first end of a chord it is r angle^2 |s (s - 1)| / 2 off
+/// the arc; the first turn, s = -1 to 0, goes back along the chord after it.
 double off_arc_m(int frame, double s) {
     const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? s - 1.0 : s;
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
@@ -50,7 +53,8 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const double turned = 1.0 + double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
-            const std::size_t column = std::size_t(std::lround(turned * data.columns)), ring = 31u - frame.scan.rays.channel[i];
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
+                              ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
             const bool returned = frame.scan.range_m[i] > 0.0f;
             ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
@@ -58,9 +62,13 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const double off_m = off_arc_m(frame.index, turned);
             ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), off_m);
-            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction), returned ? off_m / 4.0 + 1e-6 : 4e-4) << i;
+            ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
+                      returned ? off_m / 4.0 + 1e-6 : 4e-4)
+                << i;
             if (!returned) continue;
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
+                                        found.world_offset_m,
+                                    ray.point_m),
                       1e-4);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
         }
@@ -72,7 +80,8 @@ TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const Sequence found = load(data);
     for (std::size_t i = 0; i < found.frames.size(); ++i) {
         EXPECT_NEAR(found.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
-        const Pose truth = NuscenesFolder::vehicle_at(found.frames[i].time_s), &pose = found.world_from_vehicle.pose[i];
+        const Pose truth = NuscenesFolder::vehicle_at(found.frames[i].time_s),
+                   &pose = found.world_from_vehicle.pose[i];
         EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-8);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
     }
@@ -97,7 +106,9 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
         load(data, "scene-0104");
         FAIL();
     } catch (const UsageError& error) {
-        EXPECT_STREQ(error.what(), "dataset.sequence 'scene-0104': no such scene, expected one of 2: scene-0061, scene-0103");
+        EXPECT_STREQ(
+            error.what(),
+            "dataset.sequence 'scene-0104': no such scene, expected one of 2: scene-0061, scene-0103");
     }
     DatasetOptions options;
     options.frames = {3, 5};
@@ -111,10 +122,13 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     options.poses_file = kNoPoses;
     const Sequence unposed = load(data, "103", options);
     EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
-    const glm::dvec3 seen = inverse(NuscenesFolder::vehicle_at(0.2)) * NuscenesFolder::box_at(0.2).translation;
-    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, seen), 1e-8) << "as the vehicle saw it";
+    const glm::dvec3 seen =
+        inverse(NuscenesFolder::vehicle_at(0.2)) * NuscenesFolder::box_at(0.2).translation;
+    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, seen), 1e-8)
+        << "as the vehicle saw it";
     test::write_text(data.table("sample_annotation"), "[]");
-    EXPECT_THAT(load(data).notes, testing::Contains("no annotations of this scene: nothing in it is labelled"));
+    EXPECT_THAT(load(data).notes,
+                testing::Contains("no annotations of this scene: nothing in it is labelled"));
 }
 
 TEST(Nuscenes, KeyframesAlone) {
@@ -142,13 +156,18 @@ TEST(Nuscenes, KeyframesAlone) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
-            const std::size_t column = std::size_t(std::lround(turned * data.columns)), ring = 31u - frame.scan.rays.channel[i];
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
+                              ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             // a chord of half a second, from where the LiDAR turns about the axle
-            const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0), arc_m = 0.944 * 0.175 * 0.175;
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
-            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+            const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),
+                         arc_m = 0.944 * 0.175 * 0.175;
+            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m),
+                      arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
+            ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
+                                        found.world_offset_m,
+                                    ray.point_m),
                       1e-4);
         }
     }
@@ -158,7 +177,8 @@ TEST(Nuscenes, KeyframesAlone) {
 
 TEST(Nuscenes, SaysWhichRecordIsWrong) {
     const NuscenesFolder data("tables", 40);
-    const auto expect = [&](const std::string& table, const std::string& from, const std::string& to, const std::string& part) {
+    const auto expect = [&](const std::string& table, const std::string& from, const std::string& to,
+                            const std::string& part) {
         const std::string good = test::read_text(data.table(table));
         std::string bad = good;
         ASSERT_NE(bad.find(from), std::string::npos) << from;
@@ -174,25 +194,36 @@ TEST(Nuscenes, SaysWhichRecordIsWrong) {
         test::write_text(data.table(table), good);
     };
     expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name': expected text");
-    expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533", "key 'timestamp': expected a number");
-    expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1", "key 'is_key_frame': expected true or false");
+    expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533",
+           "key 'timestamp': expected a number");
+    expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1",
+           "key 'is_key_frame': expected true or false");
     expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': 'd99' after 5 files");
     expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "expected times that rise");
     expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': 'gone' after 11 files");
     expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel': no LIDAR_*");
-    expect("sample_data", "turn_0.pcd.bin", "turn_0.las", "a LiDAR's file 'samples/LIDAR_TOP/turn_0.las', expected one that ends in");
-    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733", "whose pose it is, expected at most 0.1 s");
-    expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ", "key 'rotation': expected 4 numbers");
-    expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7", "key 'rotation': expected a quaternion of length 1");
-    expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"", "no 'e5', the pose of sweeps/LIDAR_TOP/turn_5.pcd.bin");
-    expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ", "key 'translation': expected 3 numbers");
-    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size': 1.9 x -4.5 x 1.6, expected all above 0");
-    expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"", "no category of instance 'car'");
+    expect("sample_data", "turn_0.pcd.bin", "turn_0.las",
+           "a LiDAR's file 'samples/LIDAR_TOP/turn_0.las', expected one that ends in");
+    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733",
+           "whose pose it is, expected at most 0.1 s");
+    expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ",
+           "key 'rotation': expected 4 numbers");
+    expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7",
+           "key 'rotation': expected a quaternion of length 1");
+    expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"",
+           "no 'e5', the pose of sweeps/LIDAR_TOP/turn_5.pcd.bin");
+    expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ",
+           "key 'translation': expected 3 numbers");
+    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]",
+           "key 'size': 1.9 x -4.5 x 1.6, expected all above 0");
+    expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"",
+           "no category of instance 'car'");
     expect("sample", "[\n", "x", "'x' between objects, expected an array of objects");
     expect("sample", "}\n]", "", "cut short, expected an array of objects");
     expect("sample", "\n]", "", "cut short, expected an array of objects");
     expect("sample", "\"token\": \"k1\",", "\"token\" \"k1\",", "record 0: ");
-    expect("category", "\"animal\"", "\"" + std::string(1 << 20, 'a') + "\"", "an object of more than 1048576 bytes");
+    expect("category", "\"animal\"", "\"" + std::string(1 << 20, 'a') + "\"",
+           "an object of more than 1048576 bytes");
     fs::remove(data.table("ego_pose"));
     EXPECT_THROW(load(data), DataError);
 }

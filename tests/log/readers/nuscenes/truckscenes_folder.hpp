@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small TruckScenes folder written by the tests: a truck with two LiDARs of other beams, rates of poses and stamps, in a walled yard.
+// A small TruckScenes folder written by the tests: a truck with two LiDARs of other
+// beams, rates of poses and stamps, in a walled yard.
 #pragma once
 
 #include <filesystem>
@@ -22,7 +23,8 @@ struct TruckScenesFolder {
     static constexpr int kSweeps = 11;  ///< every fifth a keyframe
     static constexpr int kMissing = 4;  ///< sweep that LIDAR_TOP_FRONT lacks
     static constexpr int kColumns = 400;
-    static constexpr double kSweep_s = 0.1, kLater_s = 0.007;  ///< LIDAR_TOP_FRONT's stamps after LIDAR_LEFT's
+    /// LIDAR_TOP_FRONT's stamps after LIDAR_LEFT's
+    static constexpr double kSweep_s = 0.1, kLater_s = 0.007;
 
     struct Lidar {
         std::string channel;
@@ -40,7 +42,9 @@ struct TruckScenesFolder {
     TruckScenesFolder(const TruckScenesFolder&) = delete;
     TruckScenesFolder& operator=(const TruckScenesFolder&) = delete;
 
-    std::filesystem::path table(const std::string& name) const { return folder / "v1.2-trainval" / (name + ".json"); }
+    std::filesystem::path table(const std::string& name) const {
+        return folder / "v1.2-trainval" / (name + ".json");
+    }
     std::filesystem::path sweep(const std::string& channel, int number) const;
     /// Poses in the world; times after the first sweep of LIDAR_LEFT.
     static Pose vehicle_at(double time_s);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// TruckScenes and Lyft Level 5: nuScenes' tables with several LiDARs, whose points are as they were measured, without rings.
+// TruckScenes and Lyft Level 5: nuScenes' tables with several LiDARs, whose points are as
+// they were measured, without rings.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -47,12 +48,16 @@ void expect_truth(const Sequence& found, const Frame& frame, const TruckScenesFo
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
         const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-        // the LiDAR goes along chords, less than 2.5 m from the axle, at 20 degrees a second
+        // the LiDAR goes along chords, less than 2.5 m from the axle, at 20 degrees a
+        // second
         const TrackPlace place = track.place(fired_s);
-        const double turn_rad = 20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
+        const double turn_rad =
+            20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
         const double off_m = 2.5 * turn_rad * turn_rad * std::abs(place.s * (place.s - 1.0)) / 2.0 + 2e-5;
         ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), off_m) << i;
-        ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m, ray.point_m),
+        ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
+                                    found.world_offset_m,
+                                ray.point_m),
                   off_m + 1e-4);
         ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
     }
@@ -64,7 +69,8 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
     const Sequence found = load(data);
     EXPECT_EQ(found.name, "TruckScenes scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(found.lidars.size(), 2u);
-    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1)) << "LIDAR_TOP_FRONT lacks a sweep";
+    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1))
+        << "LIDAR_TOP_FRONT lacks a sweep";
     for (std::size_t l = 0; l < 2; ++l) {
         const Lidar& lidar = found.lidars[l];
         EXPECT_EQ(lidar.name, data.lidars[l].channel);
@@ -72,13 +78,17 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
         ASSERT_EQ(lidar.sensor.beams.size(), data.lidars[l].elevations_deg.size());
         for (std::size_t b = 0; b < lidar.sensor.beams.size(); ++b)
-            EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad * 180.0 / kPi, data.lidars[l].elevations_deg[b], 1e-3);
+            EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad * 180.0 / kPi, data.lidars[l].elevations_deg[b],
+                        1e-3);
     }
     for (const Frame& frame : found.frames) {
-        EXPECT_NEAR(frame.time_s, frame.index * TruckScenesFolder::kSweep_s, 1e-9) << "LiDARs share the time of the first";
+        EXPECT_NEAR(frame.time_s, frame.index * TruckScenesFolder::kSweep_s, 1e-9)
+            << "LiDARs share the time of the first";
         expect_truth(found, frame, data.lidars[std::size_t(frame.lidar)]);
     }
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("LiDAR 'LIDAR_TOP_FRONT': 24 beams x 400 columns are fitted")));
+    EXPECT_THAT(
+        found.notes,
+        testing::Contains(testing::HasSubstr("LiDAR 'LIDAR_TOP_FRONT': 24 beams x 400 columns are fitted")));
 }
 
 TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
@@ -86,7 +96,8 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     const Sequence found = load(data);
     ASSERT_EQ(found.world_from_vehicle.time_s.size(), std::size_t(TruckScenesFolder::kSweeps));
     for (std::size_t i = 0; i < found.world_from_vehicle.time_s.size(); ++i) {
-        const Pose truth = TruckScenesFolder::vehicle_at(found.world_from_vehicle.time_s[i]), &pose = found.world_from_vehicle.pose[i];
+        const Pose truth = TruckScenesFolder::vehicle_at(found.world_from_vehicle.time_s[i]),
+                   &pose = found.world_from_vehicle.pose[i];
         EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-6);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-9);
     }
@@ -95,10 +106,13 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     EXPECT_EQ(box.category, "vehicle.other");
     EXPECT_EQ(object_kind(box.category), ObjectKind::vehicle);
     EXPECT_EQ(box.size_m, glm::dvec3(5.5, 2.1, 2.4));
-    ASSERT_EQ(box.world_from_box.pose.size(), std::size_t(TruckScenesFolder::kSweeps)) << "the first and last label are near their sweeps";
+    ASSERT_EQ(box.world_from_box.pose.size(), std::size_t(TruckScenesFolder::kSweeps))
+        << "the first and last label are near their sweeps";
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
         const Pose truth = TruckScenesFolder::box_at(box.world_from_box.time_s[i]);
-        EXPECT_LT(glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation), 1e-6);
+        EXPECT_LT(
+            glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation),
+            1e-6);
     }
 }
 
@@ -120,8 +134,10 @@ TEST(TruckScenes, LidarsFramesAndKeyframes) {
         load(data, options);
         ADD_FAILURE();
     } catch (const UsageError& error) {
-        EXPECT_STREQ(error.what(), "dataset.lidars: no 'LIDAR_REAR' in scene-0044384af3d8494e913fb8b14915239e-3, expected some of "
-                                   "LIDAR_LEFT, LIDAR_TOP_FRONT");
+        EXPECT_STREQ(
+            error.what(),
+            "dataset.lidars: no 'LIDAR_REAR' in scene-0044384af3d8494e913fb8b14915239e-3, expected some of "
+            "LIDAR_LEFT, LIDAR_TOP_FRONT");
     }
     options = {};
     options.sequence = "0044";
@@ -130,7 +146,8 @@ TEST(TruckScenes, LidarsFramesAndKeyframes) {
     fs::remove(data.table("sample_annotation"));
     const Sequence keyframes = load(data);
     ASSERT_EQ(keyframes.frames.size(), 6u);
-    EXPECT_NEAR(keyframes.lidars[0].period_s(), TruckScenesFolder::kSweep_s, 1e-4) << "a turn, not the time between keyframes";
+    EXPECT_NEAR(keyframes.lidars[0].period_s(), TruckScenesFolder::kSweep_s, 1e-4)
+        << "a turn, not the time between keyframes";
     EXPECT_EQ(keyframes.lidars[1].sensor.beams.size(), 24u);
     EXPECT_TRUE(keyframes.boxes.empty());
 }
@@ -156,12 +173,14 @@ TEST(TruckScenes, SaysWhatIsWrong) {
 }
 
 std::string replaced(std::string text, const std::string& from, const std::string& to) {
-    for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) text.replace(at, from.size(), to);
+    for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size())
+        text.replace(at, from.size(), to);
     return text;
 }
 
-/// Makes a Lyft folder of it, as Kaggle has it: tables in train_data, files `lidar/NAME.bin` in train_lidar with 5 columns, of which the
-/// last two are the same everywhere; LIDAR_TOP; stamps with a fraction. @return ranges of the points by file
+/// Makes a Lyft folder of it, as Kaggle has it: tables in train_data, files
+/// `lidar/NAME.bin` in train_lidar with 5 columns, of which the last two are the same
+/// everywhere; LIDAR_TOP; stamps with a fraction. @return ranges of the points by file
 std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& data) {
     std::map<std::string, std::vector<float>> ranges;
     for (const TruckScenesFolder::Lidar& lidar : data.lidars)
@@ -183,10 +202,12 @@ std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& dat
     for (const char* folder : {"samples", "sweeps"})
         for (const char* channel : {"LIDAR_LEFT", "LIDAR_TOP_FRONT"})
             files = replaced(files, fmt::format("{}/{}/", folder, channel), "lidar/");
-    files = replaced(replaced(files, ".pcd\"", ".bin\""), "000, \"is_key_frame\"", "000.25, \"is_key_frame\"");
+    files =
+        replaced(replaced(files, ".pcd\"", ".bin\""), "000, \"is_key_frame\"", "000.25, \"is_key_frame\"");
     test::write_text(data.table("sample_data"), files);
     const std::string sensors = test::read_text(data.table("sensor"));
-    test::write_text(data.table("sensor"), replaced(sensors, "\"channel\": \"LIDAR_TOP_FRONT\"", "\"channel\": \"LIDAR_TOP\""));
+    test::write_text(data.table("sensor"),
+                     replaced(sensors, "\"channel\": \"LIDAR_TOP_FRONT\"", "\"channel\": \"LIDAR_TOP\""));
     fs::rename(data.folder / "v1.2-trainval", data.folder / "train_data");
     for (const char* folder : {"samples", "sweeps"}) fs::remove_all(data.folder / folder);
     return ranges;
@@ -201,9 +222,12 @@ TEST(Lyft, ReturnsOfBothLidars) {
     ASSERT_EQ(found.lidars.size(), 2u);
     EXPECT_EQ(found.lidars[0].name, "LIDAR_TOP") << "comes first";
     EXPECT_EQ(found.lidars[1].name, "LIDAR_LEFT");
-    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2)) << "LIDAR_LEFT has a sweep that LIDAR_TOP lacks";
-    EXPECT_THAT(found.notes, testing::Contains("LIDAR_LEFT: 1 sweeps are left out: LIDAR_TOP has none beside them"));
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("LIDAR_LEFT: points have no times, so its sweeps, up to 0.007 s from")));
+    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2))
+        << "LIDAR_LEFT has a sweep that LIDAR_TOP lacks";
+    EXPECT_THAT(found.notes,
+                testing::Contains("LIDAR_LEFT: 1 sweeps are left out: LIDAR_TOP has none beside them"));
+    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr(
+                                 "LIDAR_LEFT: points have no times, so its sweeps, up to 0.007 s from")));
     for (const Lidar& lidar : found.lidars) {
         EXPECT_NEAR(lidar.period_s(), 0.1, 1e-9);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
@@ -212,7 +236,9 @@ TEST(Lyft, ReturnsOfBothLidars) {
     EXPECT_EQ(found.lidars[1].sensor.beams.size(), 17u);
     for (const Frame& frame : found.frames) {
         const int sweep = frame.index < TruckScenesFolder::kMissing ? frame.index : frame.index + 1;
-        std::vector<float> read, &written = ranges[fmt::format("{}_{}.bin", frame.lidar == 0 ? "LIDAR_TOP_FRONT" : "LIDAR_LEFT", sweep)];
+        std::vector<float> read,
+            &written =
+                ranges[fmt::format("{}_{}.bin", frame.lidar == 0 ? "LIDAR_TOP_FRONT" : "LIDAR_LEFT", sweep)];
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             read.push_back(frame.scan.range_m[i]);
@@ -223,13 +249,16 @@ TEST(Lyft, ReturnsOfBothLidars) {
         for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
     }
     const Pose truth = TruckScenesFolder::vehicle_at(0.507);
-    EXPECT_LT(glm::distance(found.world_from_vehicle.at(0.5).translation + found.world_offset_m, truth.translation), 1e-5);
+    EXPECT_LT(
+        glm::distance(found.world_from_vehicle.at(0.5).translation + found.world_offset_m, truth.translation),
+        1e-5);
 }
 
 TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
     const TruckScenesFolder data("lyft_moved");
     make_lyft(data);
-    const auto moved_s = [](std::size_t point) { return 0.1 * double(point % 400) / 400.0; };   // as the truck drove during the sweep
+    // as the truck drove during the sweep
+    const auto moved_s = [](std::size_t point) { return 0.1 * double(point % 400) / 400.0; };
     for (const fs::directory_entry& file : fs::directory_iterator(data.folder / "train_lidar")) {
         std::string bytes = test::read_text(file.path());
         for (std::size_t i = 0; i * 20 < bytes.size(); ++i) {

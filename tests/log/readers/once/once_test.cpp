@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE: a sequence written here, whose every ray is known, with quaternions in both orders, and what is wrong with its files.
+// ONCE: a sequence written here, whose every ray is known, with quaternions in both
+// orders, and what is wrong with its files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -8,8 +9,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/clouds/stamped_folders.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
@@ -17,7 +18,8 @@ namespace {
 namespace fs = std::filesystem;
 using test::OnceFolder;
 
-/// Every return lies on a surface of the yard, its ray starts where the LiDAR was, and none is lost.
+/// Every return lies on a surface of the yard, its ray starts where the LiDAR was, and
+/// none is lost.
 void expect_once_truth(const OnceFolder& data, const Sequence& found) {
     const PoseTrack track = found.world_from_sensor(0);
     const Pose yard_from_once{data.drive.lidar_at(0.0)};
@@ -29,10 +31,14 @@ void expect_once_truth(const OnceFolder& data, const Sequence& found) {
             const WorldRay ray = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 origin = yard_from_once * (ray.origin_m + found.world_offset_m);
-            // straight for half a second at 8 m/s and 0.1 rad/s: 14 mm beside it half a scan before the first
-            ASSERT_LT(glm::distance(origin, data.drive.lidar_at(fired_s).translation), 0.015) << frame.index << " " << i;
-            const glm::dvec3 point = ray.origin_m + double(frame.scan.range_m[i]) * ray.direction + found.world_offset_m;
-            ASSERT_LT(test::off_yard_m(yard_from_once * point - data.drive.world_m), 0.02) << frame.index << " " << i;
+            // straight for half a second at 8 m/s and 0.1 rad/s: 14 mm beside it half a
+            // scan before the first
+            ASSERT_LT(glm::distance(origin, data.drive.lidar_at(fired_s).translation), 0.015)
+                << frame.index << " " << i;
+            const glm::dvec3 point =
+                ray.origin_m + double(frame.scan.range_m[i]) * ray.direction + found.world_offset_m;
+            ASSERT_LT(test::off_yard_m(yard_from_once * point - data.drive.world_m), 0.02)
+                << frame.index << " " << i;
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.25f);
         }
     }
@@ -44,14 +50,19 @@ TEST(Once, EveryReturnIsOnTheYard) {
     const Sequence found = load_sequence(data.folder.string(), {});
     EXPECT_EQ(found.name, "ONCE 000076");
     ASSERT_EQ(found.frames.size(), std::size_t(OnceFolder::kScans));
-    EXPECT_THAT(found.notes, testing::Contains("1 boxes of 1 labelled frames are left out: nothing says which are of one thing"));
-    EXPECT_THAT(found.notes, testing::Contains("40 beams x 900 columns are fitted to its points, which have no rings: each is taken for "
-                                               "one of the nominal beam that passes nearest"));
+    EXPECT_THAT(
+        found.notes,
+        testing::Contains("1 boxes of 1 labelled frames are left out: nothing says which are of one thing"));
+    EXPECT_THAT(found.notes,
+                testing::Contains(
+                    "40 beams x 900 columns are fitted to its points, which have no rings: each is taken for "
+                    "one of the nominal beam that passes nearest"));
     EXPECT_TRUE(found.boxes.empty());
     const SpinningSensor& sensor = found.lidars[0].sensor;
     EXPECT_EQ(sensor.period_s, 0.1) << "a turn, not the time between scans";
     ASSERT_EQ(sensor.beams.size(), 40u);
-    for (std::size_t b = 0; b < 40; ++b) EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
+    for (std::size_t b = 0; b < 40; ++b)
+        EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
     expect_once_truth(data, found);
     // x looks forward, in a world whose x is to the left and y to the back
     const glm::dvec3 ahead = found.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
@@ -67,7 +78,7 @@ TEST(Once, QuaternionsWithWFirst) {
 
 TEST(Once, PointsOfAnotherLidar) {
     const OnceFolder data("other");
-    for (int s = 0; s < OnceFolder::kScans; ++s) {   // tilted by up to a degree: no beams at all
+    for (int s = 0; s < OnceFolder::kScans; ++s) {  // tilted by up to a degree: no beams at all
         std::string bytes = test::read_text(data.scan(s));
         for (std::size_t at = 0; at < bytes.size(); at += 16) {
             float p[3];
@@ -102,7 +113,8 @@ TEST(Once, FramesOtherPosesAndMissingScans) {
     data.expect_error("frames.json: 1 frames have no scan in lidar_roof, expected one each", options);
     options = {};
     options.poses_file = kNoPoses;
-    EXPECT_EQ(load_sequence(data.folder.string(), options).world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
+    EXPECT_EQ(load_sequence(data.folder.string(), options).world_from_vehicle.pose[2].translation,
+              glm::dvec3(0.0));
 }
 
 TEST(Once, SaysWhichFileAndFieldIsWrong) {
@@ -115,11 +127,14 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
         test::write_text(data.json(), good);
     };
     const std::string second = "\"frame_id\": \"16165359667";
-    with(second, "\"frame_id\": \"x16165359667", "errors.json: frames[1].frame_id: 'x1616535966700', expected a time");
-    with(second, "\"frame_id\": \"06165359667", "frames[1].frame_id: 616535966700 after 1616535966200, expected times that rise");
+    with(second, "\"frame_id\": \"x16165359667",
+         "errors.json: frames[1].frame_id: 'x1616535966700', expected a time");
+    with(second, "\"frame_id\": \"06165359667",
+         "frames[1].frame_id: 616535966700 after 1616535966200, expected times that rise");
     with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose: found 8 numbers, expected 7");
     with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
-    with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose: a quaternion of length 2.236, expected 1");
+    with("\"pose\": [0", "\"pose\": [2",
+         "errors.json: frames[0].pose: a quaternion of length 2.236, expected 1");
     with("\"pose\"", "\"posture\"", "errors.json: frames[0].pose");
     with("\"frames\"", "\"other\"", "errors.json: frames");
     with("]}]", "", "errors.json");

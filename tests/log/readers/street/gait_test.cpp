@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// People of the synthetic street who swing their legs and arms: limbs against stepping along rays, and steps that go by distance.
+// People of the synthetic street who swing their legs and arms: limbs against stepping
+// along rays, and steps that go by distance.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -20,7 +21,8 @@ double distance_to_segment(const glm::dvec3& p, const glm::dvec3& a, const glm::
     return glm::distance(p, a + along * (b - a));
 }
 
-/// A limb against steps of its distance along rays from all sides: its axis hangs from the joint, swung forward by swing sin(stride).
+/// A limb against steps of its distance along rays from all sides: its axis hangs from
+/// the joint, swung forward by swing sin(stride).
 TEST(Gait, LimbsAreMetWhereTheySwing) {
     const street::Limb limb{{0.1, 0.3, 0.2}, 0.7, 0.08, 0.5, 0.4, 0.5};
     street::MovingCar walker;
@@ -34,8 +36,10 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     int hits = 0;
     for (int i = 0; i < 4000; ++i) {
         const double t_s = random.uniform(0.0, 3.0);
-        const double pitch = limb.swing_rad * std::sin(2.0 * kPi * walker.speed_mps * t_s / walker.stride_m + limb.phase_rad);
-        const glm::dvec3 ahead(std::cos(walker.yaw_rad), std::sin(walker.yaw_rad), 0.0), left(-ahead.y, ahead.x, 0.0), up(0.0, 0.0, 1.0);
+        const double pitch =
+            limb.swing_rad * std::sin(2.0 * kPi * walker.speed_mps * t_s / walker.stride_m + limb.phase_rad);
+        const glm::dvec3 ahead(std::cos(walker.yaw_rad), std::sin(walker.yaw_rad), 0.0),
+            left(-ahead.y, ahead.x, 0.0), up(0.0, 0.0, 1.0);
         const glm::dvec3 box = walker.start_m + walker.speed_mps * t_s * ahead;
         const glm::dvec3 joint = box + limb.joint_m.x * ahead + limb.joint_m.y * left + limb.joint_m.z * up;
         const glm::dvec3 end = joint + limb.length_m * (std::sin(pitch) * ahead - std::cos(pitch) * up);
@@ -46,7 +50,7 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
         double t = 0.0, gap = 1.0;
         for (int step = 0; step < 400 && gap > 1e-9 && t < 8.0; ++step, t += gap)
             gap = distance_to_segment(origin + t * ray.direction, joint, end) - limb.radius_m;
-        if (gap > 1e-9 && gap < 1e-3) continue;   // it passes by a hair
+        if (gap > 1e-9 && gap < 1e-3) continue;  // it passes by a hair
         const std::optional<street::Hit> hit = caster.cast(ray, t_s, 20.0);
         const bool on_limb = hit && std::abs(glm::distance(origin + hit->range_m * ray.direction, box)) < 2.0;
         ASSERT_EQ(on_limb, gap <= 1e-9) << i;
@@ -57,7 +61,8 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     EXPECT_GT(hits, 1500);
 }
 
-/// Who walks his way at half the speed sets his feet where he did: seen when he comes to the same place, he looks the same.
+/// Who walks his way at half the speed sets his feet where he did: seen when he comes to
+/// the same place, he looks the same.
 TEST(Gait, GoesByDistance) {
     const SyntheticOptions options{.n_frames = 9, .people = true, .gait = true};
     const Sequence street = make_synthetic_street(options);
@@ -67,11 +72,12 @@ TEST(Gait, GoesByDistance) {
     const BoxTrack& box = street.boxes[walker];
     const glm::dvec3 at = box.world_from_box.pose[4].translation;
     constexpr int kSide = 60;
-    RayTable rays;   // all at one moment
+    RayTable rays;  // all at one moment
     rays.rows = rays.columns = kSide;
     constexpr std::size_t kRays = std::size_t(kSide) * kSide;
     for (int i = 0; i < int(kRays); ++i)
-        rays.direction.emplace_back(glm::normalize(glm::dvec3(3.0, -0.6 + 1.2 * (i % kSide) / kSide, -1.0 + 2.0 * (i / kSide) / kSide)));
+        rays.direction.emplace_back(glm::normalize(
+            glm::dvec3(3.0, -0.6 + 1.2 * (i % kSide) / kSide, -1.0 + 2.0 * (i / kSide) / kSide)));
     rays.origin.assign(kRays, glm::vec3(0.0f));
     rays.time_offset_s.assign(kRays, 0.0f);
     rays.channel.assign(kRays, 0);
@@ -79,7 +85,8 @@ TEST(Gait, GoesByDistance) {
     const auto seen = [&](const StreetCar& car, double time_s) {
         return cast_synthetic_street(options, {car}, rays, PoseTrack{{time_s}, {sensor}}, time_s).range_m;
     };
-    const std::vector<float> own = to_vector(seen({walker, box}, 0.4)), at_half_speed = to_vector(seen(slow, 0.8));
+    const std::vector<float> own = to_vector(seen({walker, box}, 0.4)),
+                             at_half_speed = to_vector(seen(slow, 0.8));
     int near = 0;
     for (std::size_t i = 0; i < own.size(); ++i) {
         near += own[i] > 2.0f && own[i] < 4.0f;

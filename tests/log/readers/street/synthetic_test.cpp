@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street: casts against closed forms, determinism, moving cars in their boxes, the file and its messages.
+// The synthetic street: casts against closed forms, determinism, moving cars in their
+// boxes, the file and its messages.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -54,7 +55,8 @@ TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
     const Sequence street = make_synthetic_street(options);
     const RayTable rays = make_rays(street.lidars[0].sensor);
     const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
-               again = cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
+               again =
+                   cast_synthetic_street(options, own_cars(options), rays, street.world_from_vehicle, 0.3);
     std::size_t on_cars = 0;
     const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -70,24 +72,29 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
     const double rear = 12.0 - 0.5 * 4.3;
     std::vector<StreetCar> cars{own_cars(options)[0]};
     for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
-    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear - 4.0, 1e-4);
+    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear - 4.0,
+                1e-4);
     for (double& time_s : cars[0].track.world_from_box.time_s) time_s += 1.0;
     EXPECT_EQ(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2).range_m[0],
               cast_synthetic_street(options, {}, one_ray({1, 0, 0}), still, 0.2).range_m[0])
         << "later: not there yet";
-    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 1.2).range_m[0], rear - 4.0, 1e-4);
+    EXPECT_NEAR(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 1.2).range_m[0], rear - 4.0,
+                1e-4);
     cars[0].shapes_of = 2;
     EXPECT_THROW(cast_synthetic_street(options, cars, one_ray({1, 0, 0}), still, 0.2), DataError);
 }
 
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
-    // At the middle frame the car ahead has its centre 12 m ahead; it drives 1.05 times as fast as the sensor.
+    // At the middle frame the car ahead has its centre 12 m ahead; it drives 1.05 times
+    // as fast as the sensor.
     const SyntheticOptions options = small();
-    PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground, in the car's body
+    // 0.6 m above the ground, in the car's body
+    PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};
     const double rear = 12.0 - 0.5 * 4.3;
     const double t = 0.05;
     EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2).range_m[0], rear, 1e-5);
-    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2 + t).range_m[0], rear + 8.4 * t, 1e-5);
+    EXPECT_NEAR(cast_synthetic_street(options, one_ray({1, 0, 0}), still, 0.2 + t).range_m[0], rear + 8.4 * t,
+                1e-5);
     RayTable late = one_ray({1, 0, 0});
     late.time_offset_s[0] = static_cast<float>(t);
     EXPECT_NEAR(cast_synthetic_street(options, late, still, 0.2).range_m[0], rear + 8.4 * t, 1e-5);
@@ -111,7 +118,8 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
     const Sequence log = make_synthetic_street(options);
     EXPECT_NEAR(glm::length(log.world_from_vehicle.pose[2].translation), 0.0, 1e-12);
     for (const Frame& frame : log.frames) {
-        const Scan exact = cast_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
+        const Scan exact =
+            cast_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
         std::size_t agree = 0;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             const bool hit = exact.range_m[i] > 0.0f, measured = frame.scan.range_m[i] > 0.0f;
@@ -157,10 +165,12 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     {
         std::ofstream out(file);
         out.precision(17);
-        for (const Pose& pose : exact.world_from_vehicle.pose) {   // the same places, but 0.5 m further left in the street's world
+        // the same places, but 0.5 m further left in the street's world
+        for (const Pose& pose : exact.world_from_vehicle.pose) {
             const glm::dmat4 m = to_matrix(pose);
             const glm::dvec3 t = pose.translation + exact.world_offset_m + glm::dvec3(0.0, 0.5, 0.0);
-            for (int r = 0; r < 3; ++r) out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
+            for (int r = 0; r < 3; ++r)
+                out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
         }
     }
     DatasetOptions options;
@@ -169,11 +179,15 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
         ASSERT_EQ(from.pose.size(), to.pose.size());
         for (std::size_t k = 0; k < from.pose.size(); ++k)
-            EXPECT_LT(glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)), 1e-9);
+            EXPECT_LT(
+                glm::length(to.pose[k].translation - from.pose[k].translation - glm::dvec3(0.0, 0.5, 0.0)),
+                1e-9);
     };
     expect_moved(exact.world_from_vehicle, moved.world_from_vehicle);
-    for (std::size_t b = 0; b < exact.boxes.size(); ++b) expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
-    EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m) << "scans are what the sensor saw from the exact poses";
+    for (std::size_t b = 0; b < exact.boxes.size(); ++b)
+        expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
+    EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m)
+        << "scans are what the sensor saw from the exact poses";
     fs::remove_all(folder);
 }
 
@@ -186,7 +200,8 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
         FAIL();
     } catch (const DataError& error) {
         EXPECT_NE(std::string(error.what())
-                      .find("street.toml: synthetic street: 10000 frames of 2097152 rays are 2.1e+10 rays, expected at most 2e+08"),
+                      .find("street.toml: synthetic street: 10000 frames of 2097152 rays are 2.1e+10 rays, "
+                            "expected at most 2e+08"),
                   std::string::npos)
             << error.what();
     }
@@ -219,8 +234,9 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
         const Lidar& lidar = log.lidar_of(frame);
         const PoseTrack track = log.world_from_sensor(frame.lidar);
         EXPECT_EQ(frame.scan.rays.direction, nominal_rays(lidar, frame.time_s).direction) << lidar.name;
-        const Scan truth = frame.lidar == test::kTwoReturns ? cast_synthetic_beams(options, frame.scan.rays, track, frame.time_s)
-                                                            : cast_synthetic_street(options, frame.scan.rays, track, frame.time_s);
+        const Scan truth = frame.lidar == test::kTwoReturns
+                               ? cast_synthetic_beams(options, frame.scan.rays, track, frame.time_s)
+                               : cast_synthetic_street(options, frame.scan.rays, track, frame.time_s);
         std::size_t n = 0;
         for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
             if (!(truth.range_m[i] > 0.0f && frame.scan.range_m[i] > 0.0f)) continue;
@@ -229,7 +245,9 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
         }
         EXPECT_GT(n, truth.range_m.size() / 2) << lidar.name;
     }
-    EXPECT_NE(log.frames[test::kRosette].scan.rays.direction, log.frames[4 + test::kRosette].scan.rays.direction) << "other petals";
+    EXPECT_NE(log.frames[test::kRosette].scan.rays.direction,
+              log.frames[4 + test::kRosette].scan.rays.direction)
+        << "other petals";
     EXPECT_TRUE(log.frames[0].scan.second_returns.empty());
 }
 
@@ -244,21 +262,26 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
         const float second_m = frame.scan.second_returns[0].range_m[i];
         if (second_m == 0.0f) continue;
         ++n;
-        EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f) << "means of returns whose nearest parts are 0.5 m apart";
-        RayTable fan = one_ray(frame.scan.rays.direction[i]);   // 20 x 20 directions of the cone
+        EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f)
+            << "means of returns whose nearest parts are 0.5 m apart";
+        RayTable fan = one_ray(frame.scan.rays.direction[i]);  // 20 x 20 directions of the cone
         fan.time_offset_s.clear(), fan.origin.clear(), fan.channel.clear(), fan.direction.clear();
-        const glm::vec3 d = frame.scan.rays.direction[i], side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
+        const glm::vec3 d = frame.scan.rays.direction[i],
+                        side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
         const glm::vec3 up = glm::cross(side, d);
         for (int k = 0; k < 400; ++k) {
             const float u = (float(k % 20) - 9.5f) / 10.0f, v = (float(k / 20) - 9.5f) / 10.0f;
             fan.direction.push_back(glm::normalize(d + 4.5e-3f * (u * side + v * up)));
-            fan.origin.emplace_back(0.0f), fan.time_offset_s.push_back(frame.scan.rays.time_offset_s[i]), fan.channel.push_back(0);
+            fan.origin.emplace_back(0.0f), fan.time_offset_s.push_back(frame.scan.rays.time_offset_s[i]),
+                fan.channel.push_back(0);
         }
         fan.columns = 400;
         const Scan scan = cast_synthetic_street(options, fan, track, frame.time_s);
         const auto [low, high] = std::ranges::minmax(scan.range_m);
-        const bool near = std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
-        met += near || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);   // a slope's mean
+        const bool near =
+            std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
+        // a slope's mean
+        met += near || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);
     }
     EXPECT_GE(n, 100u);
     EXPECT_GE(met, n * 98 / 100);
@@ -281,9 +304,11 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
     EXPECT_THAT(two.notes, testing::Contains("LiDARs left out: top, flower"));
     some.lidars = {"top", "roof"};
     EXPECT_THAT([&] { load_sequence(folder.string(), some); },
-                testing::ThrowsMessage<UsageError>("lidar: found \"roof\", expected one of top, front, flower, wide"));
+                testing::ThrowsMessage<UsageError>(
+                    "lidar: found \"roof\", expected one of top, front, flower, wide"));
     std::ofstream(folder / "street.toml") << "rig = \"street.toml\"\n";
-    EXPECT_THAT([&] { load_sequence(folder.string(), {}); }, testing::ThrowsMessage<DataError>(testing::HasSubstr("found no rig in")));
+    EXPECT_THAT([&] { load_sequence(folder.string(), {}); },
+                testing::ThrowsMessage<DataError>(testing::HasSubstr("found no rig in")));
 }
 
 TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
@@ -293,8 +318,13 @@ TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
 TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
     const SyntheticOptions options = small();
     const PoseTrack track{{0.2}, {make_synthetic_street(options).world_from_sensor(0).at(0.2)}};
-    RayTable narrow = make_rays(
-        ScanningWindow{.name = "", .rows = 12, .columns = 30, .left_rad = 1.0, .right_rad = -1.0, .top_rad = 0.05, .bottom_rad = -0.1});
+    RayTable narrow = make_rays(ScanningWindow{.name = "",
+                                               .rows = 12,
+                                               .columns = 30,
+                                               .left_rad = 1.0,
+                                               .right_rad = -1.0,
+                                               .top_rad = 0.05,
+                                               .bottom_rad = -0.1});
     RayTable wide = narrow, mixed = narrow;
     narrow.divergence_rad = 1e-3f, wide.divergence_rad = 0.03f;
     for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
@@ -317,10 +347,13 @@ TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     options.poses_file = kNoPoses;
     Sequence log = load_sequence(folder.string(), options);
     for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
-    const glm::dvec3 as_seen = inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
+    const glm::dvec3 as_seen =
+        inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, as_seen), 1e-9);
     set_vehicle_poses(log, exact.world_from_vehicle);
-    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, exact.boxes[0].world_from_box.pose[0].translation), 1e-9);
+    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation,
+                            exact.boxes[0].world_from_box.pose[0].translation),
+              1e-9);
     fs::remove_all(folder);
 }
 
@@ -390,33 +423,39 @@ TEST(Synthetic, WrongFilesAreNamed) {
         return "no DataError";
     };
     using testing::HasSubstr;
-    EXPECT_THAT(message("row = 16\n"), HasSubstr("street.toml line 1: unknown key 'row', did you mean 'rows'?"));
+    EXPECT_THAT(message("row = 16\n"),
+                HasSubstr("street.toml line 1: unknown key 'row', did you mean 'rows'?"));
     EXPECT_THAT(message("rows = 1\n"), HasSubstr("rows is 1, expected 2 ... 256"));
     EXPECT_THAT(message("range_noise_m = nan\n"), HasSubstr("range_noise_m is nan"));
     EXPECT_THAT(message("speed_mps = \"fast\"\n"), HasSubstr("line 1: speed_mps has the wrong type"));
     EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
     EXPECT_THAT(message("gait = true\n"), HasSubstr("gait is true without people"));
     EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
-    for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})   // libFuzzer: casts of what no integer holds
-        EXPECT_THAT(message(std::string("rows = ") + real + "\n"),
-                    HasSubstr("street.toml line 1: rows has the wrong type or size, expected a whole number"));
+    // libFuzzer: casts of what no integer holds
+    for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})
+        EXPECT_THAT(
+            message(std::string("rows = ") + real + "\n"),
+            HasSubstr("street.toml line 1: rows has the wrong type or size, expected a whole number"));
     SyntheticOptions options;
     options.columns = 0;
     EXPECT_THROW(make_synthetic_street(options), UsageError);
 }
 
-/// People's boxes hold their returns, whose number falls with range as it does on a street.
+/// People's boxes hold their returns, whose number falls with range as it does on a
+/// street.
 class SyntheticPeople : public testing::TestWithParam<bool> {};
 INSTANTIATE_TEST_SUITE_P(Gait, SyntheticPeople, testing::Bool());
 
 TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
-    SyntheticOptions options = {.n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true, .gait = GetParam()};
+    SyntheticOptions options = {
+        .n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true, .gait = GetParam()};
     const Sequence street = make_synthetic_street(options);
     options.people = options.gait = false;
     EXPECT_EQ(make_synthetic_street(options).boxes.size(), 2u);
     std::vector<std::string> categories;
     for (const BoxTrack& box : street.boxes) categories.push_back(box.category);
-    EXPECT_THAT(categories, testing::ElementsAre("Car", "Car", "Pedestrian", "Pedestrian", "Pedestrian", "Cyclist"));
+    EXPECT_THAT(categories,
+                testing::ElementsAre("Car", "Car", "Pedestrian", "Pedestrian", "Pedestrian", "Cyclist"));
     for (const std::size_t person : {2u, 5u}) {
         std::size_t inside = 0;
         const Frame& frame = street.frames[2];

@@ -26,7 +26,8 @@ glm::dmat4 turned(const glm::dmat4& m, double angle, const glm::dvec3& axis) {
 
 /// Rz Ry Rx at a place.
 glm::dmat4 euler(double roll, double pitch, double yaw, const glm::dvec3& at) {
-    return turned(turned(turned(glm::translate(glm::dmat4(1.0), at), yaw, {0, 0, 1}), pitch, {0, 1, 0}), roll, {1, 0, 0});
+    return turned(turned(turned(glm::translate(glm::dmat4(1.0), at), yaw, {0, 0, 1}), pitch, {0, 1, 0}), roll,
+                  {1, 0, 0});
 }
 
 /// roll, pitch, yaw, x, y, z of the vehicle.
@@ -40,7 +41,8 @@ constexpr glm::dvec3 kRoomMiddle{1203, -3399, 22}, kRoomHalf{40, 25, 4};
 constexpr glm::dvec3 kParkedSize{4.6, 2.0, 1.6};
 constexpr double kFarthest_m = 35.0;
 
-/// Where a ray leaves a box about the origin (inside) or enters it (outside); 0: it does not.
+/// Where a ray leaves a box about the origin (inside) or enters it (outside); 0: it does
+/// not.
 double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const glm::dvec3& half, bool inside) {
     double enters = -1e9, leaves = 1e9;
     for (int a = 0; a < 3; ++a) {
@@ -56,8 +58,9 @@ double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const gl
 double cast(const glm::dvec3& origin, const glm::dvec3& direction) {
     double range = box_range(origin - kRoomMiddle, direction, kRoomHalf, true);
     const glm::dmat4 to_parked = glm::inverse(WaymoSegment::world_from_parked());
-    const double parked = box_range(glm::dvec3(to_parked * glm::dvec4(origin, 1)), glm::dvec3(to_parked * glm::dvec4(direction, 0)),
-                                    0.5 * kParkedSize, false);
+    const double parked =
+        box_range(glm::dvec3(to_parked * glm::dvec4(origin, 1)),
+                  glm::dvec3(to_parked * glm::dvec4(direction, 0)), 0.5 * kParkedSize, false);
     if (parked > 0.0) range = std::min(range, parked);
     return range < kFarthest_m ? range : 0.0;
 }
@@ -68,14 +71,16 @@ struct Rig {
     std::vector<double> elevations;  ///< of the rows, the highest first
 };
 
-glm::dmat4 side_extrinsic() {
-    return euler(0.02, 0.01, 1.5, {3.2, 1.0, 0.7});
-}
+glm::dmat4 side_extrinsic() { return euler(0.02, 0.01, 1.5, {3.2, 1.0, 0.7}); }
 constexpr double kSideLow = -kPi64 / 2, kSideHigh = kPi64 / 6;
 
 Rig top_rig() {
     std::vector<double> rows = WaymoSegment::top_inclinations();
-    return {1, WaymoSegment::kTopRows, WaymoSegment::kTopColumns, WaymoSegment::top_extrinsic(), {rows.rbegin(), rows.rend()}};
+    return {1,
+            WaymoSegment::kTopRows,
+            WaymoSegment::kTopColumns,
+            WaymoSegment::top_extrinsic(),
+            {rows.rbegin(), rows.rend()}};
 }
 
 Rig side_rig() {
@@ -88,14 +93,17 @@ Rig side_rig() {
 /// Direction of a pixel in the LiDAR's frame, as the dataset's tool has it.
 glm::dvec3 pixel_direction(const Rig& rig, int row, int column) {
     const double yaw = std::atan2(rig.extrinsic[0][1], rig.extrinsic[0][0]);
-    const double azimuth = kPi64 * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw, up = rig.elevations[std::size_t(row)];
+    const double azimuth = kPi64 * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,
+                 up = rig.elevations[std::size_t(row)];
     return {std::cos(azimuth) * std::cos(up), std::sin(azimuth) * std::cos(up), std::sin(up)};
 }
 
 WaymoPixel make_pixel(const Rig& rig, int row, int column, int frame, double time_us) {
     const glm::dmat4 world_from_laser = WaymoSegment::world_from_vehicle(time_us) * rig.extrinsic;
-    const glm::dvec3 origin(world_from_laser[3]), direction(world_from_laser * glm::dvec4(pixel_direction(rig, row, column), 0));
-    const std::uint64_t luck = hash64(std::uint64_t(row * 10000 + column), std::uint64_t(frame * 10 + rig.laser));
+    const glm::dvec3 origin(world_from_laser[3]),
+        direction(world_from_laser * glm::dvec4(pixel_direction(rig, row, column), 0));
+    const std::uint64_t luck =
+        hash64(std::uint64_t(row * 10000 + column), std::uint64_t(frame * 10 + rig.laser));
     WaymoPixel pixel{{}, time_us};
     const double range = luck % 10 == 0 ? 0.0 : cast(origin, direction);
     pixel.range_m = float(range);
@@ -111,8 +119,10 @@ std::vector<WaymoPixel> make_image(const Rig& rig, int frame) {
         for (int column = 0; column < rig.columns; ++column) {
             // a pixel of TOP was fired within five columns of where its column's mean was
             const double fired = column + 0.5 + 5.0 * std::sin(double(row));
-            const double time_us = WaymoSegment::kStart_us + WaymoSegment::kPeriod_us * (frame + fired / rig.columns);
-            pixels.push_back(make_pixel(rig, row, column, frame, rig.laser == 1 ? time_us : WaymoSegment::label_time_us(frame)));
+            const double time_us =
+                WaymoSegment::kStart_us + WaymoSegment::kPeriod_us * (frame + fired / rig.columns);
+            pixels.push_back(make_pixel(rig, row, column, frame,
+                                        rig.laser == 1 ? time_us : WaymoSegment::label_time_us(frame)));
         }
     return pixels;
 }
@@ -121,8 +131,8 @@ std::string image_of(const std::vector<WaymoPixel>& pixels, const Rig& rig, bool
     std::vector<float> values;
     for (const WaymoPixel& pixel : pixels) {
         const float range = second ? pixel.second_m : pixel.range_m;
-        const std::vector<float> four =
-            range > 0 ? std::vector{range, pixel.intensity, 0.5f, -1.0f} : std::vector{-1.0f, -1.0f, -1.0f, -1.0f};
+        const std::vector<float> four = range > 0 ? std::vector{range, pixel.intensity, 0.5f, -1.0f}
+                                                  : std::vector{-1.0f, -1.0f, -1.0f, -1.0f};
         values.insert(values.end(), four.begin(), four.end());
     }
     return waymo_matrix(values, {rig.rows, rig.columns, 4});
@@ -131,7 +141,8 @@ std::string image_of(const std::vector<WaymoPixel>& pixels, const Rig& rig, bool
 std::string poses_of(const std::vector<WaymoPixel>& pixels, const Rig& rig) {
     std::vector<float> values;
     for (const WaymoPixel& pixel : pixels)
-        for (const double x : vehicle_state(pixel.time_us)) values.push_back(pixel.range_m > 0 ? float(x) : 0.0f);
+        for (const double x : vehicle_state(pixel.time_us))
+            values.push_back(pixel.range_m > 0 ? float(x) : 0.0f);
     return waymo_matrix(values, {rig.rows, rig.columns, 6});
 }
 
@@ -163,7 +174,8 @@ std::string waymo_transform(const glm::dmat4& a_from_b) {
     return text;
 }
 
-std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high, const glm::dmat4& extrinsic) {
+std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high,
+                              const glm::dmat4& extrinsic) {
     std::string text;
     protozero::pbf_writer calibration(text);
     calibration.add_enum(1, laser);
@@ -185,7 +197,8 @@ std::string waymo_context(const std::vector<std::string>& calibrations) {
 std::string deflated(const std::string& bytes) {
     uLongf size = compressBound(uLong(bytes.size()));
     std::string packed(size, '\0');
-    if (compress(reinterpret_cast<Bytef*>(packed.data()), &size, reinterpret_cast<const Bytef*>(bytes.data()), uLong(bytes.size())) != Z_OK)
+    if (compress(reinterpret_cast<Bytef*>(packed.data()), &size, reinterpret_cast<const Bytef*>(bytes.data()),
+                 uLong(bytes.size())) != Z_OK)
         throw std::runtime_error("compress");
     packed.resize(size);
     return packed;
@@ -205,7 +218,8 @@ std::string waymo_matrix(const std::vector<float>& values, const std::vector<int
     return deflated(waymo_unpacked_matrix(values, dims));
 }
 
-std::string waymo_laser(int laser, const std::string& first, const std::string& second, const std::string& poses) {
+std::string waymo_laser(int laser, const std::string& first, const std::string& second,
+                        const std::string& poses) {
     const auto range_image = [](const std::string& image, const std::string& pixel_poses) {
         std::string text;
         protozero::pbf_writer writer(text);
@@ -221,10 +235,13 @@ std::string waymo_laser(int laser, const std::string& first, const std::string& 
     return text;
 }
 
-std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre, const glm::dvec3& length_width_height, double heading) {
+std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
+                        const glm::dvec3& length_width_height, double heading) {
     std::string text, box;
     protozero::pbf_writer fields(box);
-    const double values[] = {centre.x, centre.y, centre.z, length_width_height.y, length_width_height.x, length_width_height.z, heading};
+    const double values[] = {
+        centre.x, centre.y, centre.z, length_width_height.y, length_width_height.x, length_width_height.z,
+        heading};
     for (int i = 0; i < 7; ++i) fields.add_double(protozero::pbf_tag_type(i + 1), values[i]);
     protozero::pbf_writer label(text);
     label.add_message(1, box);
@@ -252,13 +269,12 @@ std::string tfrecord(const std::string& data) {
     return length + masked(length) + data + masked(data);
 }
 
-glm::dmat4 WaymoSegment::top_extrinsic() {
-    return euler(0.005, -0.008, 2.58, {1.43, 0.02, 2.18});
-}
+glm::dmat4 WaymoSegment::top_extrinsic() { return euler(0.005, -0.008, 2.58, {1.43, 0.02, 2.18}); }
 
 std::vector<double> WaymoSegment::top_inclinations() {
     std::vector<double> rows;
-    for (int r = 0; r < kTopRows; ++r) rows.push_back(-0.31 + 0.35 * std::sqrt((r + 0.5) / kTopRows));  // denser at the top
+    // denser at the top
+    for (int r = 0; r < kTopRows; ++r) rows.push_back(-0.31 + 0.35 * std::sqrt((r + 0.5) / kTopRows));
     return rows;
 }
 
@@ -267,31 +283,31 @@ glm::dmat4 WaymoSegment::world_from_vehicle(double time_us) {
     return euler(s[0], s[1], s[2], {s[3], s[4], s[5]});
 }
 
-double WaymoSegment::label_time_us(int frame) {
-    return kStart_us + kPeriod_us * (frame + 0.5) + 7000;
-}
+double WaymoSegment::label_time_us(int frame) { return kStart_us + kPeriod_us * (frame + 0.5) + 7000; }
 
-glm::dmat4 WaymoSegment::world_from_parked() {
-    return euler(0, 0, 0.7, {1206, -3389, 20.8});
-}
+glm::dmat4 WaymoSegment::world_from_parked() { return euler(0, 0, 0.7, {1206, -3389, 20.8}); }
 
 WaymoSegment::WaymoSegment(const std::string& name)
-    : folder(fs::path(testing::TempDir()) / ("relidar_" + name)), file(folder / "segment-1083056_0001_with_camera_labels.tfrecord") {
+    : folder(fs::path(testing::TempDir()) / ("relidar_" + name)),
+      file(folder / "segment-1083056_0001_with_camera_labels.tfrecord") {
     const Rig top_of = top_rig(), side_of = side_rig();
     for (int i = 0; i < kFrames; ++i) {
         top.push_back(make_image(top_of, i));
         side.push_back(make_image(side_of, i));
-        const glm::dmat4 world_from_frame = world_from_vehicle(label_time_us(i)), frame_from_world = glm::inverse(world_from_frame);
+        const glm::dmat4 world_from_frame = world_from_vehicle(label_time_us(i)),
+                         frame_from_world = glm::inverse(world_from_frame);
         const glm::dmat4 parked = frame_from_world * world_from_parked();
         WaymoFrame& frame = frames.emplace_back();
         frame.timestamp_us = kStart_us + i * kPeriod_us;
-        frame.context = waymo_context({waymo_calibration(3, {}, kSideLow, kSideHigh, side_of.extrinsic),
-                                       waymo_calibration(1, top_inclinations(), -0.31, 0.04, top_of.extrinsic)});
+        frame.context =
+            waymo_context({waymo_calibration(3, {}, kSideLow, kSideHigh, side_of.extrinsic),
+                           waymo_calibration(1, top_inclinations(), -0.31, 0.04, top_of.extrinsic)});
         frame.pose = waymo_transform(world_from_frame);
-        frame.lasers = {
-            waymo_laser(3, image_of(side.back(), side_of, false), "", ""),
-            waymo_laser(1, image_of(top.back(), top_of, false), image_of(top.back(), top_of, true), poses_of(top.back(), top_of))};
-        frame.labels = {waymo_label("parked", 1, glm::dvec3(parked[3]), kParkedSize, std::atan2(parked[0][1], parked[0][0])),
+        frame.lasers = {waymo_laser(3, image_of(side.back(), side_of, false), "", ""),
+                        waymo_laser(1, image_of(top.back(), top_of, false),
+                                    image_of(top.back(), top_of, true), poses_of(top.back(), top_of))};
+        frame.labels = {waymo_label("parked", 1, glm::dvec3(parked[3]), kParkedSize,
+                                    std::atan2(parked[0][1], parked[0][0])),
                         waymo_label("walker", 2, {10.0 + i, 2.0, 1.0}, {0.8, 0.7, 1.8}, 0.5),
                         waymo_label("sign", 3, {12, 5, 2}, {0.1, 0.8, 0.8}, 0.0)};
     }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small segment of Waymo Open written by the tests, message by message: TOP of 16 x 400 pixels and SIDE_LEFT of 12 x 60, cast into a room
-// with a parked vehicle. The vehicle accelerates and turns; every pixel of TOP has a firing time, so a pose, of its own.
+// A small segment of Waymo Open written by the tests, message by message: TOP of 16 x 400
+// pixels and SIDE_LEFT of 12 x 60, cast into a room with a parked vehicle. The vehicle
+// accelerates and turns; every pixel of TOP has a firing time, so a pose, of its own.
 #pragma once
 
 #include <cstdint>
@@ -23,15 +24,18 @@ struct WaymoFrame {
 
 /// Messages, by the public dataset.proto and label.proto.
 std::string waymo_transform(const glm::dmat4& a_from_b);
-std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high, const glm::dmat4& extrinsic);
+std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high,
+                              const glm::dmat4& extrinsic);
 std::string waymo_context(const std::vector<std::string>& calibrations);
 /// A MatrixFloat, and the same as a zlib stream.
 std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string deflated(const std::string& bytes);
 /// @param second  empty: no such return @param poses  empty: none
-std::string waymo_laser(int laser, const std::string& first, const std::string& second, const std::string& poses);
-std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre, const glm::dvec3& length_width_height, double heading);
+std::string waymo_laser(int laser, const std::string& first, const std::string& second,
+                        const std::string& poses);
+std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
+                        const glm::dvec3& length_width_height, double heading);
 
 /// Length, data and their masked CRC-32C.
 std::string tfrecord(const std::string& data);

@@ -10,8 +10,8 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include "log/readers/kitti/kitti_drive.hpp"
 #include "base/codecs/tfrecord.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
 #include "log/readers/waymo/waymo_segment.hpp"
 
 namespace relidar {
@@ -36,7 +36,8 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
         const WaymoPixel& pixel = segment.top[0][i];
         if (pixel.range_m == 0.0f) continue;
         above_1 += pixel.intensity > 1.0f;
-        const auto frame = std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.lidar_of(f).name == "TOP"; });
+        const auto frame =
+            std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.lidar_of(f).name == "TOP"; });
         const auto at = std::size_t(frame - cut.frames.begin());
         EXPECT_EQ(cut.frames[at].scan.intensity[i], std::min(pixel.intensity, 1.0f)) << i;
         EXPECT_NEAR(squashed.frames[at].scan.intensity[i], std::tanh(pixel.intensity), 1e-6f) << i;
@@ -50,7 +51,8 @@ TEST(Waymo, MissingPartsAreErrorsOfUsage) {
     const WaymoSegment segment("waymo_parts");
     DatasetOptions part;
     part.sequence = "wd1";
-    EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "its three records end before frame 148";
+    EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError)
+        << "its three records end before frame 148";
     part.sequence = "ws1";
     EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "another segment";
 }
@@ -106,19 +108,24 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
                   WaymoSegment::top_inclinations()[std::size_t(WaymoSegment::kTopRows - 1 - row)]);
     const RayTable model = make_rays(lidar.sensor);
     const Frame& frame = log.frames[2];
-    const glm::dvec3 forward(WaymoSegment::world_from_vehicle(frame.time_s * 1e6 + WaymoSegment::kStart_us)[3]);
-    EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, forward), 0.03) << "2 ms at 12 m/s";
+    const glm::dvec3 forward(
+        WaymoSegment::world_from_vehicle(frame.time_s * 1e6 + WaymoSegment::kStart_us)[3]);
+    EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, forward), 0.03)
+        << "2 ms at 12 m/s";
     std::size_t n_dropped = 0;
     for (std::size_t i = 0; i < model.size(); ++i) {
         const WaymoPixel& truth = segment.top[1][i];
         const double column = double(i % WaymoSegment::kTopColumns) + 0.5;
-        EXPECT_NEAR(frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1 + 0.1 * column / WaymoSegment::kTopColumns, 1e-6);
-        EXPECT_LT(glm::distance(frame.scan.rays.direction[i], model.direction[i]), 2e-3) << "the vehicle turns 1 mrad in 2 ms";
+        EXPECT_NEAR(frame.time_s + double(frame.scan.rays.time_offset_s[i]),
+                    0.1 + 0.1 * column / WaymoSegment::kTopColumns, 1e-6);
+        EXPECT_LT(glm::distance(frame.scan.rays.direction[i], model.direction[i]), 2e-3)
+            << "the vehicle turns 1 mrad in 2 ms";
         if (truth.range_m > 0.0f) continue;
         ++n_dropped;
         const WorldRay ray = world_ray(log.world_from_sensor(0), frame.time_s, frame.scan.rays, i, true);
         const glm::dvec3 there = ray.origin_m + log.world_offset_m + 10.0 * ray.direction;
-        EXPECT_LT(glm::distance(there, truth.point_m), 0.06) << "the way between its pixel's time and its column's";
+        EXPECT_LT(glm::distance(there, truth.point_m), 0.06)
+            << "the way between its pixel's time and its column's";
     }
     EXPECT_GT(n_dropped, model.size() / 20);
 }
@@ -139,13 +146,15 @@ TEST(Waymo, LabelsAreBoxesOfTheWorld) {
         const glm::dvec3 truth(vehicle * glm::dvec4(10.0 + double(i), 2, 1, 1));
         EXPECT_LT(glm::distance(walker.world_from_box.pose[i].translation + log.world_offset_m, truth), 1e-6);
         const glm::dvec3 centre(WaymoSegment::world_from_parked()[3]);
-        EXPECT_LT(glm::distance(parked.world_from_box.pose[i].translation + log.world_offset_m, centre), 1e-6);
+        EXPECT_LT(glm::distance(parked.world_from_box.pose[i].translation + log.world_offset_m, centre),
+                  1e-6);
     }
     for (const Frame& frame : log.frames) {
         if (frame.lidar != 0) continue;
         std::size_t inside = 0;
         for (std::size_t ray = 0; ray < frame.scan.rays.size(); ++ray)
-            inside += frame.scan.range_m[ray] > 0.0f && parked.holds(world_return(log, frame, ray).point_m, frame.time_s, 0.1);
+            inside += frame.scan.range_m[ray] > 0.0f &&
+                      parked.holds(world_return(log, frame, ray).point_m, frame.time_s, 0.1);
         EXPECT_GT(inside, 10u) << frame.index;
     }
 }
@@ -154,7 +163,8 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     const WaymoSegment segment("waymo_names");
     fs::copy_file(segment.file, segment.folder / "segment-9.tfrecord");
     DatasetOptions options;
-    EXPECT_THAT(load_sequence(segment.folder.string(), options).notes, testing::Contains(HasSubstr("the first of 2 segments")));
+    EXPECT_THAT(load_sequence(segment.folder.string(), options).notes,
+                testing::Contains(HasSubstr("the first of 2 segments")));
     options.frames = {1, 2};
     options.sequence = "9";
     const Sequence one = load_sequence(segment.folder.string(), options);
@@ -179,15 +189,17 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     options.poses_file = kNoPoses;
     const Sequence none = read(segment, options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
-    const glm::dmat4 from_world = glm::inverse(WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
-    EXPECT_LT(
-        glm::distance(none.boxes[0].world_from_box.pose[1].translation, glm::dvec3(from_world * WaymoSegment::world_from_parked()[3])),
-        0.1);
+    const glm::dmat4 from_world = glm::inverse(
+        WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
+    EXPECT_LT(glm::distance(none.boxes[0].world_from_box.pose[1].translation,
+                            glm::dvec3(from_world * WaymoSegment::world_from_parked()[3])),
+              0.1);
 }
 
 TEST(Waymo, Crc32cOfTheStandard) {
     EXPECT_EQ(test::plain_crc32c("123456789"), 0xE3069283u);  // the check value of CRC-32C
-    EXPECT_EQ(masked_crc32c("123456789"), std::uint32_t(((0xE3069283u >> 15) | (0xE3069283u << 17)) + 0xa282ead8u));
+    EXPECT_EQ(masked_crc32c("123456789"),
+              std::uint32_t(((0xE3069283u >> 15) | (0xE3069283u << 17)) + 0xa282ead8u));
 }
 
 TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
@@ -195,7 +207,8 @@ TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
     const WaymoSegment segment("waymo_protoc");
     const fs::path frame = segment.folder / "frame.bin", text = segment.folder / "frame.txt";
     test::write_text(frame, segment.frames[1].encoded());
-    ASSERT_EQ(std::system(("protoc --decode_raw < '" + frame.string() + "' > '" + text.string() + "'").c_str()), 0);
+    ASSERT_EQ(
+        std::system(("protoc --decode_raw < '" + frame.string() + "' > '" + text.string() + "'").c_str()), 0);
     EXPECT_THAT(test::read_text(text), HasSubstr("\n2: 1557240134600000\n"));
 }
 
@@ -213,7 +226,8 @@ std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
 
 TEST(Waymo, DamagedFilesAreRefused) {
     const WaymoSegment segment("waymo_damage");
-    const std::string whole = test::read_text(segment.file), second = test::tfrecord(segment.frames[1].encoded());
+    const std::string whole = test::read_text(segment.file),
+                      second = test::tfrecord(segment.frames[1].encoded());
     const std::size_t first_size = test::tfrecord(segment.frames[0].encoded()).size();
     const auto flipped = [&](std::size_t at) {
         std::string bytes = whole;
@@ -221,13 +235,17 @@ TEST(Waymo, DamagedFilesAreRefused) {
         return bytes;
     };
     EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord: empty, expected records"));
-    EXPECT_THAT(refusal(segment, whole.substr(0, first_size + 5)), HasSubstr("record 1: truncated: 5 bytes of its header, expected 12"));
-    EXPECT_THAT(refusal(segment, whole.substr(0, whole.size() - 1)), HasSubstr("record 2: truncated: a length of "));
-    EXPECT_THAT(refusal(segment, flipped(first_size + 100)), HasSubstr("record 1: the CRC of its data is wrong"));
+    EXPECT_THAT(refusal(segment, whole.substr(0, first_size + 5)),
+                HasSubstr("record 1: truncated: 5 bytes of its header, expected 12"));
+    EXPECT_THAT(refusal(segment, whole.substr(0, whole.size() - 1)),
+                HasSubstr("record 2: truncated: a length of "));
+    EXPECT_THAT(refusal(segment, flipped(first_size + 100)),
+                HasSubstr("record 1: the CRC of its data is wrong"));
     EXPECT_THAT(refusal(segment, flipped(first_size)), HasSubstr("record 1: the CRC of its length is wrong"));
     const std::string absurd("\xff\xff\xff\xff\xff\xff\xff\x7f", 8);
     const std::string header = absurd + test::tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
-    EXPECT_THAT(refusal(segment, header + whole), HasSubstr("record 0: truncated: a length of 9223372036854775807 bytes with"));
+    EXPECT_THAT(refusal(segment, header + whole),
+                HasSubstr("record 0: truncated: a length of 9223372036854775807 bytes with"));
     EXPECT_THAT(refusal(segment, test::tfrecord("not a message")), HasSubstr("record 0: "));
     EXPECT_THAT(refusal(segment, test::tfrecord("")), HasSubstr("record 0: no pose, expected a Frame"));
 }
@@ -243,32 +261,42 @@ TEST(Waymo, DamagedFramesAreRefused) {
         EXPECT_THAT(refusal(segment, bytes), testing::AllOf(HasSubstr(part), HasSubstr(".tfrecord: ")));
     };
     const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
-    const auto with_top = [](test::WaymoFrame& frame, const std::string& image, const std::string& poses = "") {
+    const auto with_top = [](test::WaymoFrame& frame, const std::string& image,
+                             const std::string& poses = "") {
         frame.lasers[1] = test::waymo_laser(1, image, "", poses);
     };
     const auto image = [](int rows, int columns, int channels, float value) {
-        return test::waymo_matrix(std::vector<float>(std::size_t(rows * columns * channels), value), {rows, columns, channels});
+        return test::waymo_matrix(std::vector<float>(std::size_t(rows * columns * channels), value),
+                                  {rows, columns, channels});
     };
     expect("record 1: TOP: a zlib stream of more than 33554432 bytes",
            [&](auto& frame) { with_top(frame, test::deflated(std::string(std::size_t(100) << 20, '\0'))); });
-    expect("record 1: TOP: a damaged zlib stream", [&](auto& frame) { with_top(frame, image(h, w, 4, 5.0f).substr(0, 40)); });
-    expect("record 1: TOP: malformed protobuf", [&](auto& frame) { with_top(frame, test::deflated("\x0a\x7f")); });
+    expect("record 1: TOP: a damaged zlib stream",
+           [&](auto& frame) { with_top(frame, image(h, w, 4, 5.0f).substr(0, 40)); });
+    expect("record 1: TOP: malformed protobuf",
+           [&](auto& frame) { with_top(frame, test::deflated("\x0a\x7f")); });
     expect("record 1: TOP: 4 values in 3 dimensions 1000000 x 1000000 x 4", [&](auto& frame) {
         with_top(frame, test::waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
     });
     expect("record 1: TOP: 32000 values in 3 dimensions 16 x 400 x 5, expected rows x columns x 4",
            [&](auto& frame) { with_top(frame, image(h, w, 5, 1.0f)); });
-    expect("a range image of 16 x 399, expected 16 x 400", [&](auto& frame) { with_top(frame, image(h, w - 1, 4, 1.0f)); });
+    expect("a range image of 16 x 399, expected 16 x 400",
+           [&](auto& frame) { with_top(frame, image(h, w - 1, 4, 1.0f)); });
     expect("pixel 0 has range nan m", [&](auto& frame) { with_top(frame, image(h, w, 4, NAN)); });
     expect("pixel 0 has range inf m", [&](auto& frame) { with_top(frame, image(h, w, 4, INFINITY)); });
     expect("pixel poses of 2 x 2 for an image of 16 x 400",
            [&](auto& frame) { with_top(frame, image(h, w, 4, 1.0f), image(2, 2, 6, 0.0f)); });
-    expect("pose of pixel 200 is (nan", [&](auto& frame) { with_top(frame, image(h, w, 4, 1.0f), image(h, w, 6, NAN)); });
-    expect("record 1: no range image of SIDE_LEFT", [](auto& frame) { frame.lasers.erase(frame.lasers.begin()); });
+    expect("pose of pixel 200 is (nan",
+           [&](auto& frame) { with_top(frame, image(h, w, 4, 1.0f), image(h, w, 6, NAN)); });
+    expect("record 1: no range image of SIDE_LEFT",
+           [](auto& frame) { frame.lasers.erase(frame.lasers.begin()); });
     expect("record 1: no pose", [](auto& frame) { frame.pose.clear(); });
-    expect("record 1: pose: a transform of 0 numbers, expected 16", [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
-    expect("record 1: pose: the 3x3 block is no rotation", [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(2.0)); });
-    expect("record 1: pose: a number of the transform is nan", [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(NAN)); });
+    expect("record 1: pose: a transform of 0 numbers, expected 16",
+           [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
+    expect("record 1: pose: the 3x3 block is no rotation",
+           [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(2.0)); });
+    expect("record 1: pose: a number of the transform is nan",
+           [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(NAN)); });
     expect("timestamp_micros rise by", [](auto& frame) { frame.timestamp_us += 5000000; });
     expect("laser_labels: a vehicle with id 'v' and a size of 0 x 1 x 1 m", [](auto& frame) {
         frame.labels = {test::waymo_label("v", 1, {}, {0, 1, 1}, 0)};
@@ -287,8 +315,10 @@ TEST(Waymo, DamagedCalibrationsAreRefused) {
     };
     const std::string side = test::waymo_calibration(3, {}, -1.5, 0.5, glm::dmat4(1.0));
     expect("record 0: no laser_calibrations of TOP", {side});
-    expect("record 0: 2 beam_inclinations of laser 1 with 16 rows", {side, test::waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
-    expect("record 0: a beam inclination of nan of laser 1", {side, test::waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
+    expect("record 0: 2 beam_inclinations of laser 1 with 16 rows",
+           {side, test::waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
+    expect("record 0: a beam inclination of nan of laser 1",
+           {side, test::waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
     expect("record 0: laser_calibrations, extrinsic: the 3x3 block is no rotation",
            {side, test::waymo_calibration(1, {}, 0, 0.1, glm::dmat4(0.5))});
 }

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of an Ouster: columns, in each all beams, which fire at once. The head's azimuth is that of the column's number, which the sensor
-// keeps to (firmware user manual, "Lidar Data"):
+// Packets of an Ouster: columns, in each all beams, which fire at once. The head's
+// azimuth is that of the column's number, which the sensor keeps to (firmware user
+// manual, "Lidar Data"):
 //   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32], 12 bytes a pixel, status u32 (all bits: it was measured).
 //   Others: a packet has a head and a foot of 32 bytes, a column is [timestamp u64 ns, number u16, status u8 (bit 0: it was measured), 1
 //     byte], then its pixels.
-// A range counts along the beam's path from the axis; beams start n before it is there, where lidar_origin_to_beam_origin_mm puts them.
+// A range counts along the beam's path from the axis; beams start n before it is there,
+// where lidar_origin_to_beam_origin_mm puts them.
 #include <array>
 #include <cmath>
 
@@ -45,8 +47,9 @@ public:
     const Timing& timing() const override { return timing_; }
 
     std::string about() const override {
-        return fmt::format("{}-beam Ouster, {}, profile {}, angles of the beams from {}", format_->sensor.beams.size(), format_->product,
-                           format_->profile->name, format_->where);
+        return fmt::format("{}-beam Ouster, {}, profile {}, angles of the beams from {}",
+                           format_->sensor.beams.size(), format_->product, format_->profile->name,
+                           format_->where);
     }
 
     SpinningSensor sensor(int, double rate_hz) const override {
@@ -60,15 +63,18 @@ public:
         const std::size_t rings = format_->ring_of.size();
         ByteReader reader(bytes);
         if (!profile.is_legacy)
-            if (const auto kind = ByteReader(reader.take(kHeadBytes)).number<std::uint8_t>(); kind != kLidarData)
-                throw DataError(fmt::format("a packet of type {}, expected {}: an Ouster's LiDAR data", kind, kLidarData));
+            if (const auto kind = ByteReader(reader.take(kHeadBytes)).number<std::uint8_t>();
+                kind != kLidarData)
+                throw DataError(fmt::format("a packet of type {}, expected {}: an Ouster's LiDAR data", kind,
+                                            kLidarData));
         Packet packet;
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
         for (int slot = 0; slot < packet.n_slots; ++slot) {
             const Column column = read_head(reader);
             ByteReader pixels(reader.take(rings * profile.pixel_bytes));
-            const bool was_measured = profile.is_legacy ? reader.number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
+            const bool was_measured =
+                profile.is_legacy ? reader.number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
             if (!was_measured) continue;
             packet.firings.push_back({slot, 0.0, azimuth_of(column, packet.firings, slot)});
             times_ns.push_back(column.time_ns);
@@ -77,7 +83,8 @@ public:
         }
         // a packet is sent when its last column is measured
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
-        for (std::size_t f = 0; f < times_ns.size(); ++f) packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);
+        for (std::size_t f = 0; f < times_ns.size(); ++f)
+            packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);
         return packet;
     }
 
@@ -89,10 +96,8 @@ private:
         Column column;
         const auto time_ns = reader.number<std::uint64_t>();
         column.number = reader.number<std::uint16_t>();
-        if (format_->profile->is_legacy)
-            reader.take(6);  // frame, encoder
-        else
-            column.was_measured = (reader.number<std::uint16_t>() & 1) != 0;
+        if (format_->profile->is_legacy) reader.take(6);  // frame, encoder
+        else column.was_measured = (reader.number<std::uint16_t>() & 1) != 0;
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;
     }
@@ -100,13 +105,17 @@ private:
     double azimuth_of(const Column& column, const std::vector<Firing>& before, int slot) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
-            throw DataError(fmt::format("column {} in a packet, expected less than the {} of lidar_mode in {}", column.number, columns,
-                                        format_->where));
-        const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0), step_deg = 360.0 / columns;
-        if (!before.empty() && std::abs(std::remainder(azimuth_deg - before.back().azimuth_deg - step_deg * (slot - before.back().slot),
-                                                       360.0)) > 0.1 * step_deg)
             throw DataError(
-                fmt::format("column {} in place {} of a packet, expected one that goes on from those before it", column.number, slot));
+                fmt::format("column {} in a packet, expected less than the {} of lidar_mode in {}",
+                            column.number, columns, format_->where));
+        const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0),
+                     step_deg = 360.0 / columns;
+        if (!before.empty() && std::abs(std::remainder(azimuth_deg - before.back().azimuth_deg -
+                                                           step_deg * (slot - before.back().slot),
+                                                       360.0)) > 0.1 * step_deg)
+            throw DataError(fmt::format(
+                "column {} in place {} of a packet, expected one that goes on from those before it",
+                column.number, slot));
         return azimuth_deg;
     }
 
@@ -119,9 +128,11 @@ private:
                 const std::string_view bytes = pixel.substr(4 * std::size_t(k));
                 const auto range = ByteReader(bytes).number<std::uint32_t>() & profile.range_bits;
                 ByteReader bright(bytes.substr(profile.reflectivity_at));
-                const double reflectivity = profile.is_wide ? bright.number<std::uint16_t>() : bright.number<std::uint8_t>();
+                const double reflectivity =
+                    profile.is_wide ? bright.number<std::uint16_t>() : bright.number<std::uint8_t>();
                 const double range_m = profile.range_unit_m * range - start_m;
-                if (range > 0 && range_m > 0.0) rings[ring][std::size_t(k)] = {float(range_m), float(reflectivity / 255.0)};
+                if (range > 0 && range_m > 0.0)
+                    rings[ring][std::size_t(k)] = {float(range_m), float(reflectivity / 255.0)};
             }
         }
     }

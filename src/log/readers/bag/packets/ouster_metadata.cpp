@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Layouts by Ouster's firmware user manual, "Lidar Data" and "Lidar Data Legacy". The metadata is flat, or newer and nested; members have
-// the same names in both.
+// Layouts by Ouster's firmware user manual, "Lidar Data" and "Lidar Data Legacy". The
+// metadata is flat, or newer and nested; members have the same names in both.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -30,13 +30,16 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
 };
 constexpr int kUsualColumns = 16;  // of a packet
-constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507, kMostTold = 3;
-constexpr double kMostSerial = 1099511627776.0;                 // 40 bits
-constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};  // in the head of a packet, of older firmware and of newer
+constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507,
+                      kMostTold = 3;
+constexpr double kMostSerial = 1099511627776.0;  // 40 bits
+// in the head of a packet, of older firmware and of newer
+constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
 std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
     const std::size_t column = std::size_t(pixels) * profile.pixel_bytes;
-    return profile.is_legacy ? std::size_t(columns) * (16 + column + 4) : 32 + std::size_t(columns) * (12 + column) + 32;
+    return profile.is_legacy ? std::size_t(columns) * (16 + column + 4)
+                             : 32 + std::size_t(columns) * (12 + column) + 32;
 }
 
 /// The object that has a member: the whole, or one of its parts.
@@ -50,25 +53,30 @@ int whole_number(const Json& json, const std::string& where, const std::string& 
     const JsonField part = part_with(json, where, key);
     return part.has(key) ? int(part.at(key).integer(0, most)) : missing;
 }
-std::string short_text(const Json& json, const std::string& where, const std::string& key, const std::string& missing) {
+std::string short_text(const Json& json, const std::string& where, const std::string& key,
+                       const std::string& missing) {
     const JsonField part = part_with(json, where, key);
     return part.has(key) && part.at(key).is_text() ? part.at(key).text(80) : missing;
 }
 
 const OusterProfile& profile_of(const Json& json, const std::string& where) {
     const std::string name = short_text(json, where, "udp_profile_lidar", "LEGACY");
-    const auto* known = std::ranges::find_if(kProfiles, [&](const OusterProfile& row) { return name == row.name; });
+    const auto* known =
+        std::ranges::find_if(kProfiles, [&](const OusterProfile& row) { return name == row.name; });
     if (known != std::end(kProfiles)) return *known;
     std::string names;
     for (const OusterProfile& row : kProfiles) names += (names.empty() ? "" : ", ") + std::string(row.name);
-    throw DataError(fmt::format("{}: packets of the profile {}, expected one that relidar decodes: {}", where, excerpt(name), names));
+    throw DataError(fmt::format("{}: packets of the profile {}, expected one that relidar decodes: {}", where,
+                                excerpt(name), names));
 }
 
 /// Rows of a packet are its beams in the metadata's order.
 std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     const JsonField root(json, where, "");
     const std::vector<double> altitude_deg =
-        (root.has("beam_altitude_angles") ? root : root.at("beam_intrinsics")).at("beam_altitude_angles").numbers();
+        (root.has("beam_altitude_angles") ? root : root.at("beam_intrinsics"))
+            .at("beam_altitude_angles")
+            .numbers();
     std::vector<std::size_t> order(altitude_deg.size()), ring_of(altitude_deg.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
     std::ranges::stable_sort(order, std::greater(), [&](std::size_t row) { return altitude_deg[row]; });
@@ -81,8 +89,10 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
     const JsonField part = part_with(json, where, "column_window");
     if (!part.has("column_window")) return std::vector<bool>(std::size_t(columns), true);
     const JsonField window = part.at("column_window");
-    if (window.size() != 2) window.fail(fmt::format("found {} numbers", window.size()), "expected the first and the last column");
-    const auto first = window.at(std::size_t(0)).integer(0, columns - 1), last = window.at(std::size_t(1)).integer(0, columns - 1);
+    if (window.size() != 2)
+        window.fail(fmt::format("found {} numbers", window.size()), "expected the first and the last column");
+    const auto first = window.at(std::size_t(0)).integer(0, columns - 1),
+               last = window.at(std::size_t(1)).integer(0, columns - 1);
     std::vector<bool> fires(std::size_t(columns), false);
     for (std::int64_t c = first;; c = (c + 1) % columns) {
         fires[std::size_t(c)] = true;
@@ -94,21 +104,28 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = whole_number(json, format.where, "columns_per_frame", columns, 65536); n != columns)
-        throw DataError(fmt::format("{}: columns_per_frame is {}, expected the {} of its lidar_mode", format.where, n, columns));
+        throw DataError(fmt::format("{}: columns_per_frame is {}, expected the {} of its lidar_mode",
+                                    format.where, n, columns));
     if (const int n = whole_number(json, format.where, "pixels_per_column", beams, 65536); n != beams)
-        throw DataError(fmt::format("{}: pixels_per_column is {}, expected the {} of its beam_altitude_angles", format.where, n, beams));
+        throw DataError(
+            fmt::format("{}: pixels_per_column is {}, expected the {} of its beam_altitude_angles",
+                        format.where, n, beams));
     if (format.columns_per_packet < 1 || columns % format.columns_per_packet != 0)
-        throw DataError(fmt::format("{}: packets of {} columns (columns_per_packet), expected a number that divides the {} of a turn",
-                                    format.where, format.columns_per_packet, columns));
+        throw DataError(fmt::format(
+            "{}: packets of {} columns (columns_per_packet), expected a number that divides the {} of a turn",
+            format.where, format.columns_per_packet, columns));
     format.packet_bytes = bytes_of(*format.profile, beams, format.columns_per_packet);
     if (format.packet_bytes > kMostDatagram)
-        throw DataError(fmt::format("{}: {}, expected at most {} bytes, which UDP carries", format.where, format.about(), kMostDatagram));
+        throw DataError(fmt::format("{}: {}, expected at most {} bytes, which UDP carries", format.where,
+                                    format.about(), kMostDatagram));
 }
 
 /// Port of a capture's topic, "192.168.1.201:7502"; 0 of a bag's.
 int port_of(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
-    const auto port = colon == std::string_view::npos || topic.starts_with('/') ? std::nullopt : parse_number(topic.substr(colon + 1));
+    const auto port = colon == std::string_view::npos || topic.starts_with('/')
+                          ? std::nullopt
+                          : parse_number(topic.substr(colon + 1));
     return port && *port >= 0.0 && *port <= 65535.0 ? int(*port) : 0;
 }
 std::string_view name_space(std::string_view topic) {
@@ -119,27 +136,31 @@ bool has_serial(std::string_view packet, const OusterFormat& format) {
     if (format.serial == 0 || format.profile->is_legacy) return false;
     return std::ranges::any_of(kSerialAt, [&](std::size_t at) {
         std::uint64_t serial = 0;
-        for (std::size_t k = kSerialBytes; k-- > 0;) serial = serial << 8 | static_cast<unsigned char>(packet[at + k]);
+        for (std::size_t k = kSerialBytes; k-- > 0;)
+            serial = serial << 8 | static_cast<unsigned char>(packet[at + k]);
         return serial == format.serial;
     });
 }
 
 bool is_recording(const fs::path& file) {
     const std::string ending = file.extension().string();
-    return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" || ending == ".db3";
+    return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
+           ending == ".db3";
 }
 
 bool is_metadata_file(const fs::path& file) {
     std::error_code failed;
     const auto size = fs::file_size(file, failed);
-    return !failed && size <= kMostMetadata && file.extension() == ".json" && is_ouster_metadata(read_text(file));
+    return !failed && size <= kMostMetadata && file.extension() == ".json" &&
+           is_ouster_metadata(read_text(file));
 }
 
 /// By name; none of a folder that cannot be listed.
 std::vector<fs::path> files_of(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
-    for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed)) files.push_back(at->path());
+    for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
+        files.push_back(at->path());
     std::ranges::sort(files);
     return files;
 }
@@ -147,13 +168,15 @@ std::vector<fs::path> files_of(const fs::path& folder) {
 }  // namespace
 
 std::string OusterFormat::about() const {
-    return fmt::format("packets of {} bytes ({}, {} beams, {} columns a packet{})", packet_bytes, profile->name, sensor.beams.size(),
-                       columns_per_packet, port > 0 ? fmt::format(", port {}", port) : "");
+    return fmt::format("packets of {} bytes ({}, {} beams, {} columns a packet{})", packet_bytes,
+                       profile->name, sensor.beams.size(), columns_per_packet,
+                       port > 0 ? fmt::format(", port {}", port) : "");
 }
 
 bool is_ouster_metadata(std::string_view text) {
-    return std::ranges::any_of(std::initializer_list<const char*>{"\"beam_altitude_angles\"", "\"lidar_mode\"", "\"prod_line\""},
-                               [&](const char* key) { return text.find(key) != std::string_view::npos; });
+    return std::ranges::any_of(
+        std::initializer_list<const char*>{"\"beam_altitude_angles\"", "\"lidar_mode\"", "\"prod_line\""},
+        [&](const char* key) { return text.find(key) != std::string_view::npos; });
 }
 
 std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text, const std::string& where) {
@@ -164,7 +187,9 @@ std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text
     format->product = short_text(json, where, "prod_line", "Ouster");
     const SensorModel model = sensor_of_json(text, format->product, where);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
-    if (!spinning) throw DataError(fmt::format("{}: a sensor that does not spin, expected the metadata of an Ouster", where));
+    if (!spinning)
+        throw DataError(
+            fmt::format("{}: a sensor that does not spin, expected the metadata of an Ouster", where));
     format->sensor = *spinning;
     format->profile = &profile_of(json, where);
     format->columns_per_packet = whole_number(json, where, "columns_per_packet", kUsualColumns, 65536);
@@ -199,19 +224,26 @@ OusterFormats ouster_metadata_beside(const fs::path& recording, std::vector<std:
     return formats;
 }
 
-std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic, std::string_view packet) {
+std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
+                                              std::string_view packet) {
     OusterFormats left;
     const int port = port_of(topic);
     for (const auto& format : formats) {
-        const bool is_told = std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
+        const bool is_told =
+            std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
         const bool is_of_other_port = port > 0 && format->port > 0 && port != format->port;
-        if (format->packet_bytes != packet.size() || is_told || (is_of_other_port && !has_serial(packet, *format))) continue;
+        if (format->packet_bytes != packet.size() || is_told ||
+            (is_of_other_port && !has_serial(packet, *format)))
+            continue;
         left.push_back(format);
     }
     const auto narrow = [&](auto is_its) {
-        if (left.size() > 1 && std::ranges::any_of(left, is_its)) std::erase_if(left, [&](const auto& format) { return !is_its(format); });
+        if (left.size() > 1 && std::ranges::any_of(left, is_its))
+            std::erase_if(left, [&](const auto& format) { return !is_its(format); });
     };
-    narrow([&](const auto& format) { return !name_space(topic).empty() && name_space(format->where) == name_space(topic); });
+    narrow([&](const auto& format) {
+        return !name_space(topic).empty() && name_space(format->where) == name_space(topic);
+    });
     narrow([&](const auto& format) { return format->port > 0 && format->port == port; });
     narrow([&](const auto& format) { return has_serial(packet, *format); });
     return left.size() == 1 ? left.front() : nullptr;
@@ -224,12 +256,15 @@ bool is_ouster_size(std::size_t bytes) {
     return false;
 }
 
-std::string ouster_text(const OusterFormats& formats, const fs::path& recording, std::string_view topic, std::size_t bytes) {
+std::string ouster_text(const OusterFormats& formats, const fs::path& recording, std::string_view topic,
+                        std::size_t bytes) {
     const int port = port_of(topic);
-    const std::string from = port > 0 ? fmt::format(" on port {}", port) : fmt::format(" of {}", excerpt(topic));
+    const std::string from =
+        port > 0 ? fmt::format(" on port {}", port) : fmt::format(" of {}", excerpt(topic));
     if (formats.empty())
         return fmt::format(
-            "packets of {} bytes{} look like an Ouster's, expected its metadata {}{} (from `ouster-cli source SENSOR "
+            "packets of {} bytes{} look like an Ouster's, expected its metadata {}{} (from `ouster-cli "
+            "source SENSOR "
             "metadata`, or the sensor's http api/v1/sensor/metadata)",
             bytes, from, port > 0 ? "beside: " : "on a topic .../metadata, or beside: ",
             fs::path(recording).replace_extension(".json").filename().string());
@@ -238,9 +273,12 @@ std::string ouster_text(const OusterFormats& formats, const fs::path& recording,
         told += fmt::format("{}{} of {}", k == 0 ? "" : ", or ", formats[k]->about(), formats[k]->where);
     if (formats.size() > kMostTold) told += fmt::format(", or of {} more", formats.size() - kMostTold);
     if (std::ranges::any_of(formats, [&](const auto& format) { return format->packet_bytes == bytes; }))
-        return fmt::format("packets of {} bytes{}, expected one metadata that tells of them there ({}), found {}", bytes, from,
-                           port > 0 ? "udp_port_lidar" : "its topic in the same name space", told);
-    return fmt::format("packets of {} bytes{}, expected {}: metadata of another sensor, or of another configuration?", bytes, from, told);
+        return fmt::format(
+            "packets of {} bytes{}, expected one metadata that tells of them there ({}), found {}", bytes,
+            from, port > 0 ? "udp_port_lidar" : "its topic in the same name space", told);
+    return fmt::format(
+        "packets of {} bytes{}, expected {}: metadata of another sensor, or of another configuration?", bytes,
+        from, told);
 }
 
 }  // namespace relidar::packets

@@ -47,8 +47,8 @@ struct FiredPoints {
 };
 
 /// Adds what the beams saw, both returns of a ray with the brighter one first.
-void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes, const SpinningSensor& sensor,
-                const std::vector<double>& offset_us) {
+void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
+                const SpinningSensor& sensor, const std::vector<double>& offset_us) {
     ScanPoints& points = fired.points;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
         const double head_deg = place.azimuth_deg + place.ahead_deg_us * offset_us[ring];
@@ -63,14 +63,17 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
         };
         Echo first = echoes[ring][0], other = echoes[ring][1];  // two returns may be the same one
         if (other.range_m == first.range_m) other.range_m = 0.0f;
-        if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity)) std::swap(first, other);
+        if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
+            std::swap(first, other);
         if (first.range_m != 0.0f) add(first, 0);
         if (other.range_m != 0.0f) add(other, 1);
     }
 }
 
-/// The scan of a head that fires at fixed azimuths. @param has_fired  [columns of a turn] @param n_columns  of the image, at least
-Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor, std::size_t n_columns) {
+/// The scan of a head that fires at fixed azimuths. @param has_fired  [columns of a turn]
+/// @param n_columns  of the image, at least
+Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
+                     std::size_t n_columns) {
     Sweep sweep{{int(has_fired.size()), kPi}, {}};
     std::vector<std::uint32_t> place(has_fired.size());
     for (std::size_t c = 0; c < has_fired.size(); ++c) {
@@ -84,10 +87,12 @@ Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, Spi
 
 }  // namespace
 
-void PacketLog::add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place, const Calibration& calibration) {
+void PacketLog::add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
+                    const Calibration& calibration) {
     messages_.push_back({place, log_ns});
     if (packets.size() > kMostInMessage)
-        throw DataError(fmt::format("{} packets in a message, expected at most {}", packets.size(), kMostInMessage));
+        throw DataError(
+            fmt::format("{} packets in a message, expected at most {}", packets.size(), kMostInMessage));
     for (std::size_t i = 0; i < packets.size(); ++i) {
         check_product(packets[i], calibration);
         add_packet(packets[i], std::uint16_t(i));
@@ -98,8 +103,9 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
     if (product_ && product_ == find_product(packet.bytes, calibration_)) return;
     const Product* product = find_product(packet.bytes, calibration);
     if (product_)
-        throw DataError(fmt::format("a packet of {} bytes of {}, expected those of a {} as before", packet.bytes.size(),
-                                    product ? product->name : "no known product", product_->name));
+        throw DataError(fmt::format("a packet of {} bytes of {}, expected those of a {} as before",
+                                    packet.bytes.size(), product ? product->name : "no known product",
+                                    product_->name));
     if (!product || !product->make) throw DataError(unknown_text(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
@@ -107,9 +113,7 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
 }
 
 /// From column to column of a head that fires at fixed azimuths.
-double PacketLog::step_deg() const {
-    return 360.0 / double(decoder_->timing().fires.size());
-}
+double PacketLog::step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
 
 void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const Packet packet = decoder_->decode(view.bytes);
@@ -118,30 +122,42 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const Timing& timing = decoder_->timing();
     const Firing& begin = packet.firings.front();
     const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
-    Entry entry{view.stamp_ns + after_ns, packet.clock_ns + after_ns, begin.azimuth_deg, 0.0f, std::uint32_t(messages_.size() - 1),
-                in_message, std::int16_t(begin.slot)};
+    Entry entry{view.stamp_ns + after_ns,
+                packet.clock_ns + after_ns,
+                begin.azimuth_deg,
+                0.0f,
+                std::uint32_t(messages_.size() - 1),
+                in_message,
+                std::int16_t(begin.slot)};
     for (std::size_t f = 1; f < packet.firings.size(); ++f)
-        entry.turned_deg += float(degrees_on(packet.firings[f - 1].azimuth_deg, packet.firings[f].azimuth_deg));
+        entry.turned_deg +=
+            float(degrees_on(packet.firings[f - 1].azimuth_deg, packet.firings[f].azimuth_deg));
     if (!packets_.empty()) {
         const Entry& before = packets_.back();
         const double passed_stamp_us = 1e-3 * double(entry.stamp_ns - before.stamp_ns);
         if (timing.wrap_us > 0.0) {
             const double passed_us = 1e-3 * double(entry.clock_ns - before.clock_ns);
-            entry.clock_ns += std::llround(1e3 * timing.wrap_us * std::round((passed_stamp_us - passed_us) / timing.wrap_us));
+            entry.clock_ns += std::llround(1e3 * timing.wrap_us *
+                                           std::round((passed_stamp_us - passed_us) / timing.wrap_us));
         }
-        entry.azimuth_deg = before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), begin.azimuth_deg);
+        entry.azimuth_deg =
+            before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), begin.azimuth_deg);
         // packets that were lost for more than a turn: by the rate of the one before
         const double own_us = timing.cycle_us * double(std::max(n_slots_ - 1, 1));
-        const double deg_us = timing.fires.empty() ? double(before.turned_deg) / own_us : step_deg() / timing.cycle_us;
+        const double deg_us =
+            timing.fires.empty() ? double(before.turned_deg) / own_us : step_deg() / timing.cycle_us;
         const double turned = 1e-3 * deg_us * double(entry.clock_ns - before.clock_ns);
-        entry.azimuth_deg += 360.0 * std::max(0.0, std::round((before.azimuth_deg + turned - entry.azimuth_deg) / 360.0));
+        entry.azimuth_deg +=
+            360.0 * std::max(0.0, std::round((before.azimuth_deg + turned - entry.azimuth_deg) / 360.0));
     }
     packets_.push_back(entry);
     if (!timing.is_wide) return;
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
         for (const Echo& echo : returns)
-            if (echo.range_m > 0.0f) ++n_bright_[std::size_t(std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
+            if (echo.range_m > 0.0f)
+                ++n_bright_[std::size_t(
+                    std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
 }
 
 /// From a packet to the one before, 1 where none between them is missing.
@@ -150,7 +166,8 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     double n = 1e-3 * double(entry.clock_ns - before.clock_ns) / (timing.cycle_us * double(n_slots_));
     if (!timing.fires.empty())
-        n = ((entry.azimuth_deg - before.azimuth_deg) / step_deg() - entry.first_slot + before.first_slot) / double(n_slots_);
+        n = ((entry.azimuth_deg - before.azimuth_deg) / step_deg() - entry.first_slot + before.first_slot) /
+            double(n_slots_);
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
@@ -171,13 +188,15 @@ std::size_t PacketLog::missing_before(std::size_t packet) const {
     return missing;
 }
 
-/// From where to where whole turns may reach: of a head that fires at fixed azimuths, up to where it would have fired before and next.
+/// From where to where whole turns may reach: of a head that fires at fixed azimuths, up
+/// to where it would have fired before and next.
 std::pair<double, double> PacketLog::reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty()) return {first.azimuth_deg, last.azimuth_deg};
     std::int64_t begin = std::llround((first.azimuth_deg - kBehind_deg) / step_deg());
-    std::int64_t end = std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / step_deg()) + 1;
+    std::int64_t end =
+        std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / step_deg()) + 1;
     for (std::size_t k = 0; k < fires.size() && !fires_at(fires, begin - 1); ++k) --begin;
     for (std::size_t k = 0; k < fires.size() && !fires_at(fires, end); ++k) ++end;
     return {kBehind_deg + step_deg() * double(begin), kBehind_deg + step_deg() * double(end)};
@@ -191,7 +210,8 @@ std::vector<PacketTurn> PacketLog::turns() const {
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
         PacketTurn turn{0, 0, 0, 0, begin, 0};
         const auto first_behind = [&](double azimuth) {  // the first packet that begins behind it
-            return std::size_t(std::ranges::upper_bound(packets_, azimuth, {}, &Entry::azimuth_deg) - packets_.begin());
+            return std::size_t(std::ranges::upper_bound(packets_, azimuth, {}, &Entry::azimuth_deg) -
+                               packets_.begin());
         };
         turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
@@ -211,7 +231,8 @@ std::vector<PacketTurn> PacketLog::turns() const {
 /// When the head faces forward, and by how much stamps differ from the sensor's clock.
 void PacketLog::find_times(PacketTurn& turn) const {
     const double forward = turn.begin_deg + 180.0;
-    const auto behind = std::ranges::upper_bound(packets_, forward, {}, &Entry::azimuth_deg) - packets_.begin();
+    const auto behind =
+        std::ranges::upper_bound(packets_, forward, {}, &Entry::azimuth_deg) - packets_.begin();
     const std::size_t k = std::clamp(std::size_t(behind), std::size_t(1), packets_.size() - 1);
     const Entry &before = packets_[k - 1], &after = packets_[k];
     const double s = (forward - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
@@ -220,7 +241,8 @@ void PacketLog::find_times(PacketTurn& turn) const {
     if (decoder_->timing().fires.empty()) return;
     turn.stamp_less_clock_ns = before.stamp_ns - before.clock_ns;
     for (std::size_t i = turn.first; i <= turn.last; ++i)
-        turn.stamp_less_clock_ns = std::min(turn.stamp_less_clock_ns, packets_[i].stamp_ns - packets_[i].clock_ns);
+        turn.stamp_less_clock_ns =
+            std::min(turn.stamp_less_clock_ns, packets_[i].stamp_ns - packets_[i].clock_ns);
     turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
 }
 
@@ -232,7 +254,8 @@ bool PacketLog::is_even(const PacketTurn& turn) const {
 }
 
 std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const {
-    return {messages_.begin() + packets_[turn.first].message, messages_.begin() + packets_[turn.last].message + 1};
+    return {messages_.begin() + packets_[turn.first].message,
+            messages_.begin() + packets_[turn.last].message + 1};
 }
 
 /// From firing to firing.
@@ -244,7 +267,8 @@ double PacketLog::slot_deg(const PacketTurn& turn) const {
 
 SpinningSensor PacketLog::sensor() const {
     const Entry &first = packets_.front(), &last = packets_.back();
-    const double period_ns = 360.0 * double(last.clock_ns - first.clock_ns) / std::max(last.azimuth_deg - first.azimuth_deg, 1.0);
+    const double period_ns =
+        360.0 * double(last.clock_ns - first.clock_ns) / std::max(last.azimuth_deg - first.azimuth_deg, 1.0);
     const double period_s = std::clamp(1e-9 * period_ns, 0.02, 1.0);
     const Timing& timing = decoder_->timing();
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
@@ -273,36 +297,42 @@ double PacketLog::intensity_max() const {
 
 std::string PacketLog::about() const {
     if (brightest() <= 255.0) return decoder_->about();
-    return fmt::format("{}, reflectivities up to {:.4g} ({:.4g}, above which 0.5 % of the points are, counts as 1)", decoder_->about(),
-                       brightest(), 255.0 * intensity_max());
+    return fmt::format(
+        "{}, reflectivities up to {:.4g} ({:.4g}, above which 0.5 % of the points are, counts as 1)",
+        decoder_->about(), brightest(), 255.0 * intensity_max());
 }
 
 /// A packet of a turn, as it was read a second time.
-Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry, const std::vector<std::vector<PacketView>>& packets) const {
+Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry,
+                               const std::vector<std::vector<PacketView>>& packets) const {
     const std::size_t m = entry.message - packets_[turn.first].message;
     if (m >= packets.size() || entry.in_message >= packets[m].size())
         throw DataError("a message of packets has fewer of them than when it was first read");
     const PacketView& view = packets[m][entry.in_message];
-    if (find_product(view.bytes, calibration_) != product_) throw DataError("a packet is another one than when it was first read");
+    if (find_product(view.bytes, calibration_) != product_)
+        throw DataError("a packet is another one than when it was first read");
     return decoder_->decode(view.bytes);
 }
 
-/// Column of a turn at an azimuth, below 0 or beyond the last one of those before it and behind it.
+/// Column of a turn at an azimuth, below 0 or beyond the last one of those before it and
+/// behind it.
 int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
     const double n = double(decoder_->timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Marks the columns that fired of packets that are not there between one and the one before.
+/// Marks the columns that fired of packets that are not there between one and the one
+/// before.
 void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& has_fired) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const int begin = column_in(turn, before.azimuth_deg) - before.first_slot + n_slots_;
     const int end = std::min(column_in(turn, entry.azimuth_deg) - entry.first_slot, int(has_fired.size()));
-    for (int c = std::max(begin, 0); c < end; ++c) has_fired[std::size_t(c)] = decoder_->timing().fires[std::size_t(c)];
+    for (int c = std::max(begin, 0); c < end; ++c)
+        has_fired[std::size_t(c)] = decoder_->timing().fires[std::size_t(c)];
 }
 
-Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets, const SpinningSensor& sensor,
-                     std::int64_t zero_ns) const {
+Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
+                     const SpinningSensor& sensor, std::int64_t zero_ns) const {
     FiredPoints fired;
     const Timing& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
@@ -315,24 +345,31 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
         Packet packet = packet_again(turn, entry, packets);
         if (packet.firings.empty()) continue;
         if (p > turn.first && n_columns > 0) mark_missing(turn, p, has_fired);
-        const std::int64_t begin_ns = timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + turn.stamp_less_clock_ns;
+        const std::int64_t begin_ns =
+            timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + turn.stamp_less_clock_ns;
         const double begin_s = 1e-9 * double(begin_ns - zero_ns), first_us = packet.firings.front().after_us;
         double azimuth = entry.azimuth_deg, step = 0.0;
         for (std::size_t f = 0; f < packet.firings.size(); ++f) {
             const Firing& firing = packet.firings[f];
             azimuth += f > 0 ? step : 0.0;
-            if (f + 1 < packet.firings.size()) step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            const int number = n_columns > 0 ? column_in(turn, azimuth) : int(before) * n_slots_ + firing.slot;
-            if (n_columns > 0 ? number < 0 || number >= n_columns : azimuth < turn.begin_deg || azimuth >= turn.begin_deg + 360.0) continue;
+            if (f + 1 < packet.firings.size())
+                step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            const int number =
+                n_columns > 0 ? column_in(turn, azimuth) : int(before) * n_slots_ + firing.slot;
+            if (n_columns > 0 ? number < 0 || number >= n_columns
+                              : azimuth < turn.begin_deg || azimuth >= turn.begin_deg + 360.0)
+                continue;
             if (n_columns > 0) has_fired[std::size_t(number)] = true;
             const double time_s = begin_s + 1e-6 * (firing.after_us - first_us);
             const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
             std::array<Echo, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_firing(fired, {azimuth, time_s, number, ahead_deg_us, brightness}, echoes, sensor, timing.offset_us);
+            add_firing(fired, {azimuth, time_s, number, ahead_deg_us, brightness}, echoes, sensor,
+                       timing.offset_us);
         }
     }
     if (fired.points.size() == 0) return unordered_scan(fired.points);
-    if (n_columns > 0) return scan_of_columns(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
+    if (n_columns > 0)
+        return scan_of_columns(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
     const Sweep sweep = arrange_firings(fired.points, fired.numbers, sensor, -slot_deg(turn) * kPi / 180.0);
     return spinning_scan(fired.points, sensor, sweep);
 }

@@ -17,19 +17,25 @@ namespace relidar::packets {
 
 /// A turn of the head, from behind to behind.
 struct PacketTurn {
-    std::int64_t forward_ns = 0, log_ns = 0;  ///< when the head faced forward; when that packet was recorded
-    std::size_t first = 0, last = 0;          ///< packets that hold it
-    double begin_deg = 0.0;                   ///< of the head, unwrapped over the whole recording; 360 degrees more is its end
-    std::size_t n_missing = 0;                ///< packets of it that are not there
-    std::int64_t stamp_less_clock_ns = 0;     ///< where the sensor's clock tells the times: of the packet that was received fastest
+    /// when the head faced forward; when that packet was recorded
+    std::int64_t forward_ns = 0, log_ns = 0;
+    std::size_t first = 0, last = 0;  ///< packets that hold it
+    /// of the head, unwrapped over the whole recording; 360 degrees more is its end
+    double begin_deg = 0.0;
+    std::size_t n_missing = 0;  ///< packets of it that are not there
+    /// where the sensor's clock tells the times: of the packet that was received fastest
+    std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// The packets of a topic: when each was measured, where the head was, and in which message it lies.
+/// The packets of a topic: when each was measured, where the head was, and in which
+/// message it lies.
 class PacketLog {
 public:
     /// @param calibration  of the sensor, as far as it is known
-    /// @throws DataError naming the product where it is none that is decoded, or another one than before
-    void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place, const Calibration& calibration);
+    /// @throws DataError naming the product where it is none that is decoded, or another
+    /// one than before
+    void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
+             const Calibration& calibration);
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return packets_.size(); }
     /// Whole turns.
@@ -44,9 +50,10 @@ public:
     /// The sensor, turning as fast as it did.
     SpinningSensor sensor() const;
     std::string about() const;
-    /// The scan of a turn; times of rays are from `zero_ns`. @param packets  of each of messages()
-    Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets, const SpinningSensor& sensor,
-              std::int64_t zero_ns) const;
+    /// The scan of a turn; times of rays are from `zero_ns`. @param packets  of each of
+    /// messages()
+    Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
+              const SpinningSensor& sensor, std::int64_t zero_ns) const;
 
 private:
     struct Entry {
@@ -78,7 +85,8 @@ private:
     double slot_deg(const PacketTurn& turn) const;
     double brightest() const;
     double intensity_max() const;
-    Packet packet_again(const PacketTurn& turn, const Entry& entry, const std::vector<std::vector<PacketView>>& packets) const;
+    Packet packet_again(const PacketTurn& turn, const Entry& entry,
+                        const std::vector<std::vector<PacketView>>& packets) const;
 };
 
 }  // namespace relidar::packets

@@ -43,7 +43,8 @@ constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadat
 constexpr std::size_t kImuBytes = 48;
 
 const MessageType* find_type(std::string_view type) {
-    const auto* known = std::ranges::find_if(kTypes, [&](const MessageType& row) { return type == row.type; });
+    const auto* known =
+        std::ranges::find_if(kTypes, [&](const MessageType& row) { return type == row.type; });
     return known == std::end(kTypes) ? nullptr : known;
 }
 
@@ -51,14 +52,16 @@ std::string_view read_bytes(MessageReader& reader, const MessageType& type) {
     if (type.form == Form::list) return reader.take(reader.length(1));
     const std::string_view bytes = reader.take(type.n);
     const std::size_t size = type.form == Form::padded ? reader.number<std::uint32_t>() : type.n;
-    if (size > type.n) throw DataError(fmt::format("a packet of {} bytes, expected at most {}", size, type.n));
+    if (size > type.n)
+        throw DataError(fmt::format("a packet of {} bytes, expected at most {}", size, type.n));
     return bytes.substr(0, size);
 }
 
 }  // namespace
 
 bool carries_packets(const bag::Topic& topic) {
-    return find_type(topic.type) != nullptr && !(carries_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
+    return find_type(topic.type) != nullptr &&
+           !(carries_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
 }
 
 bool carries_ouster_packets(const bag::Topic& topic) {
@@ -74,7 +77,8 @@ std::string read_text_message(const bag::Topic& topic, std::string_view bytes) {
     return std::string(MessageReader(bytes, topic.encoding == "ros1").text());
 }
 
-std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns, bag::Header& header) {
+std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns,
+                                     bag::Header& header) {
     const MessageType& type = *find_type(topic.type);
     std::vector<PacketView> packets;
     if (type.form == Form::alone) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which product sent a packet: one row a product. Those without a decoder are named, with the driver that makes clouds of them.
+// Which product sent a packet: one row a product. Those without a decoder are named, with
+// the driver that makes clouds of them.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -27,32 +28,43 @@ bool is_velodyne_of(string_view packet) {
 /// Hesai since the XT: EE FF, version of the protocol.
 template <int major, int minor>
 bool is_hesai(string_view packet) {
-    return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) && has_byte(packet, 3, minor);
+    return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) &&
+           has_byte(packet, 3, minor);
 }
 bool is_xt32(string_view packet) {
-    return packet.size() == 1080 && packet.starts_with("\xee\xff") && has_byte(packet, kLasersAt, 32) && has_byte(packet, kBlocksAt, 8);
+    return packet.size() == 1080 && packet.starts_with("\xee\xff") && has_byte(packet, kLasersAt, 32) &&
+           has_byte(packet, kBlocksAt, 8);
 }
 
 constexpr Product kProducts[] = {
     {"VLP-16", is_velodyne_of<0x22>, make_block_decoder},
     {"VLP-32C", is_velodyne_of<0x28>, make_block_decoder},
     {"HDL-32E", is_velodyne_of<0x21>, make_block_decoder},
-    {"Pandar40P", [](string_view p) { return (p.size() == 1262 || p.size() == 1266) && p.starts_with("\xff\xee"); }, make_block_decoder},
-    {"Pandar64", [](string_view p) { return (p.size() == 1194 || p.size() == 1198) && p.starts_with("\xee\xff\x40\x06"); },
+    {"Pandar40P",
+     [](string_view p) { return (p.size() == 1262 || p.size() == 1266) && p.starts_with("\xff\xee"); },
+     make_block_decoder},
+    {"Pandar64",
+     [](string_view p) {
+         return (p.size() == 1194 || p.size() == 1198) && p.starts_with("\xee\xff\x40\x06");
+     },
      make_block_decoder},
     {"XT32", is_xt32, make_block_decoder},
     {"Puck Hi-Res", is_velodyne_of<0x24>, nullptr, "velodyne_pointcloud or nebula"},
     {"Velarray", is_velodyne_of<0x63>, nullptr, "velodyne_pointcloud"},
     {"VLS-128", is_velodyne_of<0xA1>, nullptr, "velodyne_pointcloud or nebula"},
     {"Velodyne that relidar does not know", is_velodyne, nullptr, "velodyne_pointcloud or nebula"},
-    {"PandarQT (64 lasers)", [](string_view p) { return p.size() >= 1072 && p.starts_with("\xee\xff\x40\x04"); }, nullptr, "nebula"},
+    {"PandarQT (64 lasers)",
+     [](string_view p) { return p.size() >= 1072 && p.starts_with("\xee\xff\x40\x04"); }, nullptr, "nebula"},
     {"Pandar128 or OT128", is_hesai<1, 4>, nullptr, "nebula"},
     {"PandarQT128", is_hesai<3, 2>, nullptr, "nebula"},
     {"AT128", is_hesai<4, 3>, nullptr, "nebula"},
     {"PandarXT-16 or XT32M", is_hesai<6, 1>, nullptr, "nebula"},
-    {"Hesai that relidar does not know", [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr,
-     "hesai_ros_driver"},
-    {"RoboSense", [](string_view p) { return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a")); },
+    {"Hesai that relidar does not know",
+     [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr, "hesai_ros_driver"},
+    {"RoboSense",
+     [](string_view p) {
+         return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a"));
+     },
      nullptr, "rslidar_sdk"},
 };
 
@@ -72,10 +84,14 @@ std::string unknown_text(const Product* product, string_view bytes) {
     for (const Product& row : kProducts)
         if (row.make) known += (known.empty() ? "" : ", ") + std::string(row.name);
     if (!product)
-        return fmt::format("packets of {} bytes that relidar does not know, expected those of {}, or of an Ouster with its metadata",
-                           bytes.size(), known);
-    return fmt::format("packets of a {}, expected those of {}, or point clouds: let {} make them of these packets, and record those",
-                       product->name, known, product->driver);
+        return fmt::format(
+            "packets of {} bytes that relidar does not know, expected those of {}, or of an Ouster with its "
+            "metadata",
+            bytes.size(), known);
+    return fmt::format(
+        "packets of a {}, expected those of {}, or point clouds: let {} make them of these packets, and "
+        "record those",
+        product->name, known, product->driver);
 }
 
 }  // namespace relidar::packets

@@ -7,9 +7,9 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include "log/readers/bag/packets/ouster_packets.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
+#include "log/readers/bag/packets/ouster_packets.hpp"
 
 namespace relidar {
 namespace {
@@ -21,12 +21,14 @@ std::string of_hex(std::string_view text) {
     return bytes;
 }
 
-/// Two beams, the lower one first, that start 10 mm from the axis; two columns a packet of four a turn, of which the last two are these.
+/// Two beams, the lower one first, that start 10 mm from the axis; two columns a packet
+/// of four a turn, of which the last two are these.
 struct Written {
     const char *profile, *head, *first, *second, *foot;  ///< columns without their timestamps
     std::array<packets::Echo, 2> lower, upper;           ///< of the first column
 };
-constexpr std::string_view kZeros = "00000000 00000000 00000000 00000000 00000000 00000000 00000000";  // 28 bytes
+// 28 bytes
+constexpr std::string_view kZeros = "00000000 00000000 00000000 00000000 00000000 00000000 00000000";
 const Written kAllWritten[] = {
     {test::kLegacy,
      "",
@@ -60,17 +62,19 @@ const Written kAllWritten[] = {
 
 std::string bytes_of(const Written& written) {
     const bool has_head = *written.head != '\0';
-    return of_hex(written.head) + (has_head ? of_hex(kZeros) : "") + of_hex("40420F0000000000") + of_hex(written.first) +
-           of_hex("80BA8C0100000000") + of_hex(written.second) + of_hex(written.foot) + (has_head ? of_hex(kZeros) : "");
+    return of_hex(written.head) + (has_head ? of_hex(kZeros) : "") + of_hex("40420F0000000000") +
+           of_hex(written.first) + of_hex("80BA8C0100000000") + of_hex(written.second) +
+           of_hex(written.foot) + (has_head ? of_hex(kZeros) : "");
 }
 
 TEST(OusterBytes, ByHandAreWhatTheManualSays) {
     for (const Written& written : kAllWritten) {
         SCOPED_TRACE(written.profile);
         const auto format = packets::read_ouster_metadata(
-            fmt::format(R"({{"beam_altitude_angles": [-1, 1], "beam_azimuth_angles": [0, 0], "lidar_origin_to_beam_origin_mm": 10,
+            fmt::format(
+                R"({{"beam_altitude_angles": [-1, 1], "beam_azimuth_angles": [0, 0], "lidar_origin_to_beam_origin_mm": 10,
                 "lidar_mode": "4x10", "data_format": {{"columns_per_packet": 2, "udp_profile_lidar": "{}"}}}})",
-                        written.profile),
+                written.profile),
             "metadata");
         const std::string bytes = bytes_of(written);
         const packets::Calibration calibration{{}, format};

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Real scans of two Ouster sensors as plain folders: points by Ouster's own equation (beam angles, offset n of the beam's origin), beams by
-// its calibration. Every return has to be on the ray that took it. Skipped where RELIDAR_SHARED (default: ../shared beside the repository)
-// does not hold the scans.
+// Real scans of two Ouster sensors as plain folders: points by Ouster's own equation
+// (beam angles, offset n of the beam's origin), beams by its calibration. Every return
+// has to be on the ray that took it. Skipped where RELIDAR_SHARED (default: ../shared
+// beside the repository) does not hold the scans.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -24,10 +25,12 @@ namespace fs = std::filesystem;
 
 fs::path shared_data() {
     const char* shared = std::getenv("RELIDAR_SHARED");
-    return (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data/ouster";
+    return (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") /
+           "data/ouster";
 }
 
-/// Range images as the sensor measured them, column m of W by encoder angle 2 pi (1 - m / W).
+/// Range images as the sensor measured them, column m of W by encoder angle 2 pi (1 - m /
+/// W).
 struct OusterScans {
     std::size_t frames, rows, columns;
     std::vector<double> range_m, time_s, altitude_deg, azimuth_deg;
@@ -36,58 +39,73 @@ struct OusterScans {
     explicit OusterScans(const fs::path& file) {
         const std::vector<NamedArray> arrays = read_npz(file);
         const auto array = [&](const char* name) -> const NamedArray& {
-            return *std::find_if(arrays.begin(), arrays.end(), [&](const NamedArray& a) { return a.name == name; });
+            return *std::find_if(arrays.begin(), arrays.end(),
+                                 [&](const NamedArray& a) { return a.name == name; });
         };
-        frames = array("range_mm").shape[0], rows = array("range_mm").shape[1], columns = array("range_mm").shape[2];
+        frames = array("range_mm").shape[0], rows = array("range_mm").shape[1],
+        columns = array("range_mm").shape[2];
         range_m = array("range_mm").as_double(), time_s = array("ts").as_double();
         for (double& r : range_m) r *= 1e-3;
         for (double& t : time_s) t = (t - array("ts").as_double()[0]) * 1e-9;
         altitude_deg = array("alt").as_double(), azimuth_deg = array("az").as_double();
         n_m = array("n_mm").as_double()[0] * 1e-3;
     }
-    double range(std::size_t frame, std::size_t row, std::size_t column) const { return range_m[(frame * rows + row) * columns + column]; }
+    double range(std::size_t frame, std::size_t row, std::size_t column) const {
+        return range_m[(frame * rows + row) * columns + column];
+    }
 
     glm::dvec3 point(std::size_t frame, std::size_t row, std::size_t column) const {
-        const double encoder = 2.0 * kPi * (1.0 - double(column) / double(columns)), theta = encoder - azimuth_deg[row] * kPi / 180.0;
+        const double encoder = 2.0 * kPi * (1.0 - double(column) / double(columns)),
+                     theta = encoder - azimuth_deg[row] * kPi / 180.0;
         const double phi = altitude_deg[row] * kPi / 180.0, r = range(frame, row, column);
         return {(r - n_m) * std::cos(theta) * std::cos(phi) + n_m * std::cos(encoder),
-                (r - n_m) * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder), (r - n_m) * std::sin(phi)};
+                (r - n_m) * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder),
+                (r - n_m) * std::sin(phi)};
     }
 };
 
-/// Without rings and times: the folder has to find both; and the beams too, where it is not given them.
+/// Without rings and times: the folder has to find both; and the beams too, where it is
+/// not given them.
 fs::path write_folder(const OusterScans& scans, const std::string& name, bool with_beams) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster" / name;
     fs::remove_all(folder);
     fs::create_directories(folder / "scans");
     std::string beams, frames, poses;
     for (std::size_t b = 0; b < scans.rows; ++b)
-        beams += fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}", b ? ", " : "",
-                             scans.altitude_deg[b], -scans.azimuth_deg[b], scans.n_m);
+        beams +=
+            fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}",
+                        b ? ", " : "", scans.altitude_deg[b], -scans.azimuth_deg[b], scans.n_m);
     for (std::size_t f = 0; f < scans.frames; ++f) {
         std::string bytes;
         for (std::size_t row = 0; row < scans.rows; ++row)
             for (std::size_t column = 0; column < scans.columns; ++column) {
                 if (scans.range(f, row, column) == 0.0) continue;
                 const glm::vec3 p(scans.point(f, row, column));
-                for (const float v : {p.x, p.y, p.z, 0.5f}) bytes.append(reinterpret_cast<const char*>(&v), 4);
+                for (const float v : {p.x, p.y, p.z, 0.5f})
+                    bytes.append(reinterpret_cast<const char*>(&v), 4);
             }
         test::write_text(folder / fmt::format("scans/{}.bin", f), bytes);
         poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
     }
     test::write_text(folder / "poses.txt", poses);
-    const std::string sensor = with_beams ? fmt::format(R"("columns": {}, "max_range_m": 400, "beams": [{}])", scans.columns, beams)
-                                          : R"("max_range_m": 400)";
-    test::write_text(folder / "sequence.json",
-                     fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{{"sensor": {{{}}}}}]}})", sensor));
+    const std::string sensor =
+        with_beams ? fmt::format(R"("columns": {}, "max_range_m": 400, "beams": [{}])", scans.columns, beams)
+                   : R"("max_range_m": 400)";
+    test::write_text(
+        folder / "sequence.json",
+        fmt::format(
+            R"({{"format": "relidar log", "version": 1, "rate_hz": 10, "lidars": [{{"sensor": {{{}}}}}]}})",
+            sensor));
     return folder;
 }
 
-/// Returns that stand in the cell of their beam and column at their range, and all; columns counted from a first one.
+/// Returns that stand in the cell of their beam and column at their range, and all;
+/// columns counted from a first one.
 struct Found {
     std::size_t right = 0, all = 0;
 };
-Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const SpinningSensor& sensor, std::size_t first) {
+Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const SpinningSensor& sensor,
+              std::size_t first) {
     Found counts;
     for (std::size_t row = 0; row < scans.rows; ++row) {
         const int shift = column_shift(sensor.beams[row], sensor.columns);
@@ -97,10 +115,13 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& found, const 
             ++counts.all;
             // the head faces backwards, where an image begins, at half the columns
             const std::size_t firing = (column + scans.columns / 2 + first) % scans.columns;
-            const std::size_t at = row * scans.columns + (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
+            const std::size_t at =
+                row * scans.columns +
+                (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
             const double off_m = glm::distance(glm::dvec3(found.point(at)), scans.point(f, row, column));
-            counts.right +=
-                found.rays.channel[at] == row && std::abs(double(found.range_m[at]) - (range_m - scans.n_m)) < 1e-3 && off_m < 1e-3;
+            counts.right += found.rays.channel[at] == row &&
+                            std::abs(double(found.range_m[at]) - (range_m - scans.n_m)) < 1e-3 &&
+                            off_m < 1e-3;
         }
     }
     return counts;
@@ -118,7 +139,8 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
         for (std::size_t f = 0; f < scans.frames; ++f) {
             std::size_t right = 0, all = 0;
             for (const std::size_t first :
-                 {std::size_t(0), std::size_t(1), scans.columns - 1}) {  // a firing at exactly +180 degrees may be the last
+                 // a firing at exactly +180 degrees may be the last
+                 {std::size_t(0), std::size_t(1), scans.columns - 1}) {
                 const Found found = compare(scans, f, log.frames[f].scan, log.lidars[0].sensor, first);
                 right = std::max(right, found.right), all = found.all;
             }
@@ -138,11 +160,13 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.columns, int(scans.columns));
     ASSERT_EQ(sensor.beams.size(), scans.rows);
-    for (std::size_t b = 0; b < scans.rows; ++b)   // seen from the centre: n sin(altitude) / range is 0.08 degrees at 4 m
+    // seen from the centre: n sin(altitude) / range is 0.08 degrees at 4 m
+    for (std::size_t b = 0; b < scans.rows; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad * 180.0 / kPi, scans.altitude_deg[b], 0.1) << "beam " << b;
     for (std::size_t f = 0; f < scans.frames; ++f) {
         std::size_t all = 0;
-        for (std::size_t i = 0; i < scans.rows * scans.columns; ++i) all += scans.range_m[f * scans.rows * scans.columns + i] > 0.0;
+        for (std::size_t i = 0; i < scans.rows * scans.columns; ++i)
+            all += scans.range_m[f * scans.rows * scans.columns + i] > 0.0;
         EXPECT_EQ(log.frames[f].scan.count_returns(), all);
     }
 }

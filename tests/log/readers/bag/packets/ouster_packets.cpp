@@ -15,10 +15,12 @@ void add_pixel(std::string& bytes, const OusterImages& images, std::size_t i) {
     const std::uint32_t mm = images.range_mm[i], bright = images.reflectivity[i];
     if (images.profile == kLegacy) {
         append(bytes, mm | 0xA00000u);  // bits above the range are flags
-        append(bytes, std::uint16_t(bright)), append(bytes, std::uint16_t(500)), append(bytes, std::uint32_t(77));
+        append(bytes, std::uint16_t(bright)), append(bytes, std::uint16_t(500)),
+            append(bytes, std::uint32_t(77));
     } else if (images.profile == kSingle) {
         append(bytes, mm | 0x80000u);
-        append(bytes, std::uint8_t(bright)), append(bytes, std::uint8_t(0xEE)), append(bytes, std::uint16_t(500));
+        append(bytes, std::uint8_t(bright)), append(bytes, std::uint8_t(0xEE)),
+            append(bytes, std::uint16_t(500));
         append(bytes, std::uint32_t(77));
     } else if (images.profile == kDual) {
         const bool has_second = !images.range_2_mm.empty();
@@ -32,21 +34,20 @@ void add_pixel(std::string& bytes, const OusterImages& images, std::size_t i) {
 
 std::string column_bytes(const OusterImages& images, std::size_t frame, std::size_t column) {
     std::string bytes;
-    const bool is_valid = (images.is_valid.empty() || images.is_valid[frame * images.columns + column]) && images.is_in_window(column);
+    const bool is_valid = (images.is_valid.empty() || images.is_valid[frame * images.columns + column]) &&
+                          images.is_in_window(column);
     append(bytes, images.time_ns[frame * images.columns + column]);
     append(bytes, std::uint16_t(column));
     if (images.profile == kLegacy)
         append(bytes, std::uint16_t(frame)), append(bytes, std::uint32_t(column * 90112 / images.columns));
-    else
-        append(bytes, std::uint16_t(is_valid ? 0x0101 : 0x0100));
-    for (std::size_t row = 0; row < images.rows; ++row) add_pixel(bytes, images, images.at(frame, row, column));
+    else append(bytes, std::uint16_t(is_valid ? 0x0101 : 0x0100));
+    for (std::size_t row = 0; row < images.rows; ++row)
+        add_pixel(bytes, images, images.at(frame, row, column));
     if (images.profile == kLegacy) append(bytes, std::uint32_t(is_valid ? 0xFFFFFFFF : 0));
     return bytes;
 }
 
-std::string big_endian(std::uint16_t value) {
-    return {char(value >> 8), char(value & 0xff)};
-}
+std::string big_endian(std::uint16_t value) { return {char(value >> 8), char(value & 0xff)}; }
 
 }  // namespace
 
@@ -73,26 +74,29 @@ std::vector<OusterPacket> ouster_packets(const OusterImages& images) {
 
 std::string ouster_metadata(const OusterImages& images, int port, bool is_nested) {
     const std::size_t last = images.last == 0 ? images.columns - 1 : images.last;
-    const std::string beams =
-        fmt::format(R"("beam_altitude_angles": [{}], "beam_azimuth_angles": [{}], "lidar_origin_to_beam_origin_mm": {})",
-                    fmt::join(images.altitude_deg, ", "), fmt::join(images.azimuth_deg, ", "), images.n_mm);
-    const std::string layout =
-        fmt::format(R"({{"columns_per_frame": {}, "columns_per_packet": {}, "pixels_per_column": {}, "column_window": [{}, {}], )"
-                    R"("udp_profile_lidar": "{}"}})",
-                    images.columns, images.per_packet, images.rows, images.first, last, images.profile);
+    const std::string beams = fmt::format(
+        R"("beam_altitude_angles": [{}], "beam_azimuth_angles": [{}], "lidar_origin_to_beam_origin_mm": {})",
+        fmt::join(images.altitude_deg, ", "), fmt::join(images.azimuth_deg, ", "), images.n_mm);
+    const std::string layout = fmt::format(
+        R"({{"columns_per_frame": {}, "columns_per_packet": {}, "pixels_per_column": {}, "column_window": [{}, {}], )"
+        R"("udp_profile_lidar": "{}"}})",
+        images.columns, images.per_packet, images.rows, images.first, last, images.profile);
     if (is_nested)
-        return fmt::format(R"({{"beam_intrinsics": {{{}}}, "lidar_data_format": {}, "config_params": {{"lidar_mode": "{}x10", )"
-                           R"("udp_port_lidar": {}}}, "sensor_info": {{"prod_line": "{}", "prod_sn": "122150000123"}}}})",
-                           beams, layout, images.columns, port, images.product);
-    return fmt::format(R"({{{}, "data_format": {}, "lidar_mode": "{}x10", "udp_port_lidar": {}, "prod_line": "{}"}})", beams, layout,
-                       images.columns, port, images.product);
+        return fmt::format(
+            R"({{"beam_intrinsics": {{{}}}, "lidar_data_format": {}, "config_params": {{"lidar_mode": "{}x10", )"
+            R"("udp_port_lidar": {}}}, "sensor_info": {{"prod_line": "{}", "prod_sn": "122150000123"}}}})",
+            beams, layout, images.columns, port, images.product);
+    return fmt::format(
+        R"({{{}, "data_format": {}, "lidar_mode": "{}x10", "udp_port_lidar": {}, "prod_line": "{}"}})", beams,
+        layout, images.columns, port, images.product);
 }
 
 std::vector<Datagram> received(const std::vector<OusterPacket>& packets, int port, std::int64_t ahead_ns) {
     constexpr std::int64_t kLate_ns = 200000;
     std::vector<Datagram> datagrams;
     for (std::size_t k = 0; k < packets.size(); ++k)
-        datagrams.push_back({ahead_ns + std::int64_t(packets[k].time_ns) + kLate_ns + (k % 3 == 1 ? std::int64_t(k * 7919 % 400000) : 0),
+        datagrams.push_back({ahead_ns + std::int64_t(packets[k].time_ns) + kLate_ns +
+                                 (k % 3 == 1 ? std::int64_t(k * 7919 % 400000) : 0),
                              packets[k].bytes, port});
     return datagrams;
 }
@@ -103,12 +107,18 @@ void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& 
     for (const std::uint32_t word : {0u, 0u, 262144u, 1u}) append(bytes, word);
     for (const Datagram& datagram : datagrams) {
         const std::size_t udp = 8 + datagram.bytes.size(), frame = 14 + 20 + udp;
-        append(bytes, std::uint32_t(datagram.stamp_ns / 1000000000)), append(bytes, std::uint32_t(datagram.stamp_ns % 1000000000));
+        append(bytes, std::uint32_t(datagram.stamp_ns / 1000000000)),
+            append(bytes, std::uint32_t(datagram.stamp_ns % 1000000000));
         append(bytes, std::uint32_t(frame)), append(bytes, std::uint32_t(frame));
         bytes.append(12, '\0').append("\x08\x00", 2);
-        bytes.append("\x45\x00", 2).append(big_endian(std::uint16_t(20 + udp))).append(4, '\0').append("\x40\x11\x00\x00", 4);
+        bytes.append("\x45\x00", 2)
+            .append(big_endian(std::uint16_t(20 + udp)))
+            .append(4, '\0')
+            .append("\x40\x11\x00\x00", 4);
         bytes.append("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // from 192.168.1.201
-        bytes.append(big_endian(7502)).append(big_endian(std::uint16_t(datagram.port))).append(big_endian(std::uint16_t(udp)));
+        bytes.append(big_endian(7502))
+            .append(big_endian(std::uint16_t(datagram.port)))
+            .append(big_endian(std::uint16_t(udp)));
         bytes.append(2, '\0').append(datagram.bytes);
     }
     std::ofstream(file, std::ios::binary) << bytes;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of Ousters: of real range images, in every profile that is decoded, against the scans that a plain folder makes of the same
-// images (skipped where RELIDAR_SHARED does not hold them); and what may be wrong with a capture or its metadata.
+// Packets of Ousters: of real range images, in every profile that is decoded, against the
+// scans that a plain folder makes of the same images (skipped where RELIDAR_SHARED does
+// not hold them); and what may be wrong with a capture or its metadata.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -48,13 +49,18 @@ void add_second_returns(OusterImages& images) {
     images.range_2_mm.assign(images.range_mm.size(), 0);
     images.reflectivity_2 = images.range_2_mm;
     for (std::size_t i = 0; i < images.range_mm.size(); i += 5)
-        if (images.range_mm[i] > 0) images.range_2_mm[i] = images.range_mm[i] + 1500, images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
+        if (images.range_mm[i] > 0)
+            images.range_2_mm[i] = images.range_mm[i] + 1500,
+            images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
 }
 
 /// Real scans; nothing where they are not there.
-std::optional<OusterImages> real_images(const std::string& name, const std::string& product, const std::string& profile) {
+std::optional<OusterImages> real_images(const std::string& name, const std::string& product,
+                                        const std::string& profile) {
     const char* shared = std::getenv("RELIDAR_SHARED");
-    const fs::path file = (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data/ouster" / name;
+    const fs::path file =
+        (shared ? fs::path(shared) : fs::path(RELIDAR_SOURCE_DIR).parent_path() / "shared") / "data/ouster" /
+        name;
     if (!fs::exists(file)) return std::nullopt;
     const std::vector<NamedArray> arrays = read_npz(file);
     const auto array = [&](const char* key) -> const NamedArray& {
@@ -62,11 +68,13 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
     };
     OusterImages images;
     images.product = product, images.profile = profile;
-    images.frames = array("range_mm").shape[0], images.rows = array("range_mm").shape[1], images.columns = array("range_mm").shape[2];
+    images.frames = array("range_mm").shape[0], images.rows = array("range_mm").shape[1],
+    images.columns = array("range_mm").shape[2];
     images.altitude_deg = array("alt").as_double(), images.azimuth_deg = array("az").as_double();
     images.n_mm = array("n_mm").as_double()[0];
     for (const double mm : array("range_mm").as_double())
-        images.range_mm.push_back(profile == test::kLowRate && mm > 262136.0 ? 0 : std::uint32_t(mm));  // 15 bits of 8 mm
+        // 15 bits of 8 mm
+        images.range_mm.push_back(profile == test::kLowRate && mm > 262136.0 ? 0 : std::uint32_t(mm));
     for (const double v : array("refl").as_double()) images.reflectivity.push_back(std::uint32_t(v));
     for (const double ns : array("ts").as_double()) images.time_ns.push_back(std::uint64_t(ns));
     if (profile == test::kDual) add_second_returns(images);
@@ -78,15 +86,18 @@ OusterImages small_images(const std::string& profile) {
     OusterImages images;
     images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
     for (std::size_t row = 0; row < images.rows; ++row)  // not in the order of their altitudes
-        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1)), images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
+        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1)),
+            images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
     for (std::size_t frame = 0; frame < images.frames; ++frame)
         for (std::size_t row = 0; row < images.rows; ++row)
             for (std::size_t column = 0; column < images.columns; ++column) {
                 const std::size_t k = frame + 3 * row + 7 * column;
-                images.range_mm.push_back(k % 6 == 0 ? 0 : std::uint32_t(4000 + 40 * row + 16 * column + frame));
+                images.range_mm.push_back(k % 6 == 0 ? 0
+                                                     : std::uint32_t(4000 + 40 * row + 16 * column + frame));
                 images.reflectivity.push_back(std::uint32_t(k % 256));
             }
-    for (std::size_t k = 0; k < images.frames * images.columns; ++k) images.time_ns.push_back(5000000000 + 781250 * k + k % 2 * 900);
+    for (std::size_t k = 0; k < images.frames * images.columns; ++k)
+        images.time_ns.push_back(5000000000 + 781250 * k + k % 2 * 900);
     if (profile == test::kDual) add_second_returns(images);
     return images;
 }
@@ -95,7 +106,8 @@ OusterImages small_images(const std::string& profile) {
 std::string points_of(const OusterImages& images, std::size_t frame) {
     std::vector<std::size_t> ring(images.rows);
     for (std::size_t row = 0; row < images.rows; ++row)
-        ring[row] = std::size_t(std::ranges::count_if(images.altitude_deg, [&](double a) { return a > images.altitude_deg[row]; }));
+        ring[row] = std::size_t(std::ranges::count_if(
+            images.altitude_deg, [&](double a) { return a > images.altitude_deg[row]; }));
     std::vector<double> values;
     const double forward_ns = double(images.time_ns[frame * images.columns + images.columns / 2]);
     for (std::size_t row = 0; row < images.rows; ++row)
@@ -104,16 +116,20 @@ std::string points_of(const OusterImages& images, std::size_t frame) {
             const auto add = [&](double mm, double reflectivity, double number) {
                 // Ouster's equation, its LiDAR frame turned by 180 degrees about z
                 const double encoder = 2.0 * kPi * (1.0 - double(column) / double(images.columns)) + kPi;
-                const double theta = encoder - images.azimuth_deg[row] * kPi / 180.0, phi = images.altitude_deg[row] * kPi / 180.0;
+                const double theta = encoder - images.azimuth_deg[row] * kPi / 180.0,
+                             phi = images.altitude_deg[row] * kPi / 180.0;
                 const double n_m = 1e-3 * images.n_mm, r_m = 1e-3 * mm - n_m;
-                values.insert(values.end(),
-                              {r_m * std::cos(theta) * std::cos(phi) + n_m * std::cos(encoder),
-                               r_m * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder), r_m * std::sin(phi), reflectivity,
-                               double(ring[row]), 1e-9 * (double(images.time_ns[frame * images.columns + column]) - forward_ns), number});
+                values.insert(
+                    values.end(),
+                    {r_m * std::cos(theta) * std::cos(phi) + n_m * std::cos(encoder),
+                     r_m * std::sin(theta) * std::cos(phi) + n_m * std::sin(encoder), r_m * std::sin(phi),
+                     reflectivity, double(ring[row]),
+                     1e-9 * (double(images.time_ns[frame * images.columns + column]) - forward_ns), number});
             };
             const bool has_second = !images.range_2_mm.empty() && images.range_2_mm[i] > 0;
             const bool is_second_first = has_second && images.reflectivity_2[i] > images.reflectivity[i];
-            if (images.range_mm[i] > 0) add(images.written_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
+            if (images.range_mm[i] > 0)
+                add(images.written_mm(images.range_mm[i]), images.reflectivity[i], is_second_first);
             if (has_second) add(images.range_2_mm[i], images.reflectivity_2[i], !is_second_first);
         }
     const std::size_t n = values.size() / 7;
@@ -131,30 +147,38 @@ Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
     std::string beams, frames, poses;
     std::vector<std::size_t> order(images.rows);
     for (std::size_t row = 0; row < images.rows; ++row) order[row] = row;
-    std::ranges::stable_sort(order, std::greater(), [&](std::size_t row) { return images.altitude_deg[row]; });
+    std::ranges::stable_sort(order, std::greater(),
+                             [&](std::size_t row) { return images.altitude_deg[row]; });
     for (const std::size_t row : order)
-        beams += fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}", beams.empty() ? "" : ", ",
-                             images.altitude_deg[row], -images.azimuth_deg[row], 1e-3 * images.n_mm);
+        beams +=
+            fmt::format("{}{{\"elevation_deg\": {}, \"azimuth_offset_deg\": {}, \"origin_offset_m\": {}}}",
+                        beams.empty() ? "" : ", ", images.altitude_deg[row], -images.azimuth_deg[row],
+                        1e-3 * images.n_mm);
     fs::create_directories(folder / "scans");
     for (std::size_t f = 0; f < images.frames; ++f) {
-        const double time_s = 1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] - images.time_ns[images.columns / 2]);
+        const double time_s = 1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] -
+                                            images.time_ns[images.columns / 2]);
         write_bytes(folder / fmt::format("scans/{}.npy", f), points_of(images, f));
-        frames += fmt::format(R"({}{{"number": {}, "time_s": {:.9f}, "scan": "scans/{}.npy"}})", f ? ", " : "", f, time_s, f);
+        frames += fmt::format(R"({}{{"number": {}, "time_s": {:.9f}, "scan": "scans/{}.npy"}})",
+                              f ? ", " : "", f, time_s, f);
         poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
     }
     write_bytes(folder / "poses.txt", poses);
-    write_bytes(folder / "sequence.json",
-                fmt::format(R"({{"format": "relidar log", "version": 1, "frames": [{}], "intensity_max": 255, "columns": )"
-                            R"(["x", "y", "z", "intensity", "ring", "time", "return"], "lidars": [{{"ring_0": "highest", "sensor": )"
-                            R"({{"columns": {}, "min_range_m": {}, "max_range_m": {}, "beams": [{}]}}}}]}})",
-                            frames, images.columns, limits.min_m, limits.max_m, beams));
+    write_bytes(
+        folder / "sequence.json",
+        fmt::format(
+            R"({{"format": "relidar log", "version": 1, "frames": [{}], "intensity_max": 255, "columns": )"
+            R"(["x", "y", "z", "intensity", "ring", "time", "return"], "lidars": [{{"ring_0": "highest", "sensor": )"
+            R"({{"columns": {}, "min_range_m": {}, "max_range_m": {}, "beams": [{}]}}}}]}})",
+            frames, images.columns, limits.min_m, limits.max_m, beams));
     DatasetOptions options;
     options.max_range_m = 400.0;
     return load_sequence(folder.string(), options);
 }
 
 /// A capture with its metadata beside it.
-fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams, const std::string& name = "drive") {
+fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams,
+                       const std::string& name = "drive") {
     const fs::path folder = fresh_folder("capture_" + name);
     test::write_pcap(folder / (name + ".pcap"), datagrams);
     write_bytes(folder / (name + ".json"), test::ouster_metadata(images, 7502));
@@ -164,7 +188,8 @@ fs::path write_capture(const OusterImages& images) {
     return write_capture(images, test::received(test::ouster_packets(images)));
 }
 
-/// As load_sequence(), or why not. A relidar without the reader of captures skips the test that calls it.
+/// As load_sequence(), or why not. A relidar without the reader of captures skips the
+/// test that calls it.
 struct Loaded {
     Sequence log;
     std::string error;
@@ -177,7 +202,10 @@ struct Loaded {
             error = failed.what();
         }
     }
-    bool is_left_out() const { return error.find("RELIDAR_PCAP") != std::string::npos || error.find("RELIDAR_BAGS") != std::string::npos; }
+    bool is_left_out() const {
+        return error.find("RELIDAR_PCAP") != std::string::npos ||
+               error.find("RELIDAR_BAGS") != std::string::npos;
+    }
     std::string notes() const {
         std::string all;
         for (const std::string& note : log.notes) all += note + "\n";
@@ -194,13 +222,15 @@ std::pair<std::size_t, int> cell_of(const Scan& scan, std::size_t ray, const Spi
     return {ring, (column % sensor.columns + sensor.columns) % sensor.columns};
 }
 
-std::map<std::pair<std::size_t, int>, std::size_t> rays_by_cell(const Scan& scan, const SpinningSensor& sensor) {
+std::map<std::pair<std::size_t, int>, std::size_t> rays_by_cell(const Scan& scan,
+                                                                const SpinningSensor& sensor) {
     std::map<std::pair<std::size_t, int>, std::size_t> cells;
     for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) cells[cell_of(scan, ray, sensor)] = ray;
     return cells;
 }
 
-/// Every ray of one is one of the other: where it starts, its direction, its time, and what it measured.
+/// Every ray of one is one of the other: where it starts, its direction, its time, and
+/// what it measured.
 void expect_same_scan(const Scan& found, const Scan& expected, const SpinningSensor& sensor) {
     ASSERT_EQ(found.rays.rows, expected.rays.rows);
     ASSERT_EQ(found.rays.columns, expected.rays.columns);
@@ -212,13 +242,17 @@ void expect_same_scan(const Scan& found, const Scan& expected, const SpinningSen
     std::size_t n_wrong = 0;
     for (const auto& [cell, a] : cells) {
         const std::size_t b = others.at(cell);
-        bool is_same = std::abs(found.range_m[a] - expected.range_m[b]) < 1e-4f && found.intensity[a] == expected.intensity[b] &&
+        bool is_same = std::abs(found.range_m[a] - expected.range_m[b]) < 1e-4f &&
+                       found.intensity[a] == expected.intensity[b] &&
                        std::abs(found.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
                        glm::distance(found.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
         // the folder finds the phase of the columns in the points
-        is_same = is_same && glm::distance(found.rays.direction[a], expected.rays.direction[b]) < (found.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
+        is_same = is_same && glm::distance(found.rays.direction[a], expected.rays.direction[b]) <
+                                 (found.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
         for (std::size_t k = 0; k < found.second_returns.size(); ++k)
-            is_same = is_same && std::abs(found.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) < 1e-4f &&
+            is_same = is_same &&
+                      std::abs(found.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) <
+                          1e-4f &&
                       found.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
         n_wrong += !is_same;
     }
@@ -249,7 +283,8 @@ TEST(OusterPackets, RealScansAreThoseOfTheFolder) {
             if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
             ASSERT_EQ(loaded.error, "");
             EXPECT_THAT(loaded.notes(),
-                        HasSubstr(fmt::format("{} packets of a 128-beam Ouster, {}, profile {}", 64 * images->frames, product, profile)));
+                        HasSubstr(fmt::format("{} packets of a 128-beam Ouster, {}, profile {}",
+                                              64 * images->frames, product, profile)));
             expect_same_log(*images, loaded.log);
         }
 }
@@ -260,7 +295,8 @@ TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.error, "");
-        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(), profile == std::string(test::kDual) ? 1u : 0u);
+        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(),
+                  profile == std::string(test::kDual) ? 1u : 0u);
         expect_same_log(images, loaded.log);
     }
 }
@@ -281,7 +317,8 @@ TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
     const Loaded loaded(write_capture(images));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.error, "");
-    EXPECT_THAT(loaded.notes(), AllOf(HasSubstr("reflectivities up to 2040"), HasSubstr("above which 0.5 % of the points are")));
+    EXPECT_THAT(loaded.notes(), AllOf(HasSubstr("reflectivities up to 2040"),
+                                      HasSubstr("above which 0.5 % of the points are")));
     float most = 0.0f;
     for (const float intensity : loaded.log.frames[0].scan.intensity) most = std::max(most, intensity);
     EXPECT_EQ(most, 1.0f);
@@ -291,7 +328,8 @@ TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
 struct Columns {
     std::vector<std::size_t> rays, returns;
 
-    Columns(const Sequence& log, std::size_t frame) : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
+    Columns(const Sequence& log, std::size_t frame)
+        : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
         const Scan& scan = log.frames[frame].scan;
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {
             const auto column = std::size_t(cell_of(scan, ray, log.lidars[0].sensor).second);
@@ -344,7 +382,8 @@ TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
 }
 
 TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
-    for (const auto& [first, last] : {std::pair(32, 95), std::pair(5, 40), std::pair(0, 63), std::pair(100, 127)}) {
+    for (const auto& [first, last] :
+         {std::pair(32, 95), std::pair(5, 40), std::pair(0, 63), std::pair(100, 127)}) {
         SCOPED_TRACE(fmt::format("{} to {}", first, last));
         OusterImages images = small_images(test::kLowRate);
         images.first = std::size_t(first), images.last = std::size_t(last);
@@ -383,7 +422,9 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
     for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
     auto datagrams = test::received(test::ouster_packets(one));
     std::ranges::copy(test::received(test::ouster_packets(other), 7504), std::back_inserter(datagrams));
-    for (int k = 0; k < 40; ++k) datagrams.push_back({datagrams[0].stamp_ns + k * 10000000, std::string(48, '\1'), 7503});  // of the IMU
+    // of the IMU
+    for (int k = 0; k < 40; ++k)
+        datagrams.push_back({datagrams[0].stamp_ns + k * 10000000, std::string(48, '\1'), 7503});
     std::ranges::stable_sort(datagrams, {}, &test::Datagram::stamp_ns);
     const fs::path folder = fresh_folder("two");
     test::write_pcap(folder / "drive.pcap", datagrams);
@@ -399,12 +440,18 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
         expect_same_log(*images, loaded.log);
         EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("expected")));
     }
-    write_bytes(folder / "rear.json", test::ouster_metadata(other, 7502));  // both say that they send to one port
+    // both say that they send to one port
+    write_bytes(folder / "rear.json", test::ouster_metadata(other, 7502));
     const Loaded ambiguous(folder / "drive.pcap");
-    EXPECT_THAT(ambiguous.error, HasSubstr("packets of 3328 bytes on port 7502, expected one metadata that tells of them there"));
+    EXPECT_THAT(
+        ambiguous.error,
+        HasSubstr("packets of 3328 bytes on port 7502, expected one metadata that tells of them there"));
     fs::remove(folder / "rear.json");
-    const Loaded half(folder / "drive.pcap");  // the other sensor's packets are not read by the first one's metadata
-    EXPECT_THAT(half.notes(), HasSubstr("packets of 3328 bytes on port 7504, expected one metadata that tells of them there"));
+    // the other sensor's packets are not read by the first one's metadata
+    const Loaded half(folder / "drive.pcap");
+    EXPECT_THAT(
+        half.notes(),
+        HasSubstr("packets of 3328 bytes on port 7504, expected one metadata that tells of them there"));
     if (half.error.empty()) expect_same_log(one, half.log);
     EXPECT_EQ(half.error, "");
 }
@@ -422,19 +469,22 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     fs::remove(fs::path(bare).replace_extension(".json"));
     const Loaded alone(bare);
     if (alone.is_left_out()) GTEST_SKIP() << alone.error;
-    EXPECT_THAT(alone.error,
-                HasSubstr("packets of 3328 bytes on port 7502 look like an Ouster's, expected its metadata beside: drive.json"));
+    EXPECT_THAT(alone.error, HasSubstr("packets of 3328 bytes on port 7502 look like an Ouster's, expected "
+                                       "its metadata beside: drive.json"));
     const std::string metadata = test::ouster_metadata(images, 7502);
     const auto changed = [&](const std::string& from, const std::string& to) {
         std::string text = metadata;
         return text.replace(text.find(from), from.size(), to);
     };
-    EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)), HasSubstr("drive.json: not valid JSON, truncated or damaged"));
-    EXPECT_THAT(error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_DUAL")),
-                HasSubstr("packets of the profile RNG15_RFL8_NIR8_DUAL, expected one that relidar decodes: LEGACY, RNG19"));
+    EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)),
+                HasSubstr("drive.json: not valid JSON, truncated or damaged"));
     EXPECT_THAT(
-        error_with(changed(test::kSingle, test::kDual)),
-        HasSubstr("packets of 3328 bytes on port 7502, expected packets of 4352 bytes (RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
+        error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_DUAL")),
+        HasSubstr(
+            "packets of the profile RNG15_RFL8_NIR8_DUAL, expected one that relidar decodes: LEGACY, RNG19"));
+    EXPECT_THAT(error_with(changed(test::kSingle, test::kDual)),
+                HasSubstr("packets of 3328 bytes on port 7502, expected packets of 4352 bytes "
+                          "(RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
     EXPECT_THAT(error_with(changed("\"columns_per_frame\": 128", "\"columns_per_frame\": 1024")),
                 HasSubstr("columns_per_frame is 1024, expected the 128 of its lidar_mode"));
     EXPECT_THAT(error_with(changed("\"pixels_per_column\": 16", "\"pixels_per_column\": 64")),
@@ -442,12 +492,16 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     EXPECT_THAT(error_with(changed("[0, 127]", "[0, 128]")), HasSubstr("column_window"));
     EXPECT_THAT(error_with(changed("\"columns_per_packet\": 16", "\"columns_per_packet\": 24")),
                 HasSubstr("expected a number that divides"));
-    EXPECT_THAT(error_with(changed("\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"")), HasSubstr("columns_per_frame is 128"));
+    EXPECT_THAT(error_with(changed("\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"")),
+                HasSubstr("columns_per_frame is 128"));
     auto datagrams = test::received(test::ouster_packets(images));
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
-    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, HasSubstr("a packet of type 2, expected 1: an Ouster's LiDAR data"));
-    for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;  // column 1024 and more
-    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, HasSubstr("expected less than the 128 of lidar_mode"));
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
+                HasSubstr("a packet of type 2, expected 1: an Ouster's LiDAR data"));
+    // column 1024 and more
+    for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
+                HasSubstr("expected less than the 128 of lidar_mode"));
 }
 
 }  // namespace
