@@ -91,6 +91,21 @@ bool logs_at(int step, const TrainConfig& config) {
     return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
 }
 
+/// Reads the trained scene, its poses, ray-drop and coverage from the device.
+void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const Split& split,
+                const Config& config, const TrainSession& session, TrainResult& result) {
+    result.interrupted = result.iterations < config.train.iterations;
+    result.scene = loop.download();
+    result.poses = loop.refined_poses();
+    begin_stage(session.stages, "drops");
+    if (config.train.sensor_drop && !result.interrupted)
+        result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
+    begin_stage(session.stages, "coverage");
+    result.coverage =
+        find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle,
+                      split.train, with_farthest(config, sequence).dataset.max_range_m);
+}
+
 }  // namespace
 
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config,
@@ -141,16 +156,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     }
     loop.finish();
     take_lines();
-    result.interrupted = result.iterations < config.train.iterations;
-    result.scene = loop.download();
-    result.poses = loop.refined_poses();
-    begin_stage(session.stages, "drops");
-    if (config.train.sensor_drop && !result.interrupted)
-        result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
-    begin_stage(session.stages, "coverage");
-    result.coverage =
-        find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle,
-                      split.train, with_farthest(config, sequence).dataset.max_range_m);
+    read_scene(loop, device, sequence, split, config, session, result);
     result.train_s = trained_s();
     result.times = loop.times();
     result.peak_device_bytes = device.peak_bytes();

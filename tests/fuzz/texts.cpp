@@ -165,35 +165,29 @@ void read_tokens(std::string_view input, const fs::path& folder) {
     read_street(text, folder);
 }
 
+/// A scenario in which a vehicle follows a trajectory that a start trigger delays.
+constexpr const char* kScenario =
+    R"(<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name="p" value="3"/>
+</ParameterDeclarations><Entities><ScenarioObject name="v"><Vehicle><BoundingBox>
+<Center x="1" y="0" z="1"/><Dimensions width="2" length="5" height="2"/></BoundingBox>
+</Vehicle></ScenarioObject></Entities><Storyboard><Init><Actions/></Init><Story><Act>
+<ManeuverGroup><Actors><EntityRef entityRef="v"/></Actors><Maneuver><Event><Action>
+<PrivateAction><RoutingAction><FollowTrajectoryAction><Trajectory><Shape><Polyline>
+<Vertex time="0"><Position><WorldPosition x="$p" y="1"/></Position></Vertex>
+<Vertex time="4"><Position><WorldPosition x="8" y="1" h="1"/></Position></Vertex>
+</Polyline></Shape></Trajectory><TimeReference>
+<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/></TimeReference>
+</FollowTrajectoryAction></RoutingAction></PrivateAction></Action><StartTrigger>
+<ConditionGroup><Condition delay="1"><ByValueCondition>
+<SimulationTimeCondition value="2" rule="greaterThan"/></ByValueCondition></Condition>
+</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story>
+</Storyboard></OpenSCENARIO>)";
+
 }  // namespace
 
 std::vector<Harness> text_harnesses() {
     return {
-        {"scenario",
-         [](const fs::path&) {
-             return std::vector<std::string>{
-                 "<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name=\"p\" "
-                 "value=\"3\"/></ParameterDeclarations><Entities>"
-                 "<ScenarioObject name=\"v\"><Vehicle><BoundingBox><Center x=\"1\" y=\"0\" "
-                 "z=\"1\"/><Dimensions width=\"2\" length=\"5\" "
-                 "height=\"2\"/></BoundingBox></Vehicle></ScenarioObject></"
-                 "Entities><Storyboard><Init><Actions/></Init><Story><Act>"
-                 "<ManeuverGroup><Actors><EntityRef "
-                 "entityRef=\"v\"/></Actors><Maneuver><Event><Action><PrivateAction><RoutingAction>"
-                 "<FollowTrajectoryAction><Trajectory><Shape><Polyline><Vertex "
-                 "time=\"0\"><Position><WorldPosition x=\"$p\" y=\"1\"/>"
-                 "</Position></Vertex><Vertex time=\"4\"><Position><WorldPosition x=\"8\" y=\"1\" "
-                 "h=\"1\"/></Position></Vertex></Polyline>"
-                 "</Shape></Trajectory><TimeReference>"
-                 "<Timing domainAbsoluteRelative=\"relative\" scale=\"1\" offset=\"0\"/></TimeReference>"
-                 "</FollowTrajectoryAction></RoutingAction></PrivateAction></"
-                 "Action><StartTrigger><ConditionGroup><Condition delay=\"1\">"
-                 "<ByValueCondition><SimulationTimeCondition value=\"2\" "
-                 "rule=\"greaterThan\"/></ByValueCondition></Condition>"
-                 "</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story></"
-                 "Storyboard></OpenSCENARIO>"};
-         },
-         read_entities},
+        {"scenario", [](const fs::path&) { return std::vector<std::string>{kScenario}; }, read_entities},
         {"config",
          [](const fs::path&) {
              return std::vector{to_toml(make_preset("quick")),

@@ -173,6 +173,37 @@ std::vector<float> some_record_gradients(std::size_t n) {
     return d_records;
 }
 
+/// Adds a row for each parameter of surfel `i`: central differences of `terms` with
+/// respect to that parameter, and the gradient of the kernel.
+template <class Terms>
+void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, const Surfels& actual,
+                     std::size_t i, int degree, bool bends, Terms&& terms) {
+    const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
+    table.add_row("mean", test::central_differences(&surfel.mean.x, 3, terms), row(&actual.mean[i].x, 3));
+    table.add_row("rotation", test::central_differences(&surfel.rotation.x, 4, terms),
+                  row(&actual.rotation[i].x, 4));
+    table.add_row("log_scale", test::central_differences(&surfel.log_scale.x, 2, terms),
+                  row(&actual.log_scale[i].x, 2));
+    if (surfel.log_scale_w)
+        table.add_row("log_scale_w", test::central_differences(&*surfel.log_scale_w, 1, terms),
+                      row(&actual.log_scale_w[i], 1));
+    table.add_row("opacity_logit", test::central_differences(&surfel.opacity_logit, 1, terms),
+                  row(&actual.opacity_logit[i], 1));
+    if (bends) {
+        table.add_row("gait phase", test::central_differences(&surfel.gait_phase, 1, terms),
+                      row(&actual.gait[i].phase, 1));
+        table.add_row("gait sharpness", test::central_differences(&surfel.gait_sharpness, 1, terms),
+                      row(&actual.gait[i].sharpness, 1));
+        table.add_row("gait swing", test::central_differences(&surfel.gait_swing.x, 3, terms),
+                      row(&actual.gait[i].swing.x, 3));
+    }
+    const int active = (degree + 1) * (degree + 1);
+    for (int first = 0; first < kShFloats; first += kShCoefficients)
+        table.add_row("sh",
+                      test::central_differences(surfel.sh.data() + first, active, terms, test::kLogitStep),
+                      row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
+}
+
 TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
     std::vector<reference::Surfel> surfels = some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
@@ -202,35 +233,9 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
                 for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
                 return sum;
             };
-            const auto row = [](const float* v, int count) { return std::vector<double>(v, v + count); };
             table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms),
-                          row(views.data() + 3 * i, 3));
-            table.add_row("mean", test::central_differences(&surfels[i].mean.x, 3, terms),
-                          row(&actual.mean[i].x, 3));
-            table.add_row("rotation", test::central_differences(&surfels[i].rotation.x, 4, terms),
-                          row(&actual.rotation[i].x, 4));
-            table.add_row("log_scale", test::central_differences(&surfels[i].log_scale.x, 2, terms),
-                          row(&actual.log_scale[i].x, 2));
-            if (surfels[i].log_scale_w)
-                table.add_row("log_scale_w", test::central_differences(&*surfels[i].log_scale_w, 1, terms),
-                              row(&actual.log_scale_w[i], 1));
-            table.add_row("opacity_logit", test::central_differences(&surfels[i].opacity_logit, 1, terms),
-                          row(&actual.opacity_logit[i], 1));
-            if (bends()) {
-                table.add_row("gait phase", test::central_differences(&surfels[i].gait_phase, 1, terms),
-                              row(&actual.gait[i].phase, 1));
-                table.add_row("gait sharpness",
-                              test::central_differences(&surfels[i].gait_sharpness, 1, terms),
-                              row(&actual.gait[i].sharpness, 1));
-                table.add_row("gait swing", test::central_differences(&surfels[i].gait_swing.x, 3, terms),
-                              row(&actual.gait[i].swing.x, 3));
-            }
-            const int active = (degree + 1) * (degree + 1);
-            for (int first = 0; first < kShFloats; first += kShCoefficients)
-                table.add_row(
-                    "sh",
-                    test::central_differences(surfels[i].sh.data() + first, active, terms, test::kLogitStep),
-                    row(actual.sh.data() + i * kShFloats + std::size_t(first), active));
+                          std::vector<double>(views.data() + 3 * i, views.data() + 3 * i + 3));
+            add_surfel_rows(table, surfels[i], actual, i, degree, bends(), terms);
         }
         table.print("activation on " + device().info().name);
         for (const auto& [name, group] : table.groups()) {

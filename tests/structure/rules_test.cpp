@@ -171,9 +171,12 @@ TEST(Rules, BudgetsAreCounted) {
     const SourceTree tree = make_tree(
         {{"src/core/long_function.cpp", "void f() {\n" + body + "}\n"},
          {"src/core/many.cpp", "void g(int a, int b, int c, int d, int e, int f, int g, int h) {}\n"},
-         {"shaders/loss/long.comp", std::string(201, '\n')},
-         {"src/core/wide.hpp", "//" + std::string(139, '-') + "\n"}});
-    EXPECT_EQ(check_budgets(tree).size(), 4u);
+         {"shaders/loss/long.comp", std::string(221, '\n')},
+         {"src/core/wide.hpp", "//" + std::string(89, '-') + "\nint " + std::string(110, 'a') + ";\n// " +
+                                   std::string(87, '-') + "\nint " + std::string(105, 'a') +
+                                   ";\n///   x = " + std::string(90, 'y') + "\nconst char* s = \"" +
+                                   std::string(200, 'x') + "\";\n"}});
+    EXPECT_EQ(check_budgets(tree).size(), 5u);
 }
 
 TEST(Rules, VulkanNameIsFound) {

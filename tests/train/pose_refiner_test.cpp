@@ -92,6 +92,20 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     }
 }
 
+/// Index of each ray of a batch among all rays of its frame.
+std::vector<std::size_t> frame_ray_ids(const SampledBatch& batch, const std::vector<DeviceRay>& batch_rays,
+                                       const std::vector<DeviceRay>& frame_rays) {
+    std::vector<std::size_t> ids;
+    for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
+        const DeviceRay& ray = batch_rays[batch.rays.first + std::size_t(k) * batch.rays.stride];
+        const auto is_same = [&](const DeviceRay& r) {
+            return r.direction == ray.direction && r.origin == ray.origin;
+        };
+        ids.push_back(std::size_t(std::ranges::find_if(frame_rays, is_same) - frame_rays.begin()));
+    }
+    return ids;
+}
+
 /// L = sum a . origin' + b . direction' over the batch, differentiated through the
 /// corrected track in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
@@ -121,16 +135,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
         const std::vector<DeviceRay> all = frames[f].rays().download(frames[f].n_rays);
         const Frame& frame = street.frames[std::size_t(frames[f].position)];
-        std::vector<std::size_t> ids;  // by where the batch's rays lie among the frame's
-        for (std::uint32_t k = 0; k < batch.rays.n_rays; ++k) {
-            const DeviceRay& ray = batch_rays[batch.rays.first + std::size_t(k) * batch.rays.stride];
-            ids.push_back(std::size_t(std::find_if(all.begin(), all.end(),
-                                                   [&](const DeviceRay& r) {
-                                                       return r.direction == ray.direction &&
-                                                              r.origin == ray.origin;
-                                                   }) -
-                                      all.begin()));
-        }
+        const std::vector<std::size_t> ids = frame_ray_ids(batch, batch_rays, all);
         const auto loss = [&](const PoseTrack& track) {
             double sum = 0.0;
             for (std::size_t k = 0; k < ids.size(); ++k) {

@@ -375,7 +375,7 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
     EXPECT_GT(n_tried, 60);
 }
 
-TEST_F(RunFolder, WrongKindsAreRefused) {
+TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
     const Json whole = Json::parse(scene);
     const auto replaced = [&](const char* pointer, const Json& value) {
         Json changed = whole;
@@ -399,6 +399,15 @@ TEST_F(RunFolder, WrongKindsAreRefused) {
         replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"),
         std::string::npos);
     EXPECT_NE(replaced("/world_offset_m/1", 1e308).find("world_offset_m: found 1e+308"), std::string::npos);
+}
+
+TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
+    const Json whole = Json::parse(scene);
+    const auto replaced = [&](const char* pointer, const Json& value) {
+        Json changed = whole;
+        changed[Json::json_pointer(pointer)] = value;
+        return error_with(changed);
+    };
     EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308)
                   .find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"),
               std::string::npos);
