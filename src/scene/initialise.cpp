@@ -173,7 +173,7 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
     for (const Sample& sample : samples) points.push_back(sample.position);
     visibility.announce(points);
     std::vector<char> keep(samples.size());
-    for_each_block_told(samples.size(), progress, "what did not stay", [&](std::size_t i) {
+    for_each_block_told(samples.size(), progress, "removing moving points", [&](std::size_t i) {
         keep[i] = !visibility.votes(samples[i].position).is_seen_through(kGoneShare);
     });
     std::vector<Sample> kept;

@@ -95,7 +95,7 @@ std::string way_text(const PoseTrack& track) {
 
 std::string loops_text(const Registration& found) {
     if (found.places_again == 0) return "";
-    return fmt::format("; {} places seen again on a later pass, up to {:.2f} m off before",
+    return fmt::format("; {} loops closed (places that the vehicle passed again), up to {:.2f} m corrected",
                        found.places_again, found.loops_off_m);
 }
 
@@ -112,16 +112,15 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
-    const std::string text =
-        fmt::format("{} of {} scans did not find their place among the others, those of frames {}",
-                    frames.size(), n, list_text(frames));
+    const std::string text = fmt::format("{} of {} scans could not be registered (frames {})", frames.size(),
+                                         n, list_text(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
         throw DataError(
             fmt::format("registering the scans of {}: {}; expected at most {:.0f} %. "
-                        "train.allow_lost_scans=true moves them as their "
-                        "neighbours, train.refine_poses=none keeps the log's own poses",
+                        "train.allow_lost_scans=true moves them with their "
+                        "neighbours; train.refine_poses=none keeps the poses of the log",
                         sequence.name, text, 100.0 * kMostLost));
-    session.tell(text + ": moved as their neighbours were");
+    session.tell(text + "; they were moved with their neighbours");
 }
 
 /// @return done where there are poses to be taken
@@ -136,15 +135,17 @@ Registration registered(Sequence& sequence, const Split& split, const Config& co
         found = register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
-        session.tell(fmt::format("{}; the log's own poses are used", error.what()));
+        session.tell(fmt::format("{}; the poses of the log are used", error.what()));
         return {};
     }
     if (found.stopped)
-        throw Error(ExitCode::interrupted, "interrupted while scans were registered: nothing is trained yet");
+        throw Error(ExitCode::interrupted,
+                    "interrupted during the registration of scans, before training started");
     if (!found.done) return found;
     const PoseCorrections corrections(sequence.world_from_vehicle, found.world_from_vehicle);
     session.tell(fmt::format(
-        "scans registered: {:.0f} % of their points lie on common planes, {:.3f} m from them; {}{}",
+        "scans registered: {:.0f} % of the points are on planes that several scans share, at a mean distance "
+        "of {:.3f} m; {}{}",
         100.0 * found.on_planes, found.rounds.back().residual_m,
         has_poses(sequence, config) ? corrections.text() : way_text(found.world_from_vehicle),
         loops_text(found)));
@@ -171,33 +172,36 @@ void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig&
     if (n > 1 && config.calibrates("range")) {
         const LaserCalibration found = calibrate_ranges(sequence, split.train);
         session.tell(
-            fmt::format("ranges of {} beams compared on {:.1f} million returns: {:.1f} mm from common "
-                        "planes, {:.1f} mm with an offset each{}",
+            fmt::format("range calibration of {} beams ({:.1f} million returns): mean distance from planes "
+                        "{:.1f} mm, {:.1f} mm with one offset per beam; {}",
                         n, double(found.returns) * 1e-6, found.rms_before * 1e3, found.rms_after * 1e3,
-                        found.adopted ? "" : ": none is taken"));
+                        found.adopted ? "the offsets are used" : "no offset is used"));
     }
 }
 
 void calibrate_intensities(Sequence& sequence, const Split& split, const PrepareSession& session) {
     const IntensityCalibration found = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
-    const std::string fall = fmt::format("{:.2f} of it at 40 m and {:.2f} at 60 degrees of incidence",
-                                         r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
-    session.tell(fmt::format(
-        "intensities of {:.1f} million returns compared: {:.3f} apart at the same place, {:.3f} with {}",
-        double(found.returns) * 1e-6, found.rms_before, found.rms_after,
-        found.shared && found.beams ? "a gain and offset for each beam, " + fall
-        : found.shared              ? fall
-        : found.beams               ? "a gain and offset for each beam"
-                                    : "what was tried: none is taken"));
+    const std::string fall = fmt::format(
+        "intensity falls to {:.2f} at 40 m and to {:.2f} at 60 degrees of "
+        "incidence, relative to 10 m and 0 degrees",
+        r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
+    const std::string start =
+        fmt::format("intensity calibration ({:.1f} million returns): returns of one surface differ by {:.3f}",
+                    double(found.returns) * 1e-6, found.rms_before);
+    session.tell(!found.shared && !found.beams
+                     ? start + "; a correction does not reduce this, so no correction is used"
+                     : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, found.rms_after,
+                                   found.beams ? "one gain and offset per beam" : "",
+                                   found.beams && found.shared ? "; " : "", found.shared ? fall : ""));
 }
 
 void tell_noise(const Sequence& sequence, const PrepareSession& session) {
     for (const Lidar& lidar : sequence.lidars)
         if (!lidar.range_noise.sigma_m.empty())
             session.tell(
-                fmt::format("ranges{} scatter by {:.0f} mm at 10 m and by {:.0f} mm at 40 m where surfaces "
-                            "are met squarely",
+                fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (one standard deviation, "
+                            "perpendicular surfaces)",
                             lidar.name.empty() ? "" : " of " + lidar.name,
                             1e3 * lidar.range_noise.at(10.0, 1.0), 1e3 * lidar.range_noise.at(40.0, 1.0)));
 }
@@ -205,7 +209,8 @@ void tell_noise(const Sequence& sequence, const PrepareSession& session) {
 /// @throws Error with exit code 130 if the user has interrupted
 void stop_if_wanted(const PrepareSession& session) {
     if (session.stop && session.stop())
-        throw Error(ExitCode::interrupted, "interrupted while the log was prepared: nothing is trained yet");
+        throw Error(ExitCode::interrupted,
+                    "interrupted during the preparation of the log, before training started");
 }
 
 /// What the beams were found to be.
@@ -247,8 +252,8 @@ std::string described(const BoxTrack& box) {
 /// A label's id and how much longer its thing was seen.
 std::string continued(const BoxTrack& box) {
     std::vector<std::string> sides;
-    if (box.n_before > 0) sides.push_back(fmt::format("{} frames before its labels", box.n_before));
-    if (box.n_after > 0) sides.push_back(fmt::format("{} frames after them", box.n_after));
+    if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
+    if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
     return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
 }
 
@@ -267,12 +272,11 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
             sequence.boxes.push_back(std::move(box));
         }
     }
-    session.tell(fmt::format("{} mover{} discovered without a label{}{}", movers.size(),
+    session.tell(fmt::format("{} moving object{} without a label detected{}{}", movers.size(),
                              movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
                              fmt::join(movers, ", ")));
     if (!beside.empty())
-        session.tell(
-            fmt::format("labelled actors found beside their labels too: {}", fmt::join(beside, ", ")));
+        session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(beside, ", ")));
 }
 
 }  // namespace

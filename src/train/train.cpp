@@ -51,10 +51,11 @@ void tell_masked(const Scene& scene, const Sequence& sequence, const Config& con
                  const TrainSession& session) {
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
-    session.note(fmt::format(
-        "{} moving boxes are masked out: {}; init.actor_classes names the classes that become actors, and "
-        "init.actor_min_points what they need",
-        masked.size(), names_of(masked)));
+    session.note(
+        fmt::format("{} moving boxes are left out of training: {}. init.actor_classes lists the classes that "
+                    "become actors, "
+                    "init.actor_min_points what they need",
+                    masked.size(), names_of(masked)));
 }
 
 /// Says how many training frames stay on the device, where not all do.
