@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Vulkan buffer behind relidar::Buffer, and the same over memory that the host reads
+// The Vulkan buffer behind relidar::Buffer, and a variant in memory that the host reads
 // or writes.
 #pragma once
 
@@ -15,9 +15,11 @@ struct Buffer::Impl {
     gpu::MemoryUse use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
-    std::byte* mapped = nullptr;  ///< null for arrays of kernels
+    std::byte* mapped = nullptr;  ///< null if the memory is not mapped to the host
 
-    /// @throws DeviceError where memory is exhausted or one buffer cannot be so large
+    /// Creates the buffer and binds memory to it.
+    /// @throws DeviceError if the memory is exhausted or the size exceeds the limit of
+    /// one buffer
     Impl(Device::Impl& device, std::size_t n_bytes, gpu::MemoryUse use, const std::string& what);
     ~Impl();
     Impl(const Impl&) = delete;

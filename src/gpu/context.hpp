@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan objects behind relidar::Device: instance, device, one compute queue, and how
-// failures of calls become DeviceError.
+// Vulkan objects behind relidar::Device: instance, device and one compute queue. Converts
+// failed Vulkan calls to DeviceError.
 #pragma once
 
 #include <array>
@@ -25,17 +25,20 @@ class MemoryPools;
 class PipelineCache;
 class Transfers;
 
-/// Throws DeviceError naming the call and the VkResult where `result` is a failure.
+/// Throws a DeviceError with the name of the call and the VkResult if `result` is a
+/// failure.
 void check(VkResult result, const char* call);
+/// Throws the error of a failed call.
 /// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
 [[noreturn]] void fail(VkResult result, const std::string& message);
 std::string result_name(VkResult result);
 
-/// An instance with its optional validation messenger.
+/// A Vulkan instance, with a messenger if validation is enabled.
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// of this instance: one opened later without the extension has none
+    /// Function of this instance. An instance without the debug extension does not have
+    /// it.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -47,10 +50,10 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
-/// Whether a device offers an extension.
+/// Returns true if a device offers the extension.
 bool has_extension(VkPhysicalDevice physical, const char* name);
 
-/// Collects names of what is missing, in words for a message.
+/// Collects the names of missing features for an error message.
 struct Missing {
     std::string text;
     void need(bool present, const char* name) {
@@ -58,33 +61,37 @@ struct Missing {
     }
 };
 
-/// What makes kernels right or safer on devices where it is not so anyway.
+/// Optional features that make kernels correct or safer on some devices.
 struct OptionalFeatures {
-    bool subgroup_size = false;   ///< sizes vary, and a kernel can ask for DeviceInfo::subgroup_size lanes
-    bool full_subgroups = false;  ///< and that no lane is missing
+    /// A kernel can request DeviceInfo::subgroup_size lanes although the subgroup size
+    /// varies.
+    bool subgroup_size = false;
+    bool full_subgroups = false;  ///< A kernel can request subgroups without missing lanes.
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 
-/// Whether subgroups that kernels run in have DeviceInfo::subgroup_size lanes, all there.
+/// Returns true if kernels run in complete subgroups of DeviceInfo::subgroup_size lanes.
 bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                      const OptionalFeatures& optional);
-/// What software traversal lacks, in words; empty where nothing.
+/// Returns the features that the software traversal needs and the device lacks. Empty if
+/// it lacks none.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// What layers of networks lack, in the same way.
+/// Returns the features that network layers need and the device lacks. Empty if it lacks
+/// none.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Pipelines by kernel name, specialisation constants and what is expected of subgroups.
-/// lavapipe takes 10 ms for one even where its code is in a cache, and trainings and
-/// renderers make dozens, so kernels of a device that are alike share one, kept until it
-/// closes. A GPU's driver compiles for seconds where nothing is in a cache: there a
-/// pipeline is begun, by a thread of its own, as soon as its kernel is made.
+/// Cache of pipelines, by kernel name, specialisation constants and subgroup
+/// requirements. Equal kernels of a device share one pipeline until the device is closed,
+/// because lavapipe needs 10 ms for each pipeline even with a warm cache. On a GPU a
+/// separate thread starts to compile each pipeline when its kernel is created, because a
+/// GPU's compiler can take seconds.
 struct Pipelines {
     struct Made {
         VkResult result;
@@ -92,10 +99,11 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};  ///< threads that may work at a time
+    /// limits the number of threads that compile simultaneously
+    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};
 };
 
-/// What relidar can do on a physical device, with every missing piece named.
+/// Returns what relidar can do on a physical device. Names every missing feature.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
 }  // namespace relidar::gpu
@@ -109,13 +117,13 @@ struct Device::Impl {
     VkQueue queue = VK_NULL_HANDLE;
     std::uint32_t queue_family = 0;
     DeviceInfo info;
-    std::vector<const char*> extensions;  ///< enabled
-    gpu::OptionalFeatures optional;       ///< enabled
+    std::vector<const char*> extensions;  ///< enabled extensions
+    gpu::OptionalFeatures optional;       ///< enabled optional features
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// that one array may have, and which limit that is
+    /// Largest size of one array in bytes, and the name of the limit that defines it.
     struct {
         std::uint64_t n_bytes;
         const char* name;
@@ -125,31 +133,37 @@ struct Device::Impl {
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
     std::mutex queue_mutex;
-    /// shared by all kernels: two addresses as push constants
+    /// Layout of all kernels: two addresses as push constants.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// zeros that kernels get in place of an array that a launch leaves out
+    /// Buffer of zeros. A kernel gets its address instead of an array that a launch
+    /// leaves out.
     std::unique_ptr<Buffer::Impl> nothing;
-    std::uint64_t memory_limit_bytes = 0;  ///< 0 = none
+    std::uint64_t memory_limit_bytes = 0;  ///< limit for all arrays together in bytes, 0 = no limit
     bool compile_only = false;
-    ForcedWays forced;  ///< by tests
-    /// pipelines are begun with their kernels; a CPU compiles when it runs them
+    ForcedWays forced;  ///< set by tests only
+    /// True if pipelines are compiled when their kernels are created (GPU). False if they
+    /// are compiled at their first launch (CPU).
     bool compiles_ahead = false;
-    bool pipeline_statistics = false;          ///< VK_KHR_pipeline_executable_properties is enabled
-    std::vector<PipelineStatistics> compiled;  ///< where compile_only
-    std::atomic<std::uint64_t> allocated{0};   ///< by arrays
+    bool pipeline_statistics = false;  ///< true if VK_KHR_pipeline_executable_properties is enabled
+    /// statistics of the compiled pipelines, filled if `compile_only` is set
+    std::vector<PipelineStatistics> compiled;
+    std::atomic<std::uint64_t> allocated{0};  ///< bytes that are allocated for arrays now
     std::atomic<std::uint64_t> peak{0};
-    /// made so far; waits of the host for all that was submitted
+    /// Number of buffers created so far, and number of times the host waited for all
+    /// submitted work.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();
-    /// @param cache_folder  of pipelines, or empty
+    /// Opens the device.
+    /// @param cache_folder  folder of the pipeline cache, or empty
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();
     void make_pipeline_layout();
-    /// Hands work to the queue, which takes it from one thread at a time.
+    /// Submits work to the queue. Can be called from several threads, because a mutex
+    /// protects the queue.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 

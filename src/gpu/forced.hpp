@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings of a device that only tests change, and the validation messages that tests
-// count.
+// Device settings that only tests change, and the number of validation messages.
 #pragma once
 
 #include <cstddef>
@@ -10,19 +9,23 @@
 
 namespace relidar {
 
-/// Validation messages of severity warning or error that a device has seen so far (0
-/// without validation).
+/// Returns the number of validation warnings and errors of a device so far. Returns 0 if
+/// validation is disabled.
 std::size_t validation_messages(const Device& device);
 
-/// What is done in another way than suits the device.
+/// Settings that replace the choices made for the device.
 struct ForcedWays {
-    bool brute_force = false;  ///< rays test every surfel in the place of a search
-    /// threads beside each other read floats beside each other, as GPUs want it
+    bool brute_force = false;  ///< rays test every surfel instead of using the acceleration structure
+    /// If set, decides whether neighbouring threads read neighbouring floats, as on a
+    /// GPU.
     std::optional<bool> coalesces = std::nullopt;
-    std::optional<int> side_by_side = std::nullopt;  ///< see ScanRenderer::side_by_side()
+    /// if set, the number of scans rendered simultaneously, see
+    /// ScanRenderer::side_by_side()
+    std::optional<int> side_by_side = std::nullopt;
 };
 
-/// While it lives, what is made on a device is made so.
+/// Applies the settings to everything that is created on a device during the lifetime of
+/// this object.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

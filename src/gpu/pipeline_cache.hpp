@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiled pipelines, kept on disk from one process to the next: a card's compiler takes
-// seconds for the heaviest kernels. A file a device and driver. A file that is damaged or
-// of another driver counts as absent, and a folder that cannot be written is no error.
+// Stores compiled pipelines on disk, in one file per device and driver, because a GPU's
+// compiler takes seconds for the largest kernels. Ignores a file that is damaged or of
+// another driver. A folder that cannot be written is not an error.
 #pragma once
 
 #include <filesystem>
@@ -13,17 +13,18 @@ namespace relidar::gpu {
 
 class PipelineCache {
 public:
-    /// @param folder  of the file; empty: nothing is kept
+    /// Reads the cache file.
+    /// @param folder  folder of the file; if it is empty, nothing is stored
     PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
-    /// Writes the file where there is more to keep than was read.
+    /// Writes the file if the cache has grown.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;
 
     VkPipelineCache handle() const { return handle_; }
-    /// Empty where nothing is kept.
+    /// Path of the file. Empty if nothing is stored.
     const std::filesystem::path& path() const { return path_; }
-    /// Bytes of the driver that the file gave, 0 where it was absent.
+    /// Number of bytes that were read from the file, 0 if there was no file.
     std::size_t read_bytes() const { return read_bytes_; }
 
 private:

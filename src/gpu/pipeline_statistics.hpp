@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the driver's compiler says of a pipeline (VK_KHR_pipeline_executable_properties).
+// Reads statistics of a compiled pipeline from the driver
+// (VK_KHR_pipeline_executable_properties).
 #pragma once
 
 #include <relidar/gpu/device.hpp>
@@ -8,8 +9,8 @@
 
 namespace relidar::gpu {
 
-/// Fills `statistics.values`, and subgroup_size, from a pipeline made with
-/// VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
+/// Fills the values and the subgroup size of `statistics`. The pipeline must be created
+/// with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
 void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics);
 
 }  // namespace relidar::gpu

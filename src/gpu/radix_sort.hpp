@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable radix sort of keys on the device, which may know alone how many there are: 8
-// bits a pass, three kernels a pass (gpu/radix_count, radix_scan, radix_scatter).
+// Stable radix sort of keys on the device, with 8 bits per pass and three kernels per
+// pass (gpu/radix_count, radix_scan, radix_scatter). The number of keys can be a value
+// that only the device knows.
 #pragma once
 
 #include "gpu/kernel.hpp"
@@ -8,29 +9,29 @@
 
 namespace relidar {
 
-/// Addresses of one set of keys.
+/// Addresses of an array of keys and of their order.
 struct SortSet {
     Address<std::uint32_t, shared::SortKeys> keys;    ///< [n,key_words] low word first
-    Address<std::uint32_t, shared::SortOrder> order;  ///< [n] the place each key had before
+    Address<std::uint32_t, shared::SortOrder> order;  ///< [n] index of each key before the sort
 };
 
 class RadixSort {
 public:
-    /// @param capacity  keys at most: about 1/4 byte each @param key_words  32-bit words
-    /// of a key
-    /// @throws DeviceError where subgroups have fewer than 4 lanes, more than 64, or a
-    /// number that varies
+    /// Creates the sort and allocates about 1/4 byte per key.
+    /// @param capacity  largest number of keys
+    /// @param key_words  32-bit words of a key
+    /// @throws DeviceError if the subgroup size is below 4, above 64, or varies
     RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
 
-    /// Passes that keys of so many bits take. After an odd number the sorted keys lie in
-    /// the other set.
+    /// Returns the number of passes for keys of `key_bits` bits. After an odd number of
+    /// passes the sorted keys are in the other set.
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
-    /// Records a sort by the low key_bits bits; equal keys keep their order. Both sets
-    /// are overwritten.
-    /// @param from    its order is not read
-    /// @param n_keys  where their number is; nowhere = the capacity; keys beyond the
-    /// capacity are left out
+    /// Records a stable sort by the low key_bits bits. Overwrites both sets.
+    /// @param from  keys to sort; its order is not read
+    /// @param other  second set of the same size
+    /// @param n_keys  address of the number of keys; if empty, `capacity` keys are
+    /// sorted; keys beyond the capacity are ignored
     /// @return the set that holds the sorted keys
     SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
                 Address<std::uint32_t, shared::SortCount> n_keys = {}) const;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// SPIR-V as words: a header, then instructions whose first word holds their length and
-// opcode.
+// Walks through the words of a SPIR-V module: a header, then instructions. The first word
+// of an instruction holds its length and opcode.
 #pragma once
 
 #include <cstddef>

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recording and submission. run() is one call: parameters are copied into memory that
-// host and device see, the kernel gets their address, and a full barrier follows.
-// Submissions overlap with the host: a slot is reused only when the device is done with
-// it.
+// Recording and submission of commands. run() copies the parameters into memory that host
+// and device share, passes their address to the kernel and adds a full barrier.
+// Submissions overlap with the host: a slot is reused when the device has finished it.
 #pragma once
 
 #include <array>
@@ -18,15 +17,16 @@ namespace relidar {
 
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
-    std::string module;  ///< name of the embedded kernel
-    std::string name;    ///< the same without its variant
+    std::string module;  ///< name of the embedded kernel, with its variant
+    std::string name;    ///< name without the variant
     std::vector<Constant> constants;
     Subgroups subgroups = Subgroups::any;
-    std::uint32_t workgroup_size = 0;           ///< threads
-    std::vector<std::uint32_t> addresses = {};  ///< offsets of those in its parameters
+    std::uint32_t workgroup_size = 0;           ///< threads of a workgroup
+    std::vector<std::uint32_t> addresses = {};  ///< byte offsets of the addresses in the parameters
 
-    /// Owned by the device, which may still be making it. @throws DeviceError where the
-    /// driver rejects it
+    /// Returns the pipeline, and waits for it if the device is still compiling it. The
+    /// device owns the pipeline.
+    /// @throws DeviceError if the driver rejects the kernel
     VkPipeline pipeline();
 
 private:
@@ -36,26 +36,29 @@ private:
 };
 
 struct Stream::Impl {
-    static constexpr std::size_t kSlots = 3;             ///< submissions in flight
-    static constexpr std::size_t kBlockBytes = 1 << 16;  ///< of host values, at least
-    static constexpr std::uint32_t kMaxLaunches = 256;   ///< timed launches of one submission
+    static constexpr std::size_t kSlots = 3;             ///< number of submissions in flight
+    static constexpr std::size_t kBlockBytes = 1 << 16;  ///< smallest size of a block of host values
+    /// largest number of timed launches in one submission
+    static constexpr std::uint32_t kMaxLaunches = 256;
 
     struct Slot {
         VkCommandPool pool = VK_NULL_HANDLE;
         VkCommandBuffer commands = VK_NULL_HANDLE;
         VkQueryPool queries = VK_NULL_HANDLE;
-        std::vector<std::string> launches;  ///< names, in order of their timestamp pairs
-        /// of host values: as many as a submission needed so far
+        /// names of the launches, in the order of their timestamp pairs
+        std::vector<std::string> launches;
+        /// Blocks of host values; as many as the largest submission so far needed.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
-        std::size_t block = 0, block_bytes = 0;                 ///< where the next one goes
-        std::vector<std::shared_ptr<const Buffer::Impl>> kept;  ///< until the submission is done
-        std::uint64_t ticket = 0;                               ///< 0 = never submitted
+        std::size_t block = 0, block_bytes = 0;  ///< position of the next host value
+        /// buffers that must live until the submission is done
+        std::vector<std::shared_ptr<const Buffer::Impl>> kept;
+        std::uint64_t ticket = 0;  ///< ticket of the submission, 0 = never submitted
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// What a strand records between two barriers.
+    /// Commands of one strand between two barriers.
     struct Step {
-        std::string name;  ///< of the first command
+        std::string name;  ///< name of the first command
         std::vector<Command> commands;
         bool closed = false;
     };
@@ -67,12 +70,12 @@ struct Stream::Impl {
     std::array<Slot, kSlots> slots;
     std::size_t current = 0;
     bool recording = false;
-    int n_concurrent = 0;              ///< Concurrent scopes that are open
-    bool owes_barrier = false;         ///< something was recorded in them
-    std::vector<Strand> strands = {};  ///< of the Strands that live
-    std::size_t strand = 0;            ///< the chosen one
-    bool timed = false;                ///< the launch being recorded is
-    bool host_reads = false;           ///< the next barrier is for the host too
+    int n_concurrent = 0;              ///< number of open Concurrent scopes
+    bool owes_barrier = false;         ///< true if commands were recorded in the open scopes
+    std::vector<Strand> strands = {};  ///< one per live Strands object
+    std::size_t strand = 0;            ///< index of the current strand
+    bool timed = false;                ///< true if the current launch is timed
+    bool host_reads = false;           ///< true if the next barrier must make results visible to the host
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
@@ -81,10 +84,10 @@ struct Stream::Impl {
     Impl(Device& device, bool timing);
     ~Impl();
 
-    /// Command buffer being recorded, begun where needed.
+    /// Returns the current command buffer. Begins it if necessary.
     VkCommandBuffer commands();
-    /// Records a command and a barrier behind it; its time is added to those of this
-    /// name. In a strand it is kept until record_strands().
+    /// Records a command and a barrier after it, and adds its time to the times of this
+    /// name. In a strand, the command is stored until record_strands().
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
         if (!strands.empty()) return keep(name, std::move(command));
@@ -94,26 +97,26 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records what the strands hold, the n-th step of each side by side, and leaves them
-    /// empty.
+    /// Records the stored commands of all strands and empties them. The n-th steps of all
+    /// strands run simultaneously.
     void record_strands();
-    /// Where host values lie until the submission is done.
+    /// Location of host values until the submission is done.
     struct Stored {
         VkBuffer buffer;
         std::size_t offset;
         std::uint64_t address;
     };
-    /// Keeps a copy of host values that kernels and copies of this submission read.
+    /// Copies host values to memory that kernels and copies of this submission read.
     Stored store(const void* bytes, std::size_t n_bytes);
-    /// The same as an array of them.
+    /// Copies a vector of host values and returns its device address.
     template <class T>
     Address<T> values(const std::vector<T>& values) {
         return Address<T>(store(values.data(), values.size() * sizeof(T)).address);
     }
     /// Records a copy from host memory into a buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
-    /// Records a copy into memory that the host reads when the submission is done, and
-    /// keeps that memory until then.
+    /// Records a copy into memory that the host reads after the submission is done. Keeps
+    /// that memory alive until then.
     void read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
                    const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
