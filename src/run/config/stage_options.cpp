@@ -25,7 +25,8 @@ TraceOptions training_trace_options(const Config& config) {
 
 TraceOptions rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    options.geometry = kind_of(config.image.primitive).has_normals;  // of channels and of ray-drop networks
+    // needed by channels and by ray-drop networks
+    options.geometry = kind_of(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;

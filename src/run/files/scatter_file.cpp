@@ -53,7 +53,7 @@ struct ScatterArrays {
     const std::string& file;
     const std::size_t lidar;
 
-    /// A finite array [n]; any length for n = 0.
+    /// Returns an array [n] of finite values. n = 0 accepts any length.
     std::vector<double> read(const char* what, const char* dtype, std::size_t n = 0) const {
         const std::string name = fmt::format("{}.{}", lidar, what);
         const NamedArray* array = find_array(arrays, name);
