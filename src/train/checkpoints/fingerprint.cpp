@@ -20,7 +20,7 @@ constexpr const char* kSetting = "setting/";
 constexpr const char* kTrainAgain =
     "a checkpoint of another version of relidar cannot be continued: train again";
 
-/// Hash of everything added, in order.
+/// Hash of all added values, in order.
 class Hash {
 public:
     template <class T, class Allocator>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counting ray-drop by beam and azimuth.
+// Counts ray-drop by beam and azimuth.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -11,10 +11,13 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-constexpr int kNeighbours = 2;  // bins to either side that a bin is expected to be like
-// fewer do not tell a blind spot from a hole that a few sweeps have seen
+// neighbouring bins on each side that are used for the expected fraction of a bin
+constexpr int kNeighbours = 2;
+// Minimum number of rays. With fewer rays, a blind spot cannot be distinguished from a
+// hole that a few sweeps have seen.
 constexpr std::uint32_t kCertainRays = 60;
-// returns assumed before anything was seen, and what the expectation counts in a bin
+// Weight of the prior in rays: of returns in the expected fraction, and of the expected
+// fraction in a bin.
 constexpr double kPriorRays = 8.0;
 
 int bins_of(const Sequence& sequence) {

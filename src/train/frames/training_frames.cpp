@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which frames stay is fixed: in random order any choice of as many serves as well, and
-// this one needs no bookkeeping. A copy is part of the stream, between the iteration that
-// uses the place before it and the one that wants the frame, so that one place is enough.
+// Keeps the first frames on the device. Since the order of training is random, any
+// selection of frames is equally good, and this one needs no bookkeeping. All other
+// frames share one set of arrays. One set is enough, because the upload is recorded in
+// the stream between the iterations that use the previous and the next frame.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -18,14 +19,14 @@
 namespace relidar {
 namespace {
 
-// frames whose rays are on the host together on their way to where they stay
+// Frames that are prepared in host memory at the same time before they are uploaded.
 constexpr std::size_t kPreparedAtOnce = 32;
 
 double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame as it is trained on: one of the log, or made from it.
+/// A frame of the log, or the frame that was computed from it for a grid.
 struct TrainedFrame {
     std::optional<Frame> binned;
     const Frame& frame;
