@@ -75,11 +75,11 @@ void compile_searches(Device& device, const Sequence& street) {
 
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress) {
     const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
-    const auto tell = [&](const std::string& what) {
+    const auto report = [&](const std::string& what) {
         if (progress) progress(what);
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
-        tell(preset);
+        report(preset);
         compile(device, street, make_preset(preset));
     }
     std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
@@ -89,20 +89,20 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
 #undef RELIDAR_TERM
     for (const PrimitiveKind& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
     for (const Setting& setting : settings) {
-        tell(std::string(setting.key) + "=" + setting.value);
+        report(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
         set_key(config, setting.key, setting.value);
         compile(device, street, config);
     }
-    tell("ways to search and to sum");
+    report("ways to search and to sum");
     compile_searches(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
-        tell(std::string("refine.network=") + network);
+        report(std::string("refine.network=") + network);
         RefineOptions options;
         options.network = network;
         compile_drop_network(device, options);
     }
-    tell("sums of hits in a fixed order");
+    report("sums of hits in a fixed order");
     const RadixSort by_row(device, 1, 1);  // BackwardPass creates this sort only for its first batch
 }
 

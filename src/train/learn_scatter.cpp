@@ -14,10 +14,10 @@ namespace {
 constexpr int kMostFrames = 16;  // maximum number of frames of a LiDAR
 
 std::vector<int> frames_of(const Run& run, int lidar) {
-    std::vector<int> own;
+    std::vector<int> frames;
     for (const int position : run.split.train)
-        if (run.sequence.frames[std::size_t(position)].lidar == lidar) own.push_back(position);
-    return spread(own, kMostFrames);
+        if (run.sequence.frames[std::size_t(position)].lidar == lidar) frames.push_back(position);
+    return spread(frames, kMostFrames);
 }
 
 std::vector<float> measured_intensities(const Sequence& sequence, const Frame& frame, const Unknown& masks) {

@@ -75,15 +75,15 @@ Config with_findable_poses(Config config, const Sequence& sequence, const Split&
     const auto of_first_sweep = [&](int position) {
         return frame(position).index == frame(split.train[0]).index;
     };
-    const auto tell = [&](const char* note) {
+    const auto report = [&](const char* note) {
         if (session.note) session.note(note);
     };
     if (config.train.refines("sensor") && std::ranges::all_of(split.train, of_first_sweep)) {
         config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
-        tell("train.refine_poses=sensor: one sweep is trained on, its pose stays as it is");
+        report("train.refine_poses=sensor: one sweep is trained on, its pose stays as it is");
     }
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2)
-        tell("train.refine_poses=actors: the scene has no actor, no pose is refined");
+        report("train.refine_poses=actors: the scene has no actor, no pose is refined");
     return config;
 }
 

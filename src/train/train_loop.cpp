@@ -152,8 +152,8 @@ std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> of_own_rays[] = {{config.train.sensor_drop, "train.sensor_drop"},
                                                         {config.blocks.length_m > 0.0, "blocks.length_m"}};
-    for (const auto& [found, setting] : of_own_rays)
-        if (found)
+    for (const auto& [is_set, setting] : of_own_rays)
+        if (is_set)
             throw UsageError(
                 fmt::format("setting train.grid={}: found {} too, which is of the sensor's own rays, "
                             "expected one of them",
@@ -310,10 +310,10 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     // a report from before the last increase
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
-    const std::uint32_t wanted = kept_hits_wanted(report.kept_hits, report.overfull);
-    if (wanted == report.kept_hits) return;
+    const std::uint32_t n_hits = kept_hits_wanted(report.kept_hits, report.overfull);
+    if (n_hits == report.kept_hits) return;
     close_report(last_step_, false);  // a report of the iterations with the current number of kept hits
-    no_room_to_keep_more_ = !renderer_.keep_hits(wanted);
+    no_room_to_keep_more_ = !renderer_.keep_hits(n_hits);
 }
 
 void TrainLoop::settle() {
@@ -363,14 +363,15 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     DropCounts counts(sequence);
     renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
     // rays for each frame
-    const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
+    const std::size_t rays_of_frame =
+        kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
         // surfels_changed for the first frame, because the last step has moved them
         const FrameData& frame = bring(k, k == 0);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
-        const auto passes =
-            static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, batches.n_batches(frame)));
+        const auto passes = static_cast<std::uint32_t>(
+            std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.n_batches(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
             count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }

@@ -93,14 +93,14 @@ void update_best_actors(const Run& part, const Sequence& sequence, const Block& 
 void copy_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
     for (const int position : block.own) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
-        const PoseTrack& found = part.sequence.world_from_vehicle;
-        const auto from = std::lower_bound(found.time_s.begin(), found.time_s.end(), time_s);
+        const PoseTrack& part_track = part.sequence.world_from_vehicle;
+        const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
         // the frame is not used by one of the two tracks
-        if (from == found.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
+        if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
             continue;
         track.pose[std::size_t(to - track.time_s.begin())] =
-            found.pose[std::size_t(from - found.time_s.begin())];
+            part_track.pose[std::size_t(from - part_track.time_s.begin())];
     }
 }
 
@@ -123,9 +123,9 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
     scene.sensor_drop = drop.mean();
     run.sequence.world_from_vehicle = std::move(poses);
     for (BoxTrack& box : run.sequence.boxes) {  // keeps the order of the log, like a scene without blocks
-        const auto found = actors.find(box.id);
-        if (found == actors.end()) continue;
-        Candidate& actor = found->second;
+        const auto entry = actors.find(box.id);
+        if (entry == actors.end()) continue;
+        Candidate& actor = entry->second;
         actor.model.first = static_cast<std::uint32_t>(scene.surfels.size());
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
         scene.models.push_back(actor.model);

@@ -31,11 +31,11 @@ void check_finite(const NamedArray& array) {
 }  // namespace
 
 const NamedArray& Checkpoint::array(const std::string& name) const {
-    const NamedArray* found = find_array(arrays, name);
-    if (!found)
+    const NamedArray* match = find_array(arrays, name);
+    if (!match)
         throw DataError(
             fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
-    return *found;
+    return *match;
 }
 
 const std::string& Checkpoint::text(const std::string& name) const {

@@ -53,23 +53,23 @@ std::string unknown_key(const std::string& key) {
 }
 
 template <class T>
-void assign(T& field, const std::string& key, const Accepts& accepts, const ParsedValue& found) {
-    const bool wrong_kind = found.quotes == (is_text<T> ? ParsedValue::Quotes::no : ParsedValue::Quotes::yes);
-    if (wrong_kind || !from_text(found.text, accepts, field)) {
+void assign(T& field, const std::string& key, const Accepts& accepts, const ParsedValue& value) {
+    const bool wrong_kind = value.quotes == (is_text<T> ? ParsedValue::Quotes::no : ParsedValue::Quotes::yes);
+    if (wrong_kind || !from_text(value.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text),
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(value.text),
                                      describe<T>(accepts), hint));
     }
 }
 
-void apply_setting(Config& config, const std::string& key, const ParsedValue& found) {
-    bool known = false;
+void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {
+    bool is_known = false;
     visit(config, [&](const char* name, auto& field, const Accepts& accepts, const Help&) {
-        if (known || key != name) return;
-        known = true;
-        assign(field, key, accepts, found);
+        if (is_known || key != name) return;
+        is_known = true;
+        assign(field, key, accepts, value);
     });
-    if (!known) throw UsageError(unknown_key(key));
+    if (!is_known) throw UsageError(unknown_key(key));
     if (key == "preset") config = make_preset(config.preset);
 }
 

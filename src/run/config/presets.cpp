@@ -53,69 +53,50 @@ Config released() {
 Config standard() {
     Config config;
     config.preset = "default";
-    // up to the maximum range of the log's sensor; the published protocol uses 80 m
-    config.dataset.max_range_m = 0.0;
+    config.dataset.max_range_m = 0.0;  // the maximum range of the sensor; published: 80 m
     // The beams of an HDL-64E differ in range by centimetres, more than all other errors.
     // Their intensities differ more than those of surfaces.
     config.sensor.calibrate = "range,intensity";
-    // smaller voxels give sharper silhouettes, because surfels overhang an edge by about
-    // their size
-    config.init.voxel_m = 0.1;
-    config.init.voxel_growth = 0.006;  // approximately the spacing of neighbouring rays
-    // with only 6 points, noise of 2 cm tilts a normal by about 0.1 rad
-    config.init.normal_neighbours = 24;
+    config.init.voxel_m = 0.1;           // sharp silhouettes: surfels overhang an edge by about their size
+    config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
+    config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm tilts a normal by 0.1 rad
     // Discs of leaves and corners then face the sensor, which lowers the Chamfer distance
     // and the range error.
     config.init.flatness = 0.04;
-    // the log has labels only in the view of the front camera
-    config.init.unlabelled_movers = UnlabelledMovers::actors;
+    config.init.unlabelled_movers = UnlabelledMovers::actors;  // only the front camera's view is labelled
     config.init.opacity = 0.8;
-    // A surface starts with a drop probability of 12 %, which is typical of sensors.
-    config.init.hit_margin = 2.0;
+    config.init.hit_margin = 2.0;  // surfaces start with a drop probability of 12 %, like real sensors
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.second_returns = true;
-    // Otherwise another sensor sees holes in the road between the rings of a 32-beam log.
-    config.init.max_gap_m = 2.0;
+    config.init.max_gap_m = 2.0;  // otherwise other sensors see holes between the rings of a 32-beam log
     // For 3D Gaussians: with this thickness they reach the range error of surfels.
     // Thicker Gaussians and spheres are less accurate.
     config.init.thickness = 0.05;
-    // coefficients are evaluated once for each surfel and frame, not for each hit
+    // evaluates coefficients once for each surfel and frame, not for each hit
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    // the Huber loss of the intensity estimates means; L1 would estimate medians
-    config.loss.intensity = 0.3f;
-    // With this delta, the RMSE of held-out intensities is lower.
-    config.loss.intensity_delta = 0.2f;
-    // with the unnormalised range D, a weight of 0.97 would move every surface by 3 %
-    config.loss.normalised_depth = true;
-    // The Chamfer loss changes no metric by more than 1 % and makes a step about 10 %
-    // slower.
-    config.loss.chamfer = 0.0f;
-    config.loss.opacity = 0.1f;      // closes holes, because the normalised range does not do that
-    config.loss.likelihood = 0.05f;  // lowers the Chamfer distance and the median range error
+    config.loss.intensity = 0.3f;         // the Huber loss estimates means; L1 would estimate medians
+    config.loss.intensity_delta = 0.2f;   // lowers the RMSE of held-out intensities
+    config.loss.normalised_depth = true;  // with range D, a weight of 0.97 moves every surface by 3 %
+    config.loss.chamfer = 0.0f;           // it changes metrics by less than 1 % and makes a step 10 % slower
+    config.loss.opacity = 0.1f;           // closes holes, because the normalised range does not do that
+    config.loss.likelihood = 0.05f;       // lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;
-    // degree 1 models the dependence of intensity on the angle of incidence from the
-    // start
-    config.train.sh_degree_start = 1;
+    config.train.sh_degree_start = 1;  // models the effect of incidence on intensity from the start
     config.train.sh_degree_interval = 500;
     config.train.mean_rate = 1e-5;  // the initial points are already accurate to 2 cm
     config.train.mean_rate_final = 1e-6;
     config.train.rotation_rate = 3e-4;
     config.train.scale_rate = 1e-2;
-    // Without this limit, many surfels grow far beyond their surface, some to 8 m.
-    config.train.max_growth = 8.0;
+    config.train.max_growth = 8.0;  // otherwise many surfels grow far too large, some to 8 m
     config.train.sh_rate = 3e-2;
-    // With the full rate, intensities would overfit to the few views of each surfel.
-    config.train.intensity_factor = 0.25;
+    config.train.intensity_factor = 0.25;  // with 1, intensities overfit to the few views of a surfel
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
-    // Poses of logs drift by decimetres; without refinement, the scene would have double
-    // walls.
-    config.train.refine_poses = "sensor";
-    config.refine.enabled = true;  // the network improves the accuracy of ray-drop
-    // limits memory, because the images of all these frames are held at the same time
-    config.refine.frames = 200;
+    config.train.refine_poses = "sensor";  // poses drift by decimetres, which causes double walls
+    config.refine.enabled = true;          // the network improves the accuracy of ray-drop
+    config.refine.frames = 200;            // limits memory, because all their images are in memory together
     config.render.range = "normalised";
     config.render.follow_sweeps = true;  // heads rotate unevenly; following them lowers the range error
     config.trace.chunk = 64;  // since rays stop at low transmittance, one pass is nearly always enough

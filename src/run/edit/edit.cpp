@@ -38,10 +38,10 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
         if (!name.empty()) known.push_back(name);
     }
     if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
-    const std::string found = fmt::format("editing track \"{}\": found no such track", track);
-    if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
+    const std::string message = fmt::format("editing track \"{}\": found no such track", track);
+    if (known.empty()) throw UsageError(message + ", and the scene has no actor at all");
     throw UsageError(
-        fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
+        fmt::format("{}{} (actors: {})", message, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {

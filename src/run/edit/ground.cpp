@@ -236,16 +236,16 @@ std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box
     const std::size_t step = std::max<std::size_t>(1, poses.size() / kOwnPlaces);
     for (std::size_t i = 0; i < poses.size(); i += step) places.emplace_back(poses[i].translation);
     const LevelSurfels surfels(owner, places);
-    std::vector<double> found;
+    std::vector<double> heights_m;
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
         const std::optional<GroundPlane> plane =
             surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
-        if (plane) found.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
+        if (plane) heights_m.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
-    if (found.empty()) return {};
-    std::ranges::nth_element(found, found.begin() + std::ptrdiff_t(found.size() / 2));
-    return found[found.size() / 2];
+    if (heights_m.empty()) return {};
+    std::ranges::nth_element(heights_m, heights_m.begin() + std::ptrdiff_t(heights_m.size() / 2));
+    return heights_m[heights_m.size() / 2];
 }
 
 /// Returns the rotation of an actor that stands on a plane and faces a heading.

@@ -80,9 +80,10 @@ void add_actions_of_story(const Source& source, const pugi::xml_node& story, Act
                 for (const pugi::xml_node& event : maneuver.children("Event")) {
                     const std::string where =
                         fmt::format("Event {}", excerpt(event.attribute("name").value()));
-                    const auto own = trigger_time(source, event.child("StartTrigger"), where);
+                    const auto event_start_s = trigger_time(source, event.child("StartTrigger"), where);
                     const std::optional<double> start_s =
-                        begun && own ? std::optional(std::max(*begun, *own)) : std::nullopt;
+                        begun && event_start_s ? std::optional(std::max(*begun, *event_start_s))
+                                               : std::nullopt;
                     for (const pugi::xml_node& action : event.children("Action"))
                         for (const pugi::xml_node& entity : group.child("Actors").children("EntityRef"))
                             if (const pugi::xml_node node = action.child("PrivateAction"))
@@ -224,8 +225,9 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
     ActionsOf actions = find_actions(source, root.child("Storyboard"));
     std::vector<ScenarioEntity> entities;
     for (const pugi::xml_node& object : root.child("Entities").children("ScenarioObject")) {
-        const auto own = actions.extract(object.attribute("name").value());
-        entities.push_back(read_entity(source, object, own ? own.mapped() : std::vector<Action>()));
+        const auto entity_actions = actions.extract(object.attribute("name").value());
+        entities.push_back(
+            read_entity(source, object, entity_actions ? entity_actions.mapped() : std::vector<Action>()));
     }
     if (!actions.empty())
         source.fail("Storyboard", fmt::format("actions of \"{}\"", excerpt(actions.begin()->first)),

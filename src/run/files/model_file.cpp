@@ -41,9 +41,9 @@ void check_finite(const ParameterGroup& group, const Surfels& surfels, const std
 
 const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name,
                            const std::string& file) {
-    const NamedArray* found = find_array(arrays, name);
-    if (!found) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
-    return *found;
+    const NamedArray* array = find_array(arrays, name);
+    if (!array) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
+    return *array;
 }
 
 void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels,

@@ -69,8 +69,9 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
         const std::string name = region.name + "/";
         row[name + "pixels"] = double(n);
         if (n == 0) continue;
-        const Mask seen = both(mask, kept);
-        row[name + "returned"] = double(std::count(seen.begin(), seen.end(), true)) / double(n);
+        const Mask returned_both = both(mask, kept);
+        row[name + "returned"] =
+            double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
         add_errors(row, name + "depth_", "_m", selected(rendered.range_m, mask, options.max_range_m),
                    selected(real.range_m, mask, options.max_range_m));
         add_errors(row, name + "intensity_", "", selected(rendered.intensity, mask, kMaxIntensity),

@@ -37,16 +37,17 @@ SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame
 /// fraction of the spacing. Surfels are fitted to the sensor's rays, so these look better
 /// than rays of held-out frames. Rotated rays avoid this difference.
 RayTable turned_rays(RayTable rays, float share) {
-    const RayTable own = rays;
+    const RayTable original = rays;
     // minimum cosine, because the column after the last one of a window is at its other
     // end
     constexpr float kNear = 0.9f;
-    for (std::size_t i = 0; i < own.size(); ++i) {
-        const std::size_t row = i / std::size_t(own.columns), next = (i + 1) % std::size_t(own.columns);
+    for (std::size_t i = 0; i < original.size(); ++i) {
+        const std::size_t row = i / std::size_t(original.columns),
+                          next = (i + 1) % std::size_t(original.columns);
         const glm::vec3& towards =
-            own.direction[row * std::size_t(own.columns) + next % std::size_t(own.columns)];
-        if (glm::dot(own.direction[i], towards) > kNear)
-            rays.direction[i] = glm::normalize(glm::mix(own.direction[i], towards, share));
+            original.direction[row * std::size_t(original.columns) + next % std::size_t(original.columns)];
+        if (glm::dot(original.direction[i], towards) > kNear)
+            rays.direction[i] = glm::normalize(glm::mix(original.direction[i], towards, share));
     }
     return rays;
 }

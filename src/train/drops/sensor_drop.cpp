@@ -56,8 +56,9 @@ DropTable DropCounts::persistent() const {
             if (rays < kCertainRays) continue;
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = slot(channel, bin);
-                const float own = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
-                table.probability[i] = std::max(table.probability[i], std::min(own, share(drops, rays)));
+                const float bin_share = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
+                table.probability[i] =
+                    std::max(table.probability[i], std::min(bin_share, share(drops, rays)));
             }
         }
     return table;

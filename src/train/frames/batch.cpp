@@ -31,8 +31,8 @@ struct Columns {
 };
 
 std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
-    const std::uint32_t wanted = static_cast<std::uint32_t>(config.rays_per_iteration);
-    return wanted == 0 ? 1u : std::max(1u, frame.n_rays / wanted);
+    const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
+    return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
 /// Returns the image shape of a full frame. A frame without image order is one row of

@@ -85,10 +85,13 @@ std::uint32_t most_rays(std::span<const FrameData> frames) {
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
     // true if the batch contains every stride-th column of each row
-    const bool whole = image.columns % stride == 0 && first < stride;
-    return {
-        &rays(),   first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0,
-        &targets()};
+    const bool is_column_subset = image.columns % stride == 0 && first < stride;
+    return {&rays(),
+            first,
+            stride,
+            (n_rays - first + stride - 1) / stride,
+            is_column_subset ? image.columns / stride : 0,
+            &targets()};
 }
 
 }  // namespace relidar

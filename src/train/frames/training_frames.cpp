@@ -105,16 +105,16 @@ TrainingFrames::~TrainingFrames() = default;
 
 void TrainingFrames::keep_on_device(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
-        std::vector<HostFrame> some(std::min(kPreparedAtOnce, n_staying_ - first));
-        run_parallel(static_cast<int>(some.size()),
-                     [&](int k) { some[std::size_t(k)] = prepare(first + std::size_t(k)); });
-        for (std::size_t k = 0; k < some.size(); ++k) {
+        std::vector<HostFrame> batch(std::min(kPreparedAtOnce, n_staying_ - first));
+        run_parallel(static_cast<int>(batch.size()),
+                     [&](int k) { batch[std::size_t(k)] = prepare(first + std::size_t(k)); });
+        for (std::size_t k = 0; k < batch.size(); ++k) {
             FrameData& frame = frames_[first + k];
             frame.arrays = std::make_shared<FrameArrays>(
-                FrameArrays{{device, std::span<const DeviceRay>(some[k].rays), "training rays"},
-                            {device, std::span<const DeviceTarget>(some[k].targets), "training targets"},
-                            {device, std::span<const shared::RayPlace>(some[k].places), "places of rays"}});
-            count(frame, some[k].targets);
+                FrameArrays{{device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
+                            {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
+                            {device, std::span<const shared::RayPlace>(batch[k].places), "places of rays"}});
+            count(frame, batch[k].targets);
         }
     }
 }

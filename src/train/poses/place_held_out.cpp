@@ -38,7 +38,7 @@ public:
         const RenderedScan scan = renderer_.render(
             sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
-        std::vector<SeenSurface> seen(rays.size());
+        std::vector<SeenSurface> surfaces(rays.size());
         FiringPoses firing(scan);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const std::int32_t instance = scan.instance[i];
@@ -48,9 +48,9 @@ public:
             const Pose& pose = firing.at(i);
             const glm::vec3 point_m =
                 sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
-            seen[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
+            surfaces[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
         }
-        return seen;
+        return surfaces;
     }
 
 private:
