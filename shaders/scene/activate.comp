@@ -3,7 +3,7 @@
 // normalised rotation, exp of the scales, sigmoid of the opacity. For actors with a gait,
 // the mean and the opacity depend on the phase of the model. If SH are evaluated per
 // surfel, it also computes the channel values in the direction view origin -> mean. One
-// thread for each surfel of any model. Input: surfels, models, view_origins, phases.
+// thread per surfel of any model. Input: surfels, models, view_origins, phases.
 // Output: records. A surfel with a value that is not finite, or that is too faint to be
 // visible, gets opacity 0 and is never hit.
 #version 460
@@ -64,7 +64,7 @@ void main() {
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    // only for 3D Gaussians
+    // 3D Gaussians have a third scale along the normal
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;

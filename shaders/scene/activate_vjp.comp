@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes parameter gradients from record gradients: the chain rule of activate.comp,
 // applied once for each frame instead of once for each hit (docs/method.md section 4,
-// reduction a). One thread for each surfel of any model. With a list (list_touched.comp),
+// reduction a). One thread per surfel of any model. With a list (list_touched.comp),
 // only for surfels that may have a gradient. This is for CPUs, where lanes without a
 // gradient take as long as the others. Input: surfels, d_records, models, more_rows,
 // view_origins, phases, rows, n_listed. Output: d_surfels (sh only if SH are evaluated
@@ -17,7 +17,7 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Computes the gradient of the SH coefficients of one surfel, or zeros if it has none.
+/// Computes the gradient of the SH coefficients of a surfel, or zeros if it has none.
 /// Every thread of the workgroup must call it.
 /// @return dL/d(direction)
 vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
@@ -32,7 +32,8 @@ vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel
         if (c == 0u) {
             float intensity = 0.5;
             for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
-            if (intensity < 0.0) d = 0.0;  // the record clamps the intensity at 0
+            // the record clamps the intensity at 0, so the gradient is 0 there
+            if (intensity < 0.0) d = 0.0;
         }
         for (uint k = 0u; k < n; ++k) {
             d_basis[k] += d * coefficient(sh, surfel, c, k);
@@ -106,7 +107,7 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
-/// Applies the chain rule to one surfel. If harmonics are staged, every thread of the
+/// Applies the chain rule to a surfel. If harmonics are staged, every thread of the
 /// workgroup must call it.
 void chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);

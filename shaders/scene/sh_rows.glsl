@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the spherical-harmonic coefficients of one surfel for each thread,
+// Reads and writes the spherical-harmonic coefficients of a surfel for each thread,
 // channel by channel. On a CPU, a thread reads its row directly. On a GPU, neighbouring
 // threads would then access addresses 192 bytes apart. So with STAGED, the threads of a
 // workgroup copy a channel of all their surfels to shared memory together, with

@@ -24,7 +24,7 @@ uint frame_ray(uint k) {
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }
 
-/// Sums the gradients of the rays of one thread among n_threads.
+/// Sums the gradients of the rays of a thread among n_threads.
 void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {

@@ -2,7 +2,7 @@
 // Moves the rays of a frame with the corrections of the sensor's poses, around the
 // position c of the sensor at the firing time:
 //   origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
-// One thread for each ray. Input: rays, places, knots. Output: moved.
+// One thread per ray. Input: rays, places, knots. Output: moved.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

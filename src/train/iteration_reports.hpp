@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reports of iterations: losses, and counts of overflows. The device collects one row of
+// Reports of iterations: losses, and counts of overflows. The device collects a row of
 // losses for each iteration. A report of up to 64 iterations is read back without waiting
 // and evaluated a few iterations later (readback_lag.hpp).
 #pragma once

@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Mean times of training steps, as at the end of a run's training.
 struct StepTimes {
-    /// Mean of one kernel in one step.
+    /// Mean of a kernel in a step.
     struct Kernel {
         double launches = 0.0, ms = 0.0;
     };

@@ -67,8 +67,8 @@ void report_sent_frames(const TrainingFrames& frames, const Config& config, cons
 }
 
 /// Returns the settings, with refinement disabled for poses that cannot be determined. If
-/// all training frames belong to one sweep, nothing constrains its pose. The pose and the
-/// scene would then drift away from the poses of all other sweeps.
+/// all training frames belong to the same sweep, nothing constrains its pose. The pose
+/// and the scene would then drift away from the poses of all other sweeps.
 Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
                            const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the actors of a scene in blocks again, in front of the joined background. This
 // needs only the rays near their boxes and the surfels along these rays. So many blocks
-// fit into one training, and an actor that drives along learns from all of them in random
-// order.
+// fit into a single training, and an actor that drives along learns from all of them in
+// random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -24,7 +24,7 @@ constexpr double kAlong_m = 2.0;   // maximum distance that a sensor moves withi
 // radius of a surfel in standard deviations; farther out, its alpha is too small to be
 // blended
 constexpr double kReach_sigmas = 3.5;
-// Maximum number of surfels in the blocks of one training, which uses those near actors.
+// Maximum number of surfels in the blocks of a training, which uses those near actors.
 constexpr std::size_t kTogether = 1'500'000;
 // maximum drop probability of the sensor itself; rays above it carry no information about
 // actors
@@ -68,7 +68,7 @@ struct SightedFrame {
     }
 };
 
-/// Frames of one training, and the blocks that their rays can reach.
+/// Frames of a training, and the blocks that their rays can reach.
 struct Stretch {
     std::vector<SightedFrame> frames;
     std::set<std::size_t> blocks;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One training iteration: samples a frame, renders its rays, computes losses and
+// A training iteration: samples a frame, renders its rays, computes losses and
 // gradients, updates the parameters (docs/method.md sections 4-6). Each iteration is one
 // submission without a wait. The host evaluates its results a few iterations later
 // (readback_lag.hpp).
@@ -220,11 +220,11 @@ const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
-    renderer_.record_forward(rays);  // equations 2-4
-    // equations 10-11
+    renderer_.record_forward(rays);  // renders the batch (equations 2-4)
+    // Computes the losses (equations 10-11).
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->compare(stream_, renderer_.batch(), targets, terms);
-    renderer_.record_backward();  // equation 9
+    renderer_.record_backward();  // computes the gradients (equation 9)
 }
 
 void TrainLoop::iterate(int step, bool ends_line) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The training loop: one iteration and all of its data on the device.
+// The training loop: an iteration and all of its data on the device.
 #pragma once
 
 #include <functional>
@@ -61,7 +61,7 @@ public:
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
-    /// Records and submits one iteration. Normally waits only for a free slot of the
+    /// Records and submits an iteration. Normally waits only for a free slot of the
     /// stream. It waits longer for densification, for a batch with more rays or hits than
     /// any before, and if too many rays have more hits than are kept.
     /// @param step  counts from 1

@@ -14,9 +14,9 @@
 
 namespace relidar {
 
-/// How the values of several rays are combined into one value. Used in two cases: for the
-/// sub-rays of one beam, and for the rays whose points fall into the same cell of a range
-/// grid.
+/// How the values of several rays are combined into a single value. Used in two cases:
+/// for the sub-rays of a beam, and for the rays whose points fall into the same cell of a
+/// range grid.
 enum class ChannelJoin {
     /// Beam: value of the sub-ray nearest to the beam axis, among the sub-rays of the
     /// strongest return. Cell: value of the ray that was selected for the cell.
@@ -34,7 +34,7 @@ enum class ChannelJoin {
 struct ChannelInfo {
     std::string name;          ///< name in files: lower case letters, digits and _
     std::string unit = {};     ///< unit; empty for a plain number
-    std::string meaning = {};  ///< description for users: one sentence without a full stop
+    std::string meaning = {};  ///< description for users: a sentence without a full stop
     /// rule for float values; integers and vectors always use `nearest`
     ChannelJoin join = ChannelJoin::nearest;
     /// the values are directions: they are rotated when the points change to another
@@ -49,7 +49,7 @@ struct ChannelInfo {
     bool needs_normals = false;
 };
 
-/// Values of a channel. [n] one entry for each ray or point.
+/// Values of a channel. [n] an entry for each ray or point.
 using ChannelValues = std::variant<std::vector<float>, std::vector<std::int32_t>, std::vector<glm::vec3>>;
 
 /// A channel of a scan or a point cloud. Either relidar has rendered it, or the caller
@@ -97,8 +97,8 @@ std::size_t size(const ChannelValues& values);
 /// Returns the same channels with the same types, but without values.
 std::vector<ScanChannel> emptied(const std::vector<ScanChannel>& channels);
 
-/// A scalar column of a channel, float32 or int32. A scalar channel has one column, for
-/// example "seen". A vector channel has three: "normal_x", "normal_y", "normal_z".
+/// A scalar column of a channel, float32 or int32. A scalar channel has a single column,
+/// for example "seen". A vector channel has three: "normal_x", "normal_y", "normal_z".
 struct ChannelNumber {
     std::string name;
     bool is_integer;
@@ -108,7 +108,7 @@ struct ChannelNumber {
 /// @param joint  text between a vector's name and its axis
 std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels,
                                       const std::string& joint = "_");
-/// Appends the values of all channels for one ray or point to `bytes`. Writes 4 bytes for
+/// Appends the values of all channels for a ray or point to `bytes`. Writes 4 bytes for
 /// each number, in the byte order of the machine.
 /// @param at  index of the ray or point
 void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at);
@@ -119,9 +119,9 @@ T nothing_of(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
-/// Appends the value of one return of a ray to a channel of points. A second return gets
-/// the value of its own if the channel has one. Otherwise it gets the value of the ray if
-/// `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
+/// Appends the value of a return of a ray to a channel of points. A second return gets
+/// its value in `ScanChannel::second` if that is not empty. Otherwise it gets the value of
+/// the ray if `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
 /// @param number  number of the return, starting at 1
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
 

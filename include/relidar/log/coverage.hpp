@@ -21,7 +21,7 @@ public:
     static constexpr double kCell_m = 1.0;
     static constexpr int kBlockCells = 8;  ///< cells along an edge of a block
     static constexpr std::size_t kWords = 32;
-    /// Bits of one block. Cell (x, y, z) of a block is bit x + 8 y + 64 z, with 16 bits
+    /// Bits of a block. Cell (x, y, z) of a block is bit x + 8 y + 64 z, with 16 bits
     /// in each word.
     using Cells = std::array<std::uint16_t, kWords>;
     struct Block {
@@ -37,7 +37,7 @@ public:
     void add(const glm::dvec3& from_m, const glm::dvec3& to_m);
     void add(const Block& block);
     void add(const Coverage& other);
-    /// Returns the fraction of a line segment that lies in cells of the set, 0..1.
+    /// Returns the fraction of a line segment that is in cells of the set, 0..1.
     /// @param from_m [3] start of the segment; metres, world frame
     /// @param to_m [3] end of the segment; metres, world frame
     /// @return 0 if a coordinate is not finite

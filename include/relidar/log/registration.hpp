@@ -32,7 +32,7 @@ struct RegisterOptions {
 };
 
 /// Statistics of one round of the adjustment. A round fits planes to the cells of a grid,
-/// then moves all poses by one step towards these planes.
+/// then moves all poses by a step towards these planes.
 struct RegisterRound {
     double cell_m = 0.0;
     double scale_m = 0.0;    ///< distance to its plane at which a point has a quarter of the full weight
@@ -48,7 +48,7 @@ struct Registration {
     /// Indices into world_from_vehicle of poses whose scans could not be registered.
     /// These poses are moved like their neighbours.
     std::vector<std::size_t> lost;
-    /// Fraction of a training scan's points that lie on common planes. Median over all
+    /// Fraction of a training scan's points that are on common planes. Median over all
     /// training scans.
     double on_planes = 0.0;
     /// number of places at which a later pass through a road was aligned with an earlier
@@ -83,8 +83,8 @@ struct Registration {
 /// remainder; the others return without a result.
 ///
 /// LiDARs that sweep at the same times as the one with the most returns are used
-/// together: what they measure at one time is one scan of the vehicle. All other LiDARs
-/// keep their mounting on the vehicle.
+/// together: their measurements at the same time form a single scan of the vehicle. All
+/// other LiDARs keep their mounting on the vehicle.
 /// @throws DataError if no two training scans observe a common surface
 Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);
 
@@ -106,7 +106,7 @@ using SceneView = std::function<std::vector<SeenSurface>(int position, const std
 struct ScanPlacement {
     Pose world_from_vehicle;  ///< aligned pose; the original pose if the alignment failed
     double moved_m = 0.0;
-    double on_surfaces = 0.0;  ///< fraction of the subsampled points of the scan that lie on surfaces
+    double on_surfaces = 0.0;  ///< fraction of the subsampled points of the scan that are on surfaces
     bool found = false;
 };
 

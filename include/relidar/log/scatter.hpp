@@ -25,7 +25,7 @@ struct RenderedIntensities {
     std::vector<float> elevation_rad;  ///< elevation of the ray, which identifies the beam
 };
 
-/// Stands in for the intensity of a ray without a return.
+/// Marks a ray without a return in an array of intensities.
 inline constexpr float kNoIntensity = std::numeric_limits<float>::lowest();
 
 /// A rendered scan and the measured intensities of the same rays.
@@ -34,7 +34,7 @@ struct MeasuredIntensities {
     std::vector<float> measured;  ///< [rows*columns] kNoIntensity for rays without a return
 };
 
-/// Decision tree with the measured intensities of one LiDAR.
+/// Decision tree with the measured intensities of a LiDAR.
 struct IntensityScatter {
     /// Node of the decision tree. Every node has values; an inner node has the values of
     /// its two children.
@@ -67,7 +67,7 @@ std::size_t count_scatter_features();
 /// @param values  >= 0, in any order
 double find_step(std::vector<float> values);
 
-/// Fits the decision tree to scans of one LiDAR. Nodes are split to reduce the entropy of
+/// Fits the decision tree to scans of a LiDAR. Nodes are split to reduce the entropy of
 /// the measured values. The result does not depend on the number of threads.
 /// @return an empty tree if there are fewer than a thousand returns
 /// @throws DataError if an array has another size than its image

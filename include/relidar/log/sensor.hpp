@@ -39,7 +39,7 @@ struct ScanMemoryUse {
     std::uint64_t in_memory = 0;
     std::uint64_t in_file = 0;
 };
-/// Returns the memory that the arrays use now.
+/// Returns the memory that the arrays of all scans use now.
 ScanMemoryUse scan_memory_use();
 
 /// Allocates an array, in memory or in the mapped file.
@@ -61,7 +61,7 @@ struct ScanAllocator {
     bool operator==(const ScanAllocator&) const { return true; }
 };
 
-/// Array with one value for each ray of a scan.
+/// Array with a value for each ray of a scan.
 template <class T>
 using ScanArray = std::vector<T, ScanAllocator<T>>;
 
@@ -111,7 +111,7 @@ std::vector<glm::dvec2> footprint_pattern(int n);
 /// Returns some rays of a table as a new table without image order (rows = 1).
 RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
-/// One beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise),
+/// A beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise),
 /// the ray has elevation `elevation_rad` and azimuth theta + azimuth_offset_rad. It
 /// starts at
 ///   R_z(theta) * (origin_offset_m, 0, 0)
@@ -160,7 +160,7 @@ struct SpinningSensor {
     std::string name;
     std::vector<Beam> beams;  ///< beams, highest first
     int columns = 0;          ///< azimuth steps in a sweep
-    double period_s = 0.1;    ///< duration of one sweep; 0: the sensor does not spin
+    double period_s = 0.1;    ///< duration of a sweep; 0: the sensor does not spin
     bool clockwise = true;    ///< direction of rotation, seen from above
     /// Azimuth of the centre of column 0. Use pi - pi/columns if the bins are centred on
     /// half steps.
@@ -192,12 +192,12 @@ double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 /// where shift = azimuth_offset in columns, rounded.
 int column_shift(const Beam& beam, int columns);
 
-/// Returns the rays of one sweep. Time 0 is the moment at which the head faces forward
+/// Returns the rays of a sweep. Time 0 is the moment at which the head faces forward
 /// (azimuth 0). A clockwise head reaches azimuth a at -a / (2 pi) * period.
 /// @throws UsageError if the sensor has no beams, no columns, more than kMaxRays rays, a
 /// value that is not finite, or an empty range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
-/// Maximum number of rays in one sweep: 128 beams with steps of 0.003 degrees. The rays
+/// Maximum number of rays in a sweep: 128 beams with steps of 0.003 degrees. The rays
 /// and their scan then use 500 MB.
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
@@ -271,11 +271,11 @@ GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& po
 /// which is the paraxial form of two thin prisms with equal wedge angles.
 struct Rosette {
     std::string name;
-    double deflection_rad = 0.0;  ///< deflection by one prism: half of the cone's half angle
+    double deflection_rad = 0.0;  ///< deflection by each prism: half of the cone's half angle
     /// Rotation rates of the prisms. Positive means counter-clockwise, seen from behind
     /// the sensor.
     double first_hz = 0.0, second_hz = 0.0;
-    int n_rays = 0;  ///< rays of one scan, evenly spaced in time
+    int n_rays = 0;  ///< rays of a scan, evenly spaced in time
     double period_s = 0.1;
     double divergence_rad = 0.0;
 };
@@ -294,11 +294,11 @@ struct ScanningWindow {
     /// azimuths of the first and last column, positive to the left
     double left_rad = 0.0, right_rad = 0.0;
     double top_rad = 0.0, bottom_rad = 0.0;  ///< elevations of the first and last row
-    double period_s = 0.1;                   ///< duration of one scan, from left to right at constant speed
+    double period_s = 0.1;                   ///< duration of a scan, from left to right at constant speed
     double divergence_rad = 0.0;
 };
 
-/// Returns the rays of one scan. Row 0 is the highest; time 0 is the middle of the scan.
+/// Returns the rays of a scan. Row 0 is the highest; time 0 is the middle of the scan.
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
@@ -307,13 +307,13 @@ using FixedPattern = std::variant<ScanningWindow, Rosette, RayTable>;
 /// Returns the rays of the scan at a time. Only the rays of a Rosette depend on the time.
 /// @throws UsageError like make_rays() of the pattern's type
 RayTable make_rays(const FixedPattern& pattern, double time_s);
-/// Returns the duration of one scan, or 0 for a RayTable, whose duration is unknown.
+/// Returns the duration of a scan, or 0 for a RayTable, whose duration is unknown.
 double period_of(const FixedPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
     std::string name;
-    /// one line: what the sensor is and the source of its specification; empty for a
+    /// single line: what the sensor is and the source of its specification; empty for a
     /// sensor file
     std::string about = {};
     RangeLimits limits = {};
@@ -338,7 +338,7 @@ std::vector<std::string> sensor_names();
 /// @throws UsageError if `columns` or `rate_hz` is set for a sensor that does not spin
 std::optional<SensorModel> known_sensor(const std::string& name, int columns = 0, double rate_hz = 0.0);
 
-/// Parses a table of beams in CSV format: a header line, then one line for each beam,
+/// Parses a table of beams in CSV format: a header line, then a line for each beam,
 /// from the highest to the lowest. Lines that begin with # are ignored. The columns can
 /// have any order; a missing column is 0:
 /// - elevation_deg (required), azimuth_offset_deg, origin_offset_m, origin_up_m,

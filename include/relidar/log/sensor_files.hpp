@@ -18,7 +18,7 @@ inline constexpr double kDefaultMaxRange_m = 80.0;
 /// Returns a sensor by name, or reads it from a file. For a spinning sensor,
 /// ":columns[xHz]" may follow, as in "beams.csv:1024x10".
 ///   NAME       a name of sensor_names(), in upper or lower case
-///   FILE.csv   a beam table, see parse_beam_table(); or a ray table: one line for each
+///   FILE.csv   a beam table, see parse_beam_table(); or a ray table: a line for each
 ///              ray in the order of firing. Columns azimuth_deg (left is positive) and
 ///              elevation_deg; if they are not 0, also origin_x_m, origin_y_m, origin_z_m,
 ///              time_s, channel and divergence_mrad (full angle of the beam). min_range_m

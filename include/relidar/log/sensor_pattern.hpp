@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// Firing data of one beam.
+/// Firing data of a beam.
 struct BeamFiring {
     int channel = 0;         ///< channel number of the manufacturer
     double offset_us = 0.0;  ///< time since the first beam of the firing cycle

@@ -45,7 +45,7 @@ struct SecondReturn {
     std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
 };
 
-/// One measured or simulated sweep: its rays and the returns of each ray.
+/// A measured or simulated sweep: its rays and the returns of each ray.
 struct Scan {
     RayTable rays;  ///< for a ray with a return: its measured direction and origin
     /// [n] range of the strongest return along the ray from its origin; 0 = dropped
@@ -79,7 +79,7 @@ struct SweepStart {
 /// - the times and azimuths of the rays are inconsistent.
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor);
 
-/// One sweep of one LiDAR of the log.
+/// A sweep of one LiDAR of the log.
 struct Frame {
     int index = 0;        ///< frame number of the dataset; LiDARs that sweep together share it
     double time_s = 0.0;  ///< reference time: the head faces forward, except in a sweep with a `start`
@@ -115,7 +115,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 struct RangeNoise {
     /// upper limits of the bins, ascending; empty if the noise is unknown
     std::vector<double> range_m, cosine;
-    /// [ranges*cosines] standard deviations along the ray, one row for each range
+    /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
 
     /// Returns the standard deviation of the bin that contains a range and a cosine of
@@ -123,21 +123,21 @@ struct RangeNoise {
     double at(double at_m, double at_cosine) const;
 };
 
-/// One LiDAR of a log.
+/// A LiDAR of a log.
 struct Lidar {
     std::string name;  ///< name in the dataset, unique in the log; empty if the log has only one LiDAR
     /// Nominal sensor, used for rays of frames without a scan. No beams and period 0 mean
     /// that it does not spin.
     SpinningSensor sensor;
-    /// Mounting. Identity if the log has one LiDAR, because the vehicle frame is then the
-    /// sensor frame.
+    /// Mounting. Identity if the log has a single LiDAR, because the vehicle frame is
+    /// then the sensor frame.
     Pose vehicle_from_sensor;
     /// Nominal pattern of a LiDAR that does not spin. Empty if it spins or if only its
     /// scans are known.
     std::optional<FixedPattern> pattern = {};
     RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
 
-    /// Returns the duration of one sweep, or 0 if it is unknown.
+    /// Returns the duration of a sweep, or 0 if it is unknown.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
 };
 
@@ -169,7 +169,7 @@ inline constexpr const char* kDiscoveredCategory = "Discovered";
 /// fit loosely.
 inline constexpr double kMoverMargin_m = 0.2;
 
-/// One tracked box. Box frame: x along the length, y along the width, z up, origin at the
+/// A tracked box. Box frame: x along the length, y along the width, z up, origin at the
 /// centre.
 struct BoxTrack {
     std::string id;          ///< unique in the sequence
@@ -201,7 +201,7 @@ struct BoxTrack {
     /// Returns the box with its labelled poses only, without the `n_before` and `n_after`
     /// added poses.
     BoxTrack labelled_part() const;
-    /// Returns true if a point in the world frame lies in the box at a time. The box is
+    /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m.
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
@@ -225,13 +225,14 @@ struct Sequence {
     std::string source;                                 ///< path of the log
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
     std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
-    PoseTrack world_from_vehicle;                       ///< one entry for each time that has frames
+    PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
     /// add it to relidar's world coordinates to get the dataset's world coordinates
     glm::dvec3 world_offset_m{0.0};
-    IntensityResponse intensity_response;  ///< common to all LiDARs; factor 1 unless estimated
-    std::string conventions;               ///< one line for users: frames, units, time reference
-    std::vector<std::string> notes;        ///< what the log lacks, one line each
+    /// response of the intensity, common to all LiDARs; factor 1 unless estimated
+    IntensityResponse intensity_response;
+    std::string conventions;         ///< a single line for users: frames, units, time reference
+    std::vector<std::string> notes;  ///< what the log lacks, a line each
     /// Indices of the frames that published results on this part of the dataset hold out.
     /// See split_frames().
     std::vector<int> test_frames = {};
@@ -332,7 +333,7 @@ struct WorldReturn {
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                          std::size_t number = 0);
 
-/// Returns true if a point in the world frame lies in any moving box at time t_s. Each
+/// Returns true if a point in the world frame is in any moving box at time t_s. Each
 /// box is enlarged by margin_m and interpolated in time. A box is absent before its first
 /// and after its last observation. A tolerance of half a step between observations
 /// includes all rays of the sweep in which the box was labelled.

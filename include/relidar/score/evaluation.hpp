@@ -78,8 +78,8 @@ struct Evaluation {
     std::string title = "rendered";  ///< what was scored
     std::vector<ScoredFrame> frames;
     MetricRow mean;
-    MetricRow kernel_ms;    ///< mean time of one launch, by kernel
-    double trace_ms = 0.0;  ///< mean time of one frame, including transfers
+    MetricRow kernel_ms;    ///< mean time of a launch, by kernel
+    double trace_ms = 0.0;  ///< mean time of a frame, including transfers
     double mrays_per_s = 0.0;
 };
 

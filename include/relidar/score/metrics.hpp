@@ -83,16 +83,16 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
 
 /// Returns the regions that reports show: all, moving_boxes, static, and the range bands
 /// range_0_20_m, range_20_40_m, range_40_80_m.
-/// @param moving [rows*columns] true for pixels whose return lies in a moving box
+/// @param moving [rows*columns] true for pixels whose return is in a moving box
 std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving);
 
-/// Returns which returns of a scan lie in a moving box that the dataset labelled.
+/// Returns which returns of a scan are in a moving box that the dataset labelled.
 /// @param sensor_offset  pose, in the frame of the log's sensor, of the sensor that made
 /// the scan
 /// @return [n] true for rays with such a return
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame,
                                  const Pose& sensor_offset = {});
-/// Returns which returns of a scan lie in a moving box that was discovered without a
+/// Returns which returns of a scan are in a moving box that was discovered without a
 /// label.
 /// @param sensor_offset  pose, in the frame of the log's sensor, of the sensor that made
 /// the scan
@@ -130,7 +130,7 @@ enum class BoxMotion { stay, follow };
 /// the same LiDAR, moved into another sweep. Each point is moved to the time at which the
 /// head faces it:
 ///   p_sensor(t) = sensor_from_world(t) p_world,  t = facing_time(p_sensor)
-/// The result is not an image. It has one ray for each point, which starts at the sensor
+/// The result is not an image. It has a ray for each point, which starts at the sensor
 /// origin.
 /// @param position  index of the sweep in sequence.frames; its scan is not read
 /// @param train  indices of the training frames, with their scans
@@ -176,9 +176,10 @@ public:
     /// leave no pixel, or if an array has another size
     std::array<double, 5> by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows,
                                    int columns) const;
-    /// Returns the total distance of two images with one channel. The channel is repeated
-    /// three times and mapped from 0..1 to -1..1 by x -> 2 x - 1, without clamping, like
-    /// `normalize` in the published code. Published tables for LiDAR pass metres.
+    /// Returns the total distance of two images with a single channel. The channel is
+    /// repeated three times and mapped from 0..1 to -1..1 by x -> 2 x - 1, without
+    /// clamping, like `normalize` in the published code. Published tables for LiDAR pass
+    /// metres.
     /// @param a [rows*columns]
     /// @param b [rows*columns]
     double distance(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) const;

@@ -48,7 +48,7 @@ struct ReportBars {
         std::vector<double> share;  ///< [bands] fractions, 0..1
     };
     std::string title;
-    std::string note;                ///< one line of explanation
+    std::string note;                ///< a line of explanation
     std::vector<std::string> bands;  ///< names of at most 5 bands, from good to bad
     std::vector<Row> rows;
 };
@@ -56,14 +56,14 @@ struct ReportBars {
 struct ReportKeyMetric {
     std::string metric;  ///< name of the metric, for example "strict/depth_medae_m"
     std::string name;    ///< name in the report, for example "Typical range error, m"
-    std::string hint;    ///< one line that explains the metric
+    std::string hint;    ///< a line that explains the metric
 };
 /// Contents of a self-contained HTML page, which needs no other file and no network. The
 /// summary, views, figures, curves, bars and key metrics come first; all other parts are
 /// collapsed. The page has a script only if it has views.
 struct Report {
     std::string title;
-    std::string summary;  ///< one sentence: what was done, the quality and the duration
+    std::string summary;  ///< a sentence: what was done, the quality and the duration
     std::vector<ReportView> views;
     std::vector<ReportBars> bars;
     /// metrics that are in no column of `metrics` are left out

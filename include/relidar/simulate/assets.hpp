@@ -123,7 +123,7 @@ struct Asset {
     Run run;  ///< run with the frames in which the actor is present; no other actors, empty background
 };
 /// Extracts an actor from a run. Removes surfels that are never visible, because they are
-/// too faint to be blended or lie outside the box. For a vehicle, parts that no ray has
+/// too faint to be blended or are outside the box. For a vehicle, parts that no ray has
 /// hit are replaced by the mirror image of the other side, if rays have hit that.
 /// @param sightings  hits of this actor
 /// @throws UsageError if no instance has this track

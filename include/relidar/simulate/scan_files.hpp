@@ -31,8 +31,8 @@ struct SensorChoice;
 /// Returns the names of all formats: the file extensions for single scans, and the
 /// recordings `mcap` and `rosbag`.
 std::vector<std::string> scan_formats();
-/// Returns true if a format stores all scans in one file. Only one process can write such
-/// a file.
+/// Returns true if a format stores all scans in a single file. Only one process can write
+/// such a file.
 bool is_recording(const std::string& format);
 
 /// Coordinate frame of points, and of the rays in npz and exr files.
@@ -83,13 +83,13 @@ void name_in_recordings(ScanFormat& format, const std::string& name);
 /// Converts a name to a word of a topic. Characters that topics do not allow become _.
 std::string topic_word(const std::string& name);
 
-/// Writes recordings: one file for each recording format, with all scans of one sensor or
+/// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
 ///   mcap    scans.mcap, for Foxglove
 ///     topic of each sensor  foxglove.PointCloud (x y z intensity time instance ring
 ///                           return, channels)
 ///     /tf, /tf_static       foxglove.FrameTransforms
-///     /actors               foxglove.SceneUpdate with one box for each actor
+///     /actors               foxglove.SceneUpdate with a box for each actor
 ///   rosbag  rosbag.mcap, a bag of ROS 2
 ///     topic of each sensor  sensor_msgs/PointCloud2 (x y z intensity time ring, channels)
 ///     TOPIC_xyzircaedt      the same with Autoware's point type; only in the sensor frame
@@ -116,8 +116,8 @@ public:
     /// allow a name
     /// @throws DataError like write_atomically()
     ScanRecordings(std::filesystem::path folder, std::vector<ScanFormat> sensors);
-    /// Appends the scans of one sweep to the recordings.
-    /// @param scans  one scan for each sensor, all of the same sweep
+    /// Appends the scans of a sweep to the recordings.
+    /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write(std::span<const RenderedScan> scans);
     void finish();
@@ -129,8 +129,8 @@ private:
     std::shared_ptr<Impl> impl_;
 };
 
-/// Writes the scans of one sensor to a folder one by one, and a summary file scans.json.
-/// The files of one scan are FOLDER/frame_000123.<format>:
+/// Writes the scans of a sensor to a folder one by one, and a summary file scans.json.
+/// The files of a scan are FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns];
 ///        instance [rows,columns] int32, -1 if nothing was hit;
 ///        instance_names [instances], the names of the instances;
@@ -143,7 +143,7 @@ private:
 ///        pose [4,4] world_from_sensor at time_s;
 ///        time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, metadata as string attributes
-///   png  range, intensity and drop probability as one image, metadata as text
+///   png  range, intensity and drop probability as a single image, metadata as text
 ///   ply, pcd, bin
 ///        points of returned rays (drop_prob < 0.5); ply and pcd also have ring, time,
 ///        instance, the scan's channels and, with second returns, return (1 or 2), see
@@ -162,7 +162,7 @@ public:
     /// @throws UsageError for a recording, because only one process can write it;
     /// otherwise like the constructor
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
-    /// Writes the files of one scan.
+    /// Writes the files of a scan.
     /// @param frame  number of the frame
     /// @throws DataError like write_atomically()
     void write(int frame, const RenderedScan& scan);
@@ -207,7 +207,7 @@ std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder)
 Image range_picture(const RangeImage& image, double max_range_m);
 Image intensity_picture(const RangeImage& image);
 Image drop_picture(const RangeImage& image);
-/// Returns range, intensity and drop probability stacked in one picture.
+/// Returns range, intensity and drop probability stacked in a single picture.
 Image scan_picture(const RenderedScan& scan);
 /// Returns the factor by which stack() enlarges an image vertically. The rows of a LiDAR
 /// are farther apart than its columns.

@@ -4,7 +4,7 @@
 // whose unit is the standard deviation. The rows of A = (a_u / s_u, a_v / s_v, a_w / s_w)
 // are in the record. With a = A (mean - o), b = A d:
 //   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
-// As for surfels, q is computed from the rounded t. The point at t then lies in the
+// As for surfels, q is computed from the rounded t. The point at t then is in the
 // ellipsoid of alpha >= alpha_min, and so in every proxy of it. Therefore no traversal
 // loses the hit.
 //

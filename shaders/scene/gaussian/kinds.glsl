@@ -6,13 +6,13 @@
 #include "relidar/scene/primitives.h"
 RELIDAR_CONSTANT(uint, PRIMITIVE, 0u);
 
-// constants kPrimitive_surfel, ...
+// Defines a constant for each primitive: kPrimitive_surfel, ...
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     const uint kPrimitive_##name = number;
 RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)
 #undef RELIDAR_PRIMITIVE
 
-const uint kProxy_rectangle = 2u, kProxy_icosahedron = 20u;  // number of triangles
+const uint kProxy_rectangle = 2u, kProxy_icosahedron = 20u;  // number of triangles of each proxy
 
 bool has_third_scale() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \

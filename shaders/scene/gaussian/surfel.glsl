@@ -19,7 +19,7 @@ float exact_dot(vec3 a, vec3 b) {
 /// Intersects a ray with a surfel.
 /// @param origin  origin of the ray, model frame, m
 /// @param direction  direction of the ray, model frame
-/// @return false if the ray lies in the plane (n . d = 0) or a value is not finite
+/// @return false if the ray is in the plane (n . d = 0) or a value is not finite
 bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = s.mean - origin;
     precise float facing = exact_dot(s.normal, direction);

@@ -10,7 +10,7 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// Parameters, gradients or moments of all surfels, with one array for each parameter
+/// Parameters, gradients or moments of all surfels, with an array for each parameter
 /// group.
 struct SurfelPointers {
     RELIDAR_OF(Floats, Means) mean;                   // [n,3]
@@ -36,7 +36,7 @@ struct ActivateParams {
     uint n_surfels;
     uint n_models;
     uint sh_degree;      // active degree 0..3
-    uint sh_per_surfel;  // 1: channels are evaluated here; 0: at each hit
+    uint sh_per_surfel;  // 1: SH channels are evaluated once for each surfel, here; 0: at each hit
 };
 
 /// Computes parameter gradients from record gradients (scene/activate_vjp.comp).

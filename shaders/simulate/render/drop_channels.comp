@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the inputs of a ray-drop network. Each input depends only on the ray, and none
-// on the yaw of the sensor. One thread for each ray. Input: rays, measured, channels.
+// on the yaw of the sensor. One thread per ray. Input: rays, measured, channels.
 // Output: samples.
 #version 460
 #extension GL_GOOGLE_include_directive : require

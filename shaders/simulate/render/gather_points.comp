@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the points of the returned rays without gaps, in the order of the rays and in
-// the frame of the sensor's poses. Also writes the ranges of n_asked rays. One thread for
-// each ray. Input: rays, measured, poses, marks, places. Output: points, asked.
+// the frame of the sensor's poses. Also writes the ranges of n_asked rays. One thread per
+// ray. Input: rays, measured, poses, marks, places. Output: points, asked.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

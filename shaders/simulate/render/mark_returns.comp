@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Marks the rays of a scan that return: they have hit something, and their drop
 // probability is below the threshold. A probability of 1 means that the sensor cannot see
-// the surface; a network does not change it. One thread for each ray. Input: measured,
+// the surface; a network does not change it. One thread per ray. Input: measured,
 // drop_prob. Output: marks.
 #version 460
 #extension GL_GOOGLE_include_directive : require

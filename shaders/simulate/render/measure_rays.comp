@@ -4,7 +4,7 @@
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6)
 //   drop_prob = 1 if the ray hit nothing within the sensor's limits
 // A ray with drop_prob 1 never returns, so only this kernel decides which rays can
-// return. One thread for each ray. Input: rays, fired, rendered, geometry, beams,
+// return. One thread per ray. Input: rays, fired, rendered, geometry, beams,
 // response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require

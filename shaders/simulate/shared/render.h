@@ -43,7 +43,7 @@ struct SensorBeam {
 };
 RELIDAR_POINTER(SensorBeams, SensorBeam);
 
-/// Measurement of one ray of a scan.
+/// Measurement of a ray of a scan.
 struct MeasuredRay {
     float range_m;         // range selected by config.render.range; 0 if nothing was hit
     float median_range_m;  // range of the dominant surface; range_m if no surface dominates

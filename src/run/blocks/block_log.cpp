@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Extracts the part of a log on which one block is trained.
+// Extracts the part of a log on which a block is trained.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>

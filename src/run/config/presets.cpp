@@ -99,7 +99,7 @@ Config standard() {
     config.refine.frames = 200;            // limits memory, because all their images are in memory together
     config.render.range = "normalised";
     config.render.follow_sweeps = true;  // heads rotate unevenly; following them lowers the range error
-    config.trace.chunk = 64;  // since rays stop at low transmittance, one pass is nearly always enough
+    config.trace.chunk = 64;  // since rays stop at low transmittance, a single pass is nearly always enough
     return config;
 }
 

@@ -96,7 +96,7 @@ std::string free_id(const DrivingScene& driving, const std::string& stem) {
     return fmt::format("{}-{}", stem, n);
 }
 
-/// Returns a track that moves straight ahead at constant speed, with one pose for each
+/// Returns a track that moves straight ahead at constant speed, with a pose for each
 /// frame.
 PoseTrack straight_track(const Sequence& sequence, const Start& start) {
     PoseTrack track;

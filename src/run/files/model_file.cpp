@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes model.safetensors: the parameters of all surfels of a scene, one array
+// Reads and writes model.safetensors: the parameters of all surfels of a scene, an array
 // for each parameter group. JSON in the metadata lists the models, their ranges of
 // surfels, and the instances. All values are checked when the file is read, because users
 // may have edited a run.

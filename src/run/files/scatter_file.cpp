@@ -47,7 +47,7 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
     arrays.push_back(array_of(name("step"), std::vector{scatter.step}));
 }
 
-/// Reads the arrays of one LiDAR.
+/// Reads the arrays of a LiDAR.
 struct ScatterArrays {
     const std::vector<NamedArray>& arrays;
     const std::string& file;

@@ -46,8 +46,8 @@ std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& conf
 /// A frame that was rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    std::vector<bool> moving;  ///< [n] true for pixels whose return lies in a labelled, moving box
-    /// [n] true for pixels whose return lies in a discovered box. Empty if the run has no
+    std::vector<bool> moving;  ///< [n] true for pixels whose return is in a labelled, moving box
+    /// [n] true for pixels whose return is in a discovered box. Empty if the run has no
     /// such boxes.
     std::vector<bool> discovered;
 

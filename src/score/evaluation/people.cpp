@@ -96,7 +96,7 @@ MetricRow people_scores(const RangeImage& rendered, const std::vector<float>& po
         if (p.real_m.size() < kFewest) continue;
         both += double(p.n_both);
         either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (p.simulated_m.empty()) continue;  // people_f1 includes this case
+        if (p.simulated_m.empty()) continue;  // without simulated points, only people_f1 can be computed
         const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
         chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
         for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);

@@ -46,7 +46,7 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-/// Number of points, and how many of them lie in a volume that a box occupies at another
+/// Number of points, and how many of them are in a volume that a box occupies at another
 /// time but not now.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;

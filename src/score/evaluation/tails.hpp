@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Returns the fraction of all returned points that lie in comet tails. A tail is the
+/// Returns the fraction of all returned points in comet tails. A tail is the
 /// volume that moving boxes sweep during the log, without the volume that they occupy
 /// now. The current boxes are enlarged by 0.3 m. The lowest 0.3 m of the swept boxes
 /// counts as ground. Each point is tested at the time at which the head faces it.

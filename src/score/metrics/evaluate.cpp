@@ -46,7 +46,7 @@ struct ImagePair {
     double peak;
 };
 
-/// Returns the images for one drop threshold: all pixels, dropped ones at 0.
+/// Returns the images for a drop threshold: all pixels, dropped ones at 0.
 ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                      double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),

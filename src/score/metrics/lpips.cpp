@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
-// Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is one matrix
+// Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is a matrix
 // product of unrolled windows (columns) and filters (rows). It runs on the CPU, which is
 // fast enough. The weights are read from a file, because they are not part of the
 // program.

@@ -34,7 +34,7 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
     return region;
 }
 
-/// Returns which returns of a frame lie in a moving box.
+/// Returns which returns of a frame are in a moving box.
 Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
                        const Pose& sensor_offset) {
     const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Structural similarity with the defaults of scikit-image, which published LiDAR tables
 // use: uniform 7 x 7 window, sample covariance (divided by 48), K1 = 0.01, K2 = 0.03,
-// mean over the pixels whose window lies inside the image.
+// mean over the pixels whose window is inside the image.
 //   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2)),   C1 = (K1 L)^2, C2 = (K2 L)^2
 // The sums over a window are separable: along rows first, then along columns. Prefix sums
 // would be faster but less precise.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the report as one HTML page that needs no other file and no network. All
+// Writes the report as a single HTML page that needs no other file and no network. All
 // external text is escaped. The page contains a script only if it has views. Curves with
 // the same part before '/' share a chart; metrics are grouped in the same way.
 #include <relidar/base/files.hpp>
@@ -178,8 +178,8 @@ std::string curves(const Report& report) {
                   : "");
 }
 
-/// Returns a table row for a kernel: its time, its percentage of `total_ms`, and a bar whose
-/// length is its fraction of `longest`. There is no bar if `longest` is 0.
+/// Returns a table row for a kernel: its time, its percentage of `total_ms`, and a bar
+/// whose length is its fraction of `longest`. There is no bar if `longest` is 0.
 std::string timing_row(const std::string& name, double ms, double total_ms, double longest) {
     const bool known = std::isfinite(ms) && ms >= 0.0;
     const std::string share =

@@ -17,7 +17,7 @@ namespace relidar {
 
 class TrainLoop;
 
-/// Folder with the checkpoints of one training. A failed write does not stop the
+/// Folder with the checkpoints of a training. A failed write does not stop the
 /// training.
 class CheckpointFolder {
 public:

@@ -16,7 +16,7 @@ namespace relidar {
 /// Numbers of rays and drops by beam (Sequence::beam_number) and azimuth bin.
 class DropCounts {
 public:
-    /// Creates the bins for the LiDARs of a log: one row for each beam, and azimuth bins
+    /// Creates the bins for the LiDARs of a log: a row for each beam, and azimuth bins
     /// of about three columns. The log must outlive this object.
     explicit DropCounts(const Sequence& sequence);
     /// Counts a ray of a frame of the log. Several threads may call it simultaneously.

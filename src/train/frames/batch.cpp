@@ -35,8 +35,8 @@ std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
-/// Returns the image shape of a full frame. A frame without image order is one row of
-/// rays.
+/// Returns the image shape of a full frame. A frame without image order is a single row
+/// of rays.
 ImageShape frame_image(const FrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }

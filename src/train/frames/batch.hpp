@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the rays of a frame that one iteration uses.
+// Selects the rays of a frame that an iteration uses.
 #pragma once
 
 #include <memory>
@@ -24,7 +24,7 @@ struct ColumnWindow {
     std::uint32_t n_columns = 0;
 };
 
-/// Rays of one iteration and their measurements.
+/// Rays of an iteration and their measurements.
 struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;

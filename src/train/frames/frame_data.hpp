@@ -28,7 +28,7 @@ struct FrameArrays {
     Array<shared::RayPlace> places;
 };
 
-/// One training frame.
+/// A training frame.
 struct FrameData {
     int position = 0;  ///< index into Sequence::frames
     int index = 0;     ///< frame number of the dataset
@@ -60,7 +60,7 @@ struct Unknown {
     DropTable observed_drops;         ///< excludes rays for which is_blind() is true; empty: excludes none
 };
 
-/// Computes the rays and targets of one frame on the host. Two kinds of rays are unknown
+/// Computes the rays and targets of a frame on the host. Two kinds of rays are unknown
 /// and get weight 0, because the background must not learn them: rays that returned from
 /// inside a moving box, and dropped rays that may have hit one.
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown,

@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-/// Returns the frame with one ray for each cell. The ray goes from the sensor origin
+/// Returns the frame with a ray for each cell. The ray goes from the sensor origin
 /// through the centre of the cell. A cell uses its nearest return: its range is the range
 /// of the point (Eq. 6-7); intensity, time and beam are those of the return's ray. A cell
 /// without a return is a dropped ray, fired when the head faces the cell. Second returns

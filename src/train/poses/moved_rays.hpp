@@ -38,7 +38,7 @@ public:
     /// Returns [kRows, maximum poses of a frame, 6] partial sums of the last
     /// sum_gradients().
     const Array<float>& gradient_rows() const { return rows_; }
-    /// Sums the rows to one gradient for each pose of a frame.
+    /// Sums the rows to a gradient for each pose of a frame.
     std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows,
                                            const FrameData& frame) const;
 

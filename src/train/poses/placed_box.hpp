@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A box at one time, and the intersection of rays with it.
+// A box at one point in time, and the intersection of rays with it.
 #pragma once
 
 #include <glm/glm.hpp>

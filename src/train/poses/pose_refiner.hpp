@@ -81,7 +81,8 @@ private:
     /// Iterations whose steps are pending, oldest first.
     struct Coming {
         std::vector<std::uint64_t> step;
-        std::vector<std::uint64_t> frame;  ///< index into the frames of the constructor
+        /// index of the frame in the constructor's list of training frames
+        std::vector<std::uint64_t> frame;
         /// [iterations, actors, 2] first and last time at which each actor was seen
         std::vector<double> actor_time_s;
         /// [iterations, floats_of_rays_ + floats_of_instances_] gradients after fetch()

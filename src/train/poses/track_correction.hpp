@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Corrects the poses of one track by gradient descent. Pose k becomes (exp([w_k]x) R_k,
+// Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k,
 // T_k + v_k). v is in metres in the world frame. w is a rotation vector in the world's
 // axes about the origin of the pose. The track interpolates between poses as before. So a
 // pose at fraction s moves, to first order, by (1 - s) of the previous correction and s
@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-/// Parameters of one step.
+/// Parameters of a step.
 struct PoseStep {
     double rate_m = 0.0;
     double rate_rad = 0.0;
