@@ -55,7 +55,7 @@ Config standard() {
     config.preset = "default";
     config.dataset.max_range_m = 0.0;  // the maximum range of the sensor; published: 80 m
     // The beams of an HDL-64E differ in range by centimetres, more than all other errors.
-    // Their intensities differ more than those of surfaces.
+    // Their intensities of the same surface differ more than those of different surfaces.
     config.sensor.calibrate = "range,intensity";
     config.init.voxel_m = 0.1;           // sharp silhouettes: surfels overhang an edge by about their size
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
@@ -79,8 +79,8 @@ Config standard() {
     config.loss.intensity = 0.3f;         // the Huber loss estimates means; L1 would estimate medians
     config.loss.intensity_delta = 0.2f;   // lowers the RMSE of held-out intensities
     config.loss.normalised_depth = true;  // with range D, a weight of 0.97 moves every surface by 3 %
-    config.loss.chamfer = 0.0f;           // it changes metrics by less than 1 % and makes a step 10 % slower
-    config.loss.opacity = 0.1f;           // closes holes, because the normalised range does not do that
+    config.loss.chamfer = 0.0f;           // would change metrics by less than 1 % and make a step 10 % slower
+    config.loss.opacity = 0.1f;           // closes holes, which the normalised range does not do
     config.loss.likelihood = 0.05f;       // lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;
     config.train.sh_degree_start = 1;  // models the effect of incidence on intensity from the start

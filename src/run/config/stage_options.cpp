@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Converts the settings of a run to the options of tracing and of the backward pass.
 #include <relidar/run/stage_options.hpp>
 
 namespace relidar {

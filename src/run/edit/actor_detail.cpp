@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+// Compares the number of surfels of an actor with the number of rays that hit its box at
+// the closest approach to a LiDAR.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

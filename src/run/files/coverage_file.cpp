@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Reads and writes the coverage of a run as safetensors.
 #include "run/files/coverage_file.hpp"
 
 #include <cstring>

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Reads and writes the intensity models of a run's LiDARs as safetensors.
 #include "run/files/scatter_file.hpp"
 
 #include <algorithm>

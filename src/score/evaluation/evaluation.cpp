@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Renders or projects frames in batches, computes their metrics and averages them.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>

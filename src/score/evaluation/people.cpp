@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Compares the measured and simulated points of people and cyclists in their box frames.
 #include "score/evaluation/people.hpp"
 
 #include <algorithm>

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Counts the points in comet tails: where a box was or will be, but is not now.
 #include "score/evaluation/tails.hpp"
 
 #include <algorithm>

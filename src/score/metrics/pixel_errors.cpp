@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Computes errors over the selected pixels of a pair of range images.
 #include "pixel_errors.hpp"
 
 #include <algorithm>

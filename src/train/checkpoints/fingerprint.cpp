@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Computes hashes of logs and scenes, and compares them with those in a checkpoint.
 #include "train/checkpoints/fingerprint.hpp"
 
 #include <cstring>

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Bins a sweep into the cells of a range grid.
 #include "train/frames/grid_frame.hpp"
 
 namespace relidar {

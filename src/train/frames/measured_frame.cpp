@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Selects the rays of training frames and their measured drops.
 #include "train/frames/measured_frame.hpp"
 
 #include <cstddef>
