@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Of the built-in sensors, what readers of their packets need: the maker's numbers of the
-// beams, and when each fires.
+// Data of the built-in sensors for decoding their packets: the manufacturer's channel
+// numbers and the firing time of each beam.
 #pragma once
 
 #include <string>
@@ -10,15 +10,15 @@
 
 namespace relidar {
 
-/// A line of a beam table.
+/// Firing data of a beam.
 struct BeamFiring {
-    int channel = 0;         ///< by the maker's count
-    double offset_us = 0.0;  ///< from the first beam of a firing cycle
+    int channel = 0;         ///< channel number of the manufacturer
+    double offset_us = 0.0;  ///< time since the first beam of the firing cycle
 };
 
-/// Of each beam of a built-in sensor that has a table (src/log/sensor/tables), the
-/// highest first as in known_sensor().
-/// @param name  one of sensor_names() that has a table
+/// Returns the firing data of each beam of a built-in sensor, highest beam first like
+/// known_sensor(). The data are in src/log/sensor/tables.
+/// @param name  a name of sensor_names() that has a table
 std::vector<BeamFiring> known_firings(const std::string& name);
 
 }  // namespace relidar

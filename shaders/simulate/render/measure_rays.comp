@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a sensor makes of what its rays render: ranges and intensity as the beam measures
-// them, and whether anything returns,
-//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6),   1 if the ray met nothing within the sensor's limits
-// A ray with a drop_prob of 1 never returns: this kernel alone decides which rays can.
-// One thread a ray. Input: rays, fired, rendered, geometry, beams, response. Output:
-// measured.
+// Converts rendered rays to the measurements of a sensor: ranges and intensity as the
+// beam measures them, and the drop probability:
+//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6)
+//   drop_prob = 1 if the ray hit nothing within the sensor's limits
+// A ray with drop_prob 1 never returns, so only this kernel decides which rays can
+// return. One thread per ray. Input: rays, fired, rendered, geometry, beams,
+// response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
 
-/// How bright the sensor reports the same surface at a range: linear between the entries,
-/// constant beyond them.
+/// Returns the intensity factor at a range. It is linear between the entries of the
+/// response and constant beyond them.
 float fall_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
@@ -25,7 +26,8 @@ float fall_at(float range_m) {
     return before.y;
 }
 
-/// Range of the image before the beam's offset. @param mode_m  of the heaviest surface
+/// Returns the range of the image before the beam's offset is added.
+/// @param mode_m  range of the surface with the largest weight
 /// @param normalised  D / W
 float chosen_range(RenderedRay r, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return r.depth;
@@ -37,12 +39,14 @@ float chosen_range(RenderedRay r, float mode_m, float normalised) {
 float measured_range(float surface_m, SensorBeam beam) {
     return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
 }
-/// As RangeLimits::contains().
+/// Returns true if a range is within the sensor's limits. Same as
+/// RangeLimits::contains().
 bool within_limits(float range_m) {
     return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m;
 }
 
-/// Cosine between a ray and the blended normal of what it met; 0 without a normal.
+/// Returns the cosine between a ray and the blended normal of the surfaces it hit, or 0
+/// without a normal.
 float incidence(vec3 normal, vec3 direction) {
     float size = length(normal);
     return size > 0.0 ? clamp(-dot(normal, direction) / size, 0.0, 1.0) : 0.0;

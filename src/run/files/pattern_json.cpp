@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// {"window": {...}}, {"rosette": {...}} or {"rays": {...}}; angles in radians, as
-// everywhere in scene.json.
+// Scan patterns as JSON: {"window": {...}}, {"rosette": {...}} or {"rays": {...}}. Angles
+// are in radians, as in all of scene.json.
 #include "run/files/pattern_json.hpp"
 
 #include <cmath>
@@ -15,7 +15,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr double kTurn = 10.0;  // radians, more than a turn
+constexpr double kTurn = 10.0;  // limit for angles in radians, more than one revolution
 
 Json vectors_json(const ScanArray<glm::vec3>& vectors) {
     Json json = Json::array();

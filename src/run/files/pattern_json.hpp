@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What makes the rays of a LiDAR that does not spin, as scene.json has it. Private to
-// run.
+// Scan patterns of LiDARs that do not spin, as stored in scene.json. Private to run.
 #pragma once
 
 #include <nlohmann/json_fwd.hpp>
@@ -14,6 +13,7 @@ class JsonField;
 namespace relidar::run_detail {
 
 nlohmann::ordered_json pattern_json(const FixedPattern& pattern);
+/// Reads a scan pattern.
 /// @throws DataError naming the field that is wrong
 FixedPattern read_pattern(const JsonField& field);
 

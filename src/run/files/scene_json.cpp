@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 2. Numbers are written in the shortest form that reads back
-// to the same double. A pose is seven numbers: the translation x y z, then the unit
-// quaternion w x y z; p_world = R(q) p + t in the recentred world.
+// Reads and writes scene.json, format version 2. Numbers are written in the shortest form
+// that gives the same double when read. A pose has seven numbers: the translation x y z,
+// then the unit quaternion w x y z; p_world = R(q) p + t in the recentred world.
 #include "run/files/scene_json.hpp"
 
 #include <algorithm>
@@ -22,11 +22,15 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 2;
-constexpr double kHuge = 1e12;       // of any length or time in a log: beyond it a value is damage
-constexpr double kFarthest_m = 1e6;  // of any place from the world's origin, the sensor in the middle frame
-constexpr double kFarthestWorld_m = 1e9;  // of that origin in the dataset's world
-constexpr double kLargestBeam = 100.0;    // radians, or metres from the sensor's centre
-constexpr double kLargestResponse = 1e3;  // gain and offset of intensities, metres of a range offset
+// limit for lengths and times in a log; larger values indicate a damaged file
+constexpr double kHuge = 1e12;
+// limit for positions relative to the world origin, which is the vehicle in the middle
+// frame
+constexpr double kFarthest_m = 1e6;
+constexpr double kFarthestWorld_m = 1e9;  // limit for the world origin in the dataset's world
+constexpr double kLargestBeam = 100.0;    // limit in radians, or in metres from the sensor's centre
+// limit for gains and offsets of intensities, and for range offsets in metres
+constexpr double kLargestResponse = 1e3;
 constexpr std::size_t kMostRays = 100'000'000;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
@@ -111,7 +115,8 @@ Json frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
-/// @throws DataError where a number is larger than a log can hold
+/// Checks that numbers are within a limit.
+/// @throws DataError if a number is larger than the limit
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)
@@ -125,7 +130,7 @@ Pose read_pose(const JsonField& field) {
     if (std::abs(length - 1.0) > 1e-6)
         field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
     check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
-    return {q, {v[0], v[1], v[2]}};  // as written: normalising again would move the last digit
+    return {q, {v[0], v[1], v[2]}};  // not normalised again, because that would change the last digit
 }
 
 glm::dvec3 read_vector(const JsonField& field, double limit) {
@@ -186,7 +191,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Runs whose intensities do not fall with range have none.
+/// Reads the intensity response. Runs whose intensities do not depend on range have none.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
                               field.at("incidence").number(0.0, 1.0)};
@@ -200,7 +205,7 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
-/// Frames at one time share its pose.
+/// Reads the pose of a frame. Frames at the same time share one pose.
 void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
     const Pose pose = read_pose(entry.at("world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
@@ -259,13 +264,14 @@ BoxTrack read_box(const JsonField& field) {
     return box;
 }
 
-/// Runs as they were trained have none.
+/// Reads the list of edits. A run has none directly after training.
 void read_edits(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i)
         scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
 }
 
-/// A number per list in the file, against lists cut by hand or by a bad merge.
+/// Compares the stored counts with the lengths of the lists. Detects lists that were
+/// shortened by hand or by a wrong merge.
 void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -307,7 +313,8 @@ std::string to_scene_json(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // what could not be read back (a NaN pose) is refused before it is written
+    // Parses the text before it is written, so that values that cannot be read back (for
+    // example a NaN pose) are rejected.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }
