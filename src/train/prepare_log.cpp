@@ -284,8 +284,25 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
     session.tell(fmt::format("{} moving object{} without a label detected{}{}", movers.size(),
                              movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
                              fmt::join(movers, ", ")));
-    if (!beside.empty())
-        session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(beside, ", ")));
+    if (!extended.empty())
+        session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(extended, ", ")));
+}
+
+/// Registers moving boxes on the first process and sends their poses to all processes.
+void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
+    ActorRegistration registration;
+    if (session.group.is_first())
+        registration = register_actors(sequence, split.train, [&](std::string_view what, double done) {
+            throw_if_interrupted(session);
+            if (session.progress) session.progress(what, done);
+        });
+    for (BoxTrack& box : sequence.boxes)
+        box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
+    if (registration.n_actors == 0) return;
+    session.tell(fmt::format(
+        "{} of {} moving boxes registered by their points, moved by {:.3f} m (median); {} "
+        "boxes stand although their labels drift",
+        registration.n_registered, registration.n_actors, registration.moved_m, registration.n_standing));
 }
 
 }  // namespace
@@ -310,6 +327,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     calibrate(sequence, split, config.sensor, session);
     begin_stage(session.stages, "movers");
     if (config.init.unlabelled_movers == UnlabelledMovers::actors) add_discovered(sequence, split, session);
+    if (registers_sensor(config.train)) register_boxes(sequence, split, session);
 }
 
 }  // namespace relidar

@@ -119,4 +119,21 @@ struct ScanPlacement {
 ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view,
                          const RegisterOptions& options);
 
+/// Result of register_actors().
+struct ActorRegistration {
+    std::size_t n_actors = 0;      ///< number of moving boxes that are long enough
+    std::size_t n_registered = 0;  ///< number of tracks with new poses
+    std::size_t n_standing = 0;    ///< number of boxes whose labels drift although they stand
+    double moved_m = 0.0;          ///< median correction of the registered tracks
+};
+
+/// Registers each moving box of at least 2.5 m by its points. Corrects the poses of its track so
+/// that the points of all training frames lie on common planes in the frame of the box (same
+/// equations as register_scans()), with a prior that keeps corrections small and slow. The mean
+/// correction is zero. Poses without points, for example in held-out frames, are interpolated
+/// from the nearest registered poses. A box whose points fit one constant pose gets that pose.
+/// @param train_positions  frames whose points are used
+ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& train_positions,
+                                  const Progress& progress = {});
+
 }  // namespace relidar

@@ -107,6 +107,7 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
                 parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
+    if (prior_) add_prior(parts[0]);
     const PoseTrack before = track_;
     const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
@@ -118,6 +119,18 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
         round.step_m =
             std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
     return round;
+}
+
+void PlaneAdjustment::add_prior(PoseEquations& equations) const {
+    constexpr double kLinkTime_s = 0.1;
+    const Eigen::VectorXd correction = corrections(start_, track_);
+    const auto of_pose = [&](std::size_t k) -> Vector6 { return correction.segment<6>(6 * Eigen::Index(k)); };
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+        equations.add_pull(k, prior_->pull, of_pose(k));
+        if (k + 1 == track_.pose.size()) break;
+        const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
+        equations.add_link(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+    }
 }
 
 void PlaneAdjustment::remove_common_motion() {

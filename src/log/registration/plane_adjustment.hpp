@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "log/registration/plane_cells.hpp"
+#include "log/registration/pose_equations.hpp"
 
 namespace relidar {
 
@@ -19,6 +20,12 @@ struct PlaneMap {
 
     /// The plane of the cell that a point lies in, if it has one.
     const Plane* at(const glm::dvec3& point_m) const;
+};
+
+/// Prior of the corrections of poses, in units of the weight of one point.
+struct CorrectionPrior {
+    Vector6 pull = Vector6::Zero();  ///< stiffness towards no correction
+    Vector6 link = Vector6::Zero();  ///< stiffness between poses that are 0.1 s apart
 };
 
 class PlaneAdjustment {
@@ -35,6 +42,8 @@ public:
     /// @return them; fewer where proceed() returned false
     std::vector<RegisterRound> run(const RegisterRound& first, const RegisterRound& last,
                                    const std::function<bool(double done)>& proceed);
+    /// Sets a prior for the following rounds.
+    void set_prior(const CorrectionPrior& prior) { prior_ = prior; }
     PlaneMap planes(const RegisterRound& round) const;
     const PoseTrack& track() const { return track_; }
 
@@ -61,8 +70,10 @@ private:
     PoseTrack given_, track_, start_;  // start_: before the first round
     std::vector<ThinPoint> points_;
     std::vector<bool> gauge_;
+    std::optional<CorrectionPrior> prior_;
 
     RegisterRound step(RegisterRound round, double shift);
+    void add_prior(PoseEquations& equations) const;
     void remove_common_motion();
     void interpolate_corrections(const std::vector<bool>& is_known);
     /// The nearest poses before and after one, among some; itself where there is none.

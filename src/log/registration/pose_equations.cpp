@@ -152,6 +152,19 @@ void PoseEquations::add(PoseEquations&& other) {
     other = PoseEquations(0);  // gives its memory back
 }
 
+void PoseEquations::add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction) {
+    diagonal_[pose].diagonal() += stiffness;
+    gradient_.segment<6>(6 * Eigen::Index(pose)) += stiffness.cwiseProduct(correction);
+}
+
+void PoseEquations::add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference) {
+    diagonal_[pose].diagonal() += stiffness;
+    diagonal_[pose + 1].diagonal() += stiffness;
+    next_[pose].diagonal() -= stiffness;
+    gradient_.segment<6>(6 * Eigen::Index(pose)) -= stiffness.cwiseProduct(difference);
+    gradient_.segment<6>(6 * Eigen::Index(pose + 1)) += stiffness.cwiseProduct(difference);
+}
+
 Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
     const auto block = [](auto& vector, std::size_t pose) {

@@ -69,6 +69,11 @@ public:
     void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                   std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
+    /// Adds a prior that pulls the correction of one pose to zero.
+    void add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
+    /// Adds a prior that pulls the corrections of `pose` and `pose + 1` to each other.
+    /// @param difference  correction of `pose + 1` minus that of `pose`
+    void add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
 
     /// Step of all poses, [n_poses,6], by conjugate gradients. Preconditioner: the
     /// diagonal blocks, and rigid motions of eight poses at a time, solved directly,
