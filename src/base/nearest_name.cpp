@@ -41,33 +41,33 @@ bool contains(std::string_view whole, std::string_view part) {
 }
 
 /// Two letters of five may be wrong, or a part may be missing.
-bool resemble(std::string_view wanted, std::string_view name) {
-    const std::size_t most = std::max<std::size_t>(1, 2 * std::max(wanted.size(), name.size()) / 5);
-    return edit_distance(wanted, name) <= most || contains(wanted, name) || contains(name, wanted);
+bool resemble(std::string_view query, std::string_view name) {
+    const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
+    return edit_distance(query, name) <= most || contains(query, name) || contains(name, query);
 }
 
 }  // namespace
 
-std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known) {
-    const auto best =
-        std::min_element(known.begin(), known.end(), [&](const std::string& a, const std::string& b) {
-            return edit_distance(wanted, a) < edit_distance(wanted, b);
-        });
-    return best == known.end() ? std::string() : *best;
+std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names) {
+    const auto best = std::min_element(known_names.begin(), known_names.end(),
+                                       [&](const std::string& a, const std::string& b) {
+                                           return edit_distance(query, a) < edit_distance(query, b);
+                                       });
+    return best == known_names.end() ? std::string() : *best;
 }
 
-std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known,
+std::string did_you_mean(std::string_view query, const std::vector<std::string>& known_names,
                          std::string_view quote, std::string_view otherwise) {
     std::vector<std::string> alike;
-    for (const std::string& name : known)
-        if (resemble(wanted, name)) alike.push_back(name);
+    for (const std::string& name : known_names)
+        if (resemble(query, name)) alike.push_back(name);
     if (alike.empty()) return std::string(otherwise);
-    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(wanted, alike), quote);
+    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(query, alike), quote);
 }
 
-std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known) {
-    for (const std::string& name : known)
-        if (std::equal(wanted.begin(), wanted.end(), name.begin(), name.end(), same_letter)) return name;
+std::optional<std::string> known_name(std::string_view query, const std::vector<std::string>& known_names) {
+    for (const std::string& name : known_names)
+        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), same_letter)) return name;
     return std::nullopt;
 }
 
