@@ -88,7 +88,7 @@ std::size_t trace_threads(const RayBatch& batch);
 /// First hits of each ray of a batch, as blended by the forward pass. The backward pass
 /// uses them instead of searching the hits again.
 struct KeptHits {
-    Array<shared::Hit> hits;  ///< Hits, [ceil(n_threads / 4), per_ray, 4].
+    Array<shared::Hit> hits;  ///< Hits, [ceil(n_threads / 2), per_ray, 2].
     /// Number of hits stored per ray. The backward pass searches further hits again.
     std::uint32_t per_ray = 0;
 
