@@ -138,7 +138,7 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
-/// Returns the traversal device, or the best one: GPUs before CPUs, and devices with ray
+/// Returns the requested device, or the best one: GPUs before CPUs, and devices with ray
 /// queries first.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())

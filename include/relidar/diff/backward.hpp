@@ -83,9 +83,11 @@ struct Gradients {
 
 /// Method for summing the gradients of hits.
 ///
-///   atomics    each hit adds atomically to its surfel; the order and thus the last digits differ between runs
-///   gather     each hit writes a record; the records are sorted by surfel and summed in ray order. Bit-equal between
-///              runs on one device if all records fit and no model has more than two instances
+///   atomics    each hit adds atomically to its surfel; the order and thus the last
+///              digits differ between runs
+///   gather     each hit writes a record; the records are sorted by surfel and summed in
+///              ray order; bit-equal between runs on one device if all records fit and no
+///              model has more than two instances
 ///   automatic  the method that measures best
 enum class Reduction { automatic, atomics, gather };
 

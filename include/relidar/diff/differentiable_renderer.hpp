@@ -2,8 +2,10 @@
 // Differentiable renderer: computes rendered rays from the parameters of a scene, and
 // gradients of the parameters from gradients of the rendered rays. Training steps use it.
 //
-//   on the device  place(), record_forward(), losses write batch().upstream, record_backward(), Adam::step with gradients(); nothing blocks
-//   on the host    place(), forward(rays), backward(d_rendered): host arrays in and out, for custom losses in any language
+//   on the device  place(), record_forward(), losses write batch().upstream,
+//                  record_backward(), Adam::step with gradients(); nothing blocks
+//   on the host    place(), forward(rays), backward(d_rendered): host arrays in and out,
+//                  for custom losses in any language
 #pragma once
 
 #include <functional>

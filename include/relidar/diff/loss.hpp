@@ -150,9 +150,11 @@ private:
 /// Geometric losses, averaged over returned rays. The first two are those of "2D Gaussian
 /// Splatting for Geometrically Accurate Radiance Fields" (2024):
 ///
-///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|   (half of that paper's Eq. 13), metres
+///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|,
+///               metres (half of that paper's Eq. 13)
 ///   normal      sum_i w_i (1 - n_i . N) = W - B . N   (its Eq. 14), n_i and N facing the sensor
-///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k at the measured range, f the likelihood_floor
+///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k at the
+///               measured range, f the likelihood_floor
 ///
 /// N is the normal of the plane through the points of the left, right, upper and lower
 /// neighbour pixels in the rendered range image (range D / W, or D; normalised_depth). A
@@ -183,7 +185,8 @@ private:
 /// Loss term of the parameters. mu is the mean in the box frame, h is Model::half_size_m,
 /// and s is a standard deviation:
 ///
-///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
+///   box  mean over actors' surfels of
+///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
 class SurfelLoss final : public Loss {
 public:
     SurfelLoss(Device& device, const LossWeights& weights);

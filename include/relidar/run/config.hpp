@@ -49,7 +49,8 @@ struct DatasetConfig {
 /// Selects the scans with a rolling shutter. Each ray of such a scan starts at the
 /// sensor's pose at its firing time, instead of the pose at the time of the scan.
 ///
-///   automatic  scans of sensors that are not in the log; scans of the log's sensors unless the log is motion-compensated
+///   automatic  scans of sensors that are not in the log; scans of the log's sensors
+///              unless the log is motion-compensated
 ///   yes        all rendered scans; training and scores are as with automatic
 ///   no         no scan; scans of the log are read without a rolling shutter
 enum class RollingShutter { automatic, yes, no };

@@ -8,7 +8,8 @@
 /// PRIMITIVE(number in kernels, name in files and settings, plural name, third scale,
 /// normals, proxy)
 ///
-///   third scale  has a parameter log_scale_w, the standard deviation along the third axis; densification also samples and moves along it
+///   third scale  has a parameter log_scale_w, the standard deviation along the third axis;
+///                densification also samples and moves along this axis
 ///   normals      the third axis is the normal of a surface
 ///   proxy        triangle mesh in a driver's acceleration structure: rectangle or icosahedron
 ///

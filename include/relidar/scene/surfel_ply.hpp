@@ -18,7 +18,8 @@ enum class Primitive;
 ///   x y z                 position
 ///   nx ny nz              normal of the surfel
 ///   f_dc_0..2             first coefficient of the three colours; all hold the intensity
-///   f_rest_0..44          value = 0.5 + basis . coefficients; f_rest_{15 c + k - 1} = coefficient k of colour c
+///   f_rest_0..44          f_rest_{15 c + k - 1} = coefficient k of colour c;
+///                         value = 0.5 + basis . coefficients
 ///   opacity               logit
 ///   scale_0..2            ln metres; the third, across a surfel, is ln 1e-4
 ///   rot_0..3              quaternion w x y z
