@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Radix sort, last of three kernels per pass: moves each key behind all keys with smaller
-// digits and behind earlier keys with the same digit. One workgroup of 256 threads per
-// tile of 4096 keys. Each subgroup processes a contiguous run of the tile and ranks it
-// round by round with ballots, so that equal digits keep their order. If there are more
+// digits and behind earlier keys with the same digit. A workgroup of 256 threads
+// processes a tile of 4096 keys. Each subgroup processes a contiguous run of the tile and
+// ranks it round by round with ballots, so that equal digits keep their order. With more
 // than 32 subgroups (of 4 lanes), two subgroups share their counters and take turns.
 // Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order. Minimum
 // traffic: key and order are read and written once.

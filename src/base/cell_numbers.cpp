@@ -15,9 +15,9 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kParts = 32;
-constexpr std::size_t kItemsPerBlock = 1 << 16;  // Number of items that one task distributes to the parts.
+constexpr std::size_t kItemsPerBlock = 1 << 16;  // Number of items that a task distributes to the parts.
 
-/// Item indices of one block of items, for each part.
+/// Item indices of a block of items, for each part.
 using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {

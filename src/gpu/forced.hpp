@@ -18,7 +18,9 @@ struct ForcedWays {
     bool brute_force = false;  ///< If true, rays test every surfel instead of searching a tree.
     /// If true, neighbouring threads read neighbouring floats, as on GPUs.
     std::optional<bool> coalesces = std::nullopt;
-    std::optional<int> side_by_side = std::nullopt;  ///< See ScanRenderer::side_by_side().
+    /// Number of scans that a renderer processes concurrently; see
+    /// ScanRenderer::side_by_side().
+    std::optional<int> side_by_side = std::nullopt;
 };
 
 /// Scope in which objects created on a device use the forced behaviour.

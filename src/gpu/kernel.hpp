@@ -102,7 +102,7 @@ private:
     std::string_view name_;
 };
 
-/// Suffix of one module of a kernel, as in cmake/Kernels.cmake: "@ray_query_atomics".
+/// Suffix of a module of a kernel, as in cmake/Kernels.cmake: "@ray_query_atomics".
 struct KernelVariant {
     std::string suffix;
 

@@ -46,7 +46,7 @@ private:
     std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 
-/// One allocation of the driver.
+/// Allocation of the driver.
 struct MemoryBlock {
     VkDeviceMemory memory = VK_NULL_HANDLE;
     std::uint32_t type = 0;
@@ -55,7 +55,7 @@ struct MemoryBlock {
     FreeRanges free;
 };
 
-/// Part of a block that belongs to one buffer.
+/// Part of a block that belongs to a buffer.
 struct MemoryPiece {
     MemoryBlock* block = nullptr;
     std::uint64_t offset = 0;

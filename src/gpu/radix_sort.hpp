@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Addresses of one set of keys.
+/// Addresses of a set of keys.
 struct SortSet {
     Address<std::uint32_t, shared::SortKeys> keys;    ///< Keys, [n,key_words], low word first.
     Address<std::uint32_t, shared::SortOrder> order;  ///< Original index of each key, [n].

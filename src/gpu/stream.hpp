@@ -140,7 +140,7 @@ private:
     void end_timing();
 };
 
-/// Records one kernel launch with n_threads threads. The launch sees the results of all
+/// Records a kernel launch with n_threads threads. The launch sees the results of all
 /// commands recorded before.
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {

@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-/// One n-dimensional array of an npz or safetensors file. The values are row-major and
+/// N-dimensional array of an npz or safetensors file. The values are row-major and
 /// little-endian.
 struct NamedArray {
     std::string name;

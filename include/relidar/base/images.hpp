@@ -12,12 +12,12 @@
 
 namespace relidar {
 
-/// Writes the float channels of one image to a ZIP-compressed OpenEXR file.
+/// Writes the float channels of an image to a ZIP-compressed OpenEXR file.
 /// @param channels map from channel name to values [rows*columns]
 /// @param notes string attributes of the file
 void write_exr(const std::filesystem::path& path, int rows, int columns,
                const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes = {});
-/// Channels and attributes of one OpenEXR image.
+/// Channels and attributes of an OpenEXR image.
 struct ExrImage {
     int rows = 0;
     int columns = 0;

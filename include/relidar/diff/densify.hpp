@@ -65,7 +65,7 @@ public:
     /// Returns false with DensifyStrategy::none. Then the densifier does nothing and has
     /// no statistics.
     bool is_active() const;
-    /// Records an update of the statistics with one batch.
+    /// Records an update of the statistics with a batch.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
     /// Returns true if surfels are to be added or removed after this step.
     bool due(int step) const;

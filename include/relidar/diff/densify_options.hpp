@@ -56,7 +56,7 @@ struct DensifyOptions {
     bool operator==(const DensifyOptions&) const = default;
 };
 
-/// Result of one densification.
+/// Result of a densification.
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
     /// Number of surfels added to the survivors. A clone, a split and a relocation each

@@ -21,7 +21,7 @@ namespace relidar {
 struct GradientOptions {
     BackwardOptions sums{};
     WantedGradients wanted{};
-    bool zero_untouched = true;  ///< See Gradients::zero_untouched.
+    bool zero_untouched = true;  ///< If false, gradients of surfels without a gradient are undefined.
 };
 
 /// dL/d(rendered) of every ray, one array for each differentiable array of Rendering. An

@@ -54,7 +54,7 @@ struct LossTerms;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Row of an array in which the loss terms of one batch are summed. The array may have
+/// Row of an array in which the loss terms of a batch are summed. The array may have
 /// rows for several batches.
 struct TermRow {
     const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].

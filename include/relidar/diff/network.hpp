@@ -39,7 +39,7 @@ struct RefineOptions {
     bool operator==(const RefineOptions&) const = default;
 };
 
-/// Network input for one scan in image order, and the measured drops.
+/// Network input for a scan in image order, and the measured drops.
 struct DropImage {
     int rows = 0, columns = 0;
     /// Input channels, [channels of the network, rows, columns]; drop_channel_names()

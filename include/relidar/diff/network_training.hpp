@@ -29,7 +29,7 @@ public:
     ~DropPass();
 
     const DropNetwork& network() const;
-    /// Records the evaluation of one image.
+    /// Records the evaluation of an image.
     /// @param channels [network().inputs, rows, columns] as DropImage::channels
     /// @return drop probabilities, [rows, columns], valid until an image of a third shape
     /// is evaluated

@@ -31,7 +31,7 @@ class Adam {
 public:
     Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of = {});
     ~Adam();
-    /// Records one optimiser step.
+    /// Records an optimiser step.
     /// @param touched [n] 1 for each surfel with a gradient; gradients of other surfels
     /// are treated as zero. Null = all surfels have a gradient
     /// @param step number of the step, counted from 1
@@ -61,7 +61,7 @@ public:
     /// @param options only_touched is ignored, because it applies only to surfels
     ArrayAdam(Device& device, std::size_t n, const AdamOptions& options);
     ~ArrayAdam();
-    /// Records one optimiser step.
+    /// Records an optimiser step.
     /// @param values [n] changed in place
     /// @param gradients [n] gradients of the values
     /// @param step number of the step, counted from 1

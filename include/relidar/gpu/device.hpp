@@ -23,7 +23,7 @@ enum class Traversal { automatic, ray_query, software };
 /// @throws UsageError for any other name
 Traversal find_traversal(const std::string& name);
 
-/// Properties of one Vulkan device of this machine, and the relidar features that it
+/// Properties of a Vulkan device of this machine, and the relidar features that it
 /// supports.
 struct DeviceInfo {
     int index = 0;
@@ -61,7 +61,7 @@ Traversal best_traversal(const DeviceInfo& info);
 /// @throws DeviceError if no Vulkan loader or driver is installed
 std::vector<DeviceInfo> list_devices();
 
-/// Statistics that the driver reports for one kernel, compiled with one set of
+/// Statistics that the driver reports for a kernel that was compiled with one set of
 /// specialisation constants.
 struct PipelineStatistics {
     std::string kernel;  ///< Kernel name as in the build: "stage/stem" or "stage/stem@variant".
@@ -144,7 +144,7 @@ struct KernelTimes {
     /// Number of launches and total run time by kernel name, over all launches.
     std::map<std::string, Total> totals;
 
-    void add(const std::string& kernel, double ms);  ///< Adds the run time of one launch.
+    void add(const std::string& kernel, double ms);  ///< Adds the run time of a launch.
     void add(const KernelTimes& later);              ///< Adds the run times of later launches.
 };
 

@@ -199,7 +199,7 @@ private:
 class Readback {
 public:
     /// Allocates host memory for the copy.
-    /// @param n_bytes maximum size of one copy
+    /// @param n_bytes maximum size of a copy
     /// @param what name of the copy in messages
     /// @throws DeviceError if memory is exhausted
     Readback(Device& device, std::size_t n_bytes, const std::string& what);

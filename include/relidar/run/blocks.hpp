@@ -33,7 +33,7 @@ struct Block {
 /// @throws DataError if a block has no training frame within its halo
 std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options);
 
-/// Part of a log for the training of one block: its training frames, the held-out frames
+/// Part of a log for the training of a block: its training frames, the held-out frames
 /// recorded in the block, and boxes near them.
 struct BlockLog {
     Sequence sequence;
@@ -42,7 +42,7 @@ struct BlockLog {
     /// list only tracks that the block has.
     Config config;
 };
-/// Extracts the part of a prepared log that one block needs.
+/// Extracts the part of a prepared log that a block needs.
 /// @param config settings of the complete training
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
 

@@ -200,7 +200,7 @@ struct Config {
 /// @throws UsageError for any other name; the message suggests the most similar name
 Config make_preset(const std::string& name);
 
-/// One setting: key, current value as text, and explanation.
+/// Setting: key, current value as text, and explanation.
 struct ConfigKey {
     std::string key;
     std::string value;
@@ -210,7 +210,7 @@ struct ConfigKey {
 /// Lists all settings, in the order of the TOML file.
 std::vector<ConfigKey> config_keys(const Config& config);
 
-/// Sets one field from text.
+/// Sets a field from text.
 /// @throws UsageError for an unknown key (the message suggests the most similar key), or
 /// for a value of the wrong type or out of range
 void set_key(Config& config, const std::string& key, const std::string& value);

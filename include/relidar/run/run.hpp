@@ -30,7 +30,7 @@ namespace relidar {
 /// File of a run folder that contains the surfels.
 inline constexpr const char* kModelFile = "model.safetensors";
 
-/// One entry in the edit history of a run.
+/// Entry in the edit history of a run.
 struct RunEdit {
     std::string run;   ///< Absolute path of the run that was edited.
     std::string edit;  ///< Edit as typed on the command line: "--move 0:0,3.5,0".
@@ -97,7 +97,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene);
 /// has a value that is not finite
 Scene load_model(const std::filesystem::path& path);
 
-/// Loads the background surfels of one block.
+/// Loads the background surfels of a block.
 /// @throws DataError as load_model(), or if the number of surfels differs from `block`
 Surfels read_block(const SceneBlock& block);
 /// Returns a copy of the scene with the selected blocks loaded into its background, which

@@ -71,7 +71,7 @@ struct SurfelArrays {
     void fill_zero(Stream& stream);
 };
 
-/// Learning rates of one optimiser step.
+/// Learning rates of an optimiser step.
 struct LearningRates {
     double mean = 1.6e-4;  ///< Rate of the means, metres. The schedule multiplies it by the extent.
     double rotation = 1e-3;
@@ -88,11 +88,11 @@ struct LearningRates {
     std::vector<float> mean_factors = {};
 };
 
-/// Description of one parameter group, for code that treats all parameters alike: arrays,
+/// Description of a parameter group, for code that treats all parameters alike: arrays,
 /// optimiser, densification and files.
 struct ParameterGroup {
     const char* name;  ///< Name of the group's array in files.
-    /// Shape of the floats of one surfel. {3, 1} is a row of 3, {1, 1} is a single
+    /// Shape of the floats of a surfel. {3, 1} is a row of 3, {1, 1} is a single
     /// number.
     std::array<std::uint32_t, 2> row;
     double LearningRates::*rate;

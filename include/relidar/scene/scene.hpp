@@ -36,11 +36,11 @@ enum class Primitive {
 #undef RELIDAR_PRIMITIVE
 };
 
-/// Triangle mesh that represents one primitive in a driver's acceleration structure: two
+/// Triangle mesh that represents a primitive in a driver's acceleration structure: two
 /// triangles in the plane of a surfel, or twenty triangles around an ellipsoid.
 enum class ProxyMesh { rectangle, icosahedron };
 
-/// Properties of one primitive. RELIDAR_PRIMITIVES explains each field.
+/// Properties of a primitive. RELIDAR_PRIMITIVES explains each field.
 struct PrimitiveKind {
     Primitive primitive;
     const char* name;
@@ -61,7 +61,7 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
-/// Motion of one surfel of a walking actor with the gait phase p, in turns
+/// Motion of a surfel of a walking actor with the gait phase p, in turns
 /// (InstancePose::phase, docs/method.md M10):
 ///
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
@@ -161,8 +161,8 @@ struct SceneBlock {
     }
 };
 
-/// Scene to render: surfels, models, their placement, and rays that the sensor never
-/// returns.
+/// Renderable scene: surfels, models, instances that place the models in the world, and
+/// drop probabilities of the sensor.
 struct Scene {
     Surfels surfels;
     std::vector<Model> models;

@@ -10,7 +10,7 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_SH_COEFFICIENTS 16
 #define RELIDAR_SH_FLOATS 48
 
-/// One activated surfel in the frame of its model. It has 64 bytes, so that a hit reads
+/// Activated surfel in the frame of its model. It has 64 bytes, so that a hit reads
 /// one cache line. Surfels that cannot be hit have opacity 0.
 struct SurfelRecord {
     vec3 mean;        // Centre, metres.

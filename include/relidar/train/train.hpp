@@ -29,7 +29,7 @@ namespace relidar {
 struct Checkpoint;
 struct Run;
 
-/// One entry of the training log.
+/// Entry of the training log.
 struct TrainProgress {
     int iteration = 0;
     int n_iterations = 0;

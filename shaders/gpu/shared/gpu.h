@@ -26,7 +26,7 @@ struct ScanParams {
     uint stride;
 };
 
-/// One pass of a stable sort by one digit (gpu/radix_count.comp, radix_scan.comp,
+/// Pass of a stable sort by a digit (gpu/radix_count.comp, radix_scan.comp,
 /// radix_scatter.comp).
 struct RadixSortParams {
     // Input, [1]: number of keys, limited by the capacity; address 0 = capacity.
@@ -45,8 +45,8 @@ struct RadixSortParams {
 
 /// Copy for bandwidth measurements (gpu/copy.comp).
 struct CopyParams {
-    RELIDAR_OF(Vec4s, CopySource) from;  // Input, [n].
-    RELIDAR_OF(Vec4s, CopyTarget) to;    // Output, [n].
+    RELIDAR_OF(Vec4s, CopySource) from;  // Input: source vectors, [n].
+    RELIDAR_OF(Vec4s, CopyTarget) to;    // Output: copied vectors, [n].
     uint n;
 };
 

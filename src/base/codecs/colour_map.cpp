@@ -39,7 +39,7 @@ constexpr std::array<Colour, 16> kTurbo{{
 constexpr std::array<Colour, 2> kGray{{{0, 0, 0}, {255, 255, 255}}};
 constexpr std::array<Colour, 4> kHeat{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
 constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a value.
-constexpr std::uint8_t kSeparator = 128;  // Gray.
+constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
 std::span<const Colour> stops_of(const std::string& map) {

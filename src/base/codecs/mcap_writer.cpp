@@ -112,7 +112,7 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
     append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
-    append(body, time_ns), append(body, time_ns);  // Log time and publish time.
+    append(body, time_ns), append(body, time_ns);  // Log time and publish time of the message.
     body += message;
     chunk_ += record(kMessageRecord, body);
 }

@@ -14,7 +14,7 @@
 
 namespace relidar::scan_files {
 
-/// Writer of one MCAP file.
+/// Writer of an MCAP file.
 class McapWriter {
 public:
     using Values = std::map<std::string, std::string>;  ///< Values by name.

@@ -48,7 +48,7 @@ public:
     Deflater(const Deflater&) = delete;
     Deflater& operator=(const Deflater&) = delete;
 
-    /// Compresses one piece.
+    /// Compresses a piece.
     /// @param n_bytes below 4 GiB
     void add(const void* data, std::size_t n_bytes, bool last) {
         const auto* bytes = static_cast<const Bytef*>(data);
@@ -77,13 +77,13 @@ void append_common(std::string& bytes, const Entry& entry) {
     append(bytes, kVersion);
     append(bytes, kUtf8Names);
     append(bytes, kDeflated);
-    append(bytes, std::uint16_t(0));  // Time.
+    append(bytes, std::uint16_t(0));  // Zip field: modification time.
     append(bytes, kDate);
     append(bytes, entry.crc);
     append(bytes, entry.packed_size);
     append(bytes, entry.size);
     append(bytes, std::uint16_t(entry.name.size()));
-    append(bytes, std::uint16_t(0));  // Length of the extra field.
+    append(bytes, std::uint16_t(0));  // Zip field: length of the extra field.
 }
 
 std::string local_header(const Entry& entry) {
@@ -96,12 +96,12 @@ std::string local_header(const Entry& entry) {
 std::string central_header(const Entry& entry) {
     std::string bytes;
     append(bytes, kCentralHeader);
-    append(bytes, kVersion);  // Version of the writer.
+    append(bytes, kVersion);  // Zip field: version of the writer.
     append_common(bytes, entry);
-    append(bytes, std::uint16_t(0));  // Length of the comment.
-    append(bytes, std::uint16_t(0));  // Disk number.
-    append(bytes, std::uint16_t(0));  // Internal attributes.
-    append(bytes, std::uint32_t(0));  // External attributes.
+    append(bytes, std::uint16_t(0));  // Zip field: length of the comment.
+    append(bytes, std::uint16_t(0));  // Zip field: disk number.
+    append(bytes, std::uint16_t(0));  // Zip field: internal file attributes.
+    append(bytes, std::uint32_t(0));  // Zip field: external file attributes.
     append(bytes, entry.offset);
     return bytes + entry.name;
 }
@@ -109,12 +109,12 @@ std::string central_header(const Entry& entry) {
 std::string end_record(std::size_t n_entries, std::size_t directory_size, std::size_t directory_offset) {
     std::string bytes;
     append(bytes, kEndRecord);
-    append(bytes, std::uint32_t(0));  // Disk numbers.
+    append(bytes, std::uint32_t(0));  // Zip fields: disk numbers.
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint32_t(directory_size));
     append(bytes, std::uint32_t(directory_offset));
-    append(bytes, std::uint16_t(0));  // Length of the comment.
+    append(bytes, std::uint16_t(0));  // Zip field: length of the comment.
     return bytes;
 }
 
@@ -124,7 +124,7 @@ void check_size(const std::string& what, std::uint64_t n_bytes) {
             fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
 }
 
-/// Writes one array at `offset`.
+/// Writes an array at `offset`.
 /// @return its directory entry
 Entry write_entry(export_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
     const std::string header = export_detail::npy_header(array);
