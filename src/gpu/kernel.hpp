@@ -40,7 +40,7 @@ struct Constant {
 
 /// Subgroup requirements of a kernel. `full`: every subgroup has exactly
 /// DeviceInfo::subgroup_size active lanes. Kernels that number their threads by subgroups
-/// need this (common/workgroup_scan.glsl), because some compilers choose a smaller size
+/// need this (base/workgroup_scan.glsl), because some compilers choose a smaller size
 /// for individual kernels.
 enum class Subgroups { any, full };
 

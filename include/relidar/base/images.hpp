@@ -48,6 +48,7 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
 /// Stacks images of equal width, separated by a thin line.
 /// @param stretch vertical magnification of each image, because a LiDAR row covers a
 /// larger angle than a column
+/// @throws UsageError if stretch is below 1
 /// @throws DataError if the widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
 /// Writes a PNG file, or returns its bytes.

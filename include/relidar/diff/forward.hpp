@@ -97,7 +97,8 @@ struct RendererOptions {
 class Renderer {
 public:
     /// Creates a renderer.
-    /// @param scene copied to the device; parameters() and upload() change only the copy
+    /// @param scene copied to the device; scene().parameters() and upload() change only
+    /// the copy
     /// @throws DataError if models or instances of the scene are out of range
     Renderer(Device& device, const Scene& scene, const ImageModel& model,
              const RendererOptions& options = {});
