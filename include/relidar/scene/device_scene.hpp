@@ -215,7 +215,7 @@ private:
 
 /// Computes pose and motion of a tracked box in a sweep, for place_instances(). The pose
 /// equals the track at the first and the last time at which a ray may hit the box. It is
-/// interpolated between these times. A box behind a spinning sensor is hit at the begin
+/// interpolated between these times. A box behind a spinning sensor is hit at the start
 /// and at the end of the sweep.
 /// @param half_size_m [3] half size of the box; 0 = unknown, then any ray may hit the box
 InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
