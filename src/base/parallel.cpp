@@ -12,17 +12,17 @@
 namespace relidar {
 namespace {
 
-/// Threads that wait for work, one less than there are cores. They are started by the
-/// first loop and never end: what they would have to outlive at the end of the program is
-/// not known. Starting threads for each loop took longer than many a loop.
+/// Worker threads, one less than the number of cores. The threads start with the first
+/// parallel loop and are never joined, because other static objects may still use them
+/// during shutdown. They are kept because starting threads takes longer than many loops.
 class IdleThreads {
 public:
     IdleThreads() {
         for (std::size_t k = 1; k < n_cores(); ++k) std::thread([this] { serve(); }).detach();
     }
 
-    /// Runs work() here, and at the same time on up to n others. @return once all of them
-    /// have returned
+    /// Runs work() on this thread and concurrently on up to n worker threads. Returns
+    /// when all calls have returned.
     void run(std::size_t n, const std::function<void()>& work) {
         Job job{&work, n};
         {
@@ -32,21 +32,21 @@ public:
         wake();
         work();
         std::unique_lock lock(mutex_);
-        jobs_.remove(&job);  // whoever has not begun finds nothing left to do
+        jobs_.remove(&job);  // Workers that have not started the job yet no longer find it.
         ended_.wait(lock, [&] { return job.n_running == 0; });
     }
 
 private:
     struct Job {
         const std::function<void()>* work;
-        std::size_t n_wanted, n_running = 0;
+        std::size_t n_needed, n_running = 0;
     };
     std::mutex mutex_;
     std::condition_variable wake_, ended_;
-    std::list<Job*> jobs_;  // that want more threads
+    std::list<Job*> jobs_;  // Jobs that need more threads.
 
-    /// Two threads, each of which wakes two others where they are wanted: the caller
-    /// begins at once, and ends a short loop alone.
+    /// Wakes two threads, each of which wakes two others if they are needed. The caller
+    /// thus starts immediately, and finishes a short loop alone.
     void wake() {
         wake_.notify_one();
         wake_.notify_one();
@@ -57,11 +57,11 @@ private:
         for (;;) {
             wake_.wait(lock, [&] { return !jobs_.empty(); });
             Job& job = *jobs_.front();
-            if (--job.n_wanted == 0) jobs_.pop_front();
+            if (--job.n_needed == 0) jobs_.pop_front();
             ++job.n_running;
-            const bool wants_more = !jobs_.empty();
+            const bool needs_more_threads = !jobs_.empty();
             lock.unlock();
-            if (wants_more) wake();
+            if (needs_more_threads) wake();
             (*job.work)();
             lock.lock();
             if (--job.n_running == 0) ended_.notify_all();
@@ -69,7 +69,8 @@ private:
     }
 };
 
-/// Those of this process: a fork has none of its parent's threads.
+/// Returns the worker threads of this process. A forked process has none of its parent's
+/// threads.
 IdleThreads& idle_threads() {
     static std::mutex mutex;
     static IdleThreads* threads = nullptr;
@@ -94,7 +95,7 @@ void run_parallel(int n, const std::function<void(int)>& task) {
             } catch (...) {
                 const std::scoped_lock lock(mutex);
                 if (i < failed) failure = std::current_exception(), failed = i;
-                next = n;  // all of smaller i have been begun
+                next = n;  // All tasks with a smaller i have already started.
             }
         }
     };

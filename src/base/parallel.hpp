@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loops over independent items on all cores, by threads that stay.
+// Parallel loops over independent items on all cores. The worker threads are kept between
+// loops.
 #pragma once
 
 #include <algorithm>
@@ -11,34 +12,34 @@
 
 namespace relidar {
 
-/// Cores that this process may use, 1 or more.
+/// Returns the number of cores that this process may use, at least 1.
 inline std::size_t n_cores() {
     static const std::size_t n = std::max(1u, std::thread::hardware_concurrency());
     return n;
 }
 
-/// Runs task(i) for every i in [0, n), on the calling thread and those that are idle. A
-/// task may run another such loop. After a failure no other task is begun; what is
-/// thrown, once all have ended, is the failure of the smallest i, so that a message does
-/// not depend on timing.
+/// Runs task(i) for every i in [0, n), on the calling thread and on idle worker threads.
+/// A task may start another parallel loop. After an exception, no further task starts.
+/// When all running tasks have ended, the exception of the smallest i is rethrown, so
+/// that the message does not depend on timing.
 void run_parallel(int n, const std::function<void(int)>& task);
 
-/// Neighbouring items that a thread takes at a time: several blocks a core, and enough
-/// that taking one costs nothing.
+/// Returns the number of consecutive items that a thread processes at a time. There are
+/// several blocks per core, and each is large enough that the overhead is negligible.
 inline std::size_t block_size(std::size_t n) {
     constexpr std::size_t kLeast = 128, kMost = 4096, kBlocksOfCore = 8;
     return std::clamp(n / (kBlocksOfCore * n_cores()), kLeast, kMost);
 }
 
-/// task(begin, end) for the parts of `size` items that [0, n) has, on all cores; the last
-/// part may be shorter.
+/// Runs task(begin, end) on all cores, for consecutive parts of `size` items of [0, n).
+/// The last part may be shorter.
 template <class Task>
 void for_each_part(std::size_t n, std::size_t size, const Task& task) {
     run_parallel(static_cast<int>((n + size - 1) / size),
                  [&](int i) { task(std::size_t(i) * size, std::min(n, (std::size_t(i) + 1) * size)); });
 }
 
-/// task(i) for every i < n, on all cores in blocks.
+/// Runs task(i) for every i < n on all cores, in blocks.
 template <class Task>
 void for_each_block(std::size_t n, const Task& task) {
     for_each_part(n, block_size(n), [&](std::size_t begin, std::size_t end) {
@@ -46,9 +47,9 @@ void for_each_block(std::size_t n, const Task& task) {
     });
 }
 
-/// A sum over [0, n) that is the same on any number of cores: of parts of `size` items,
-/// added up in their order.
-/// @param part  (begin, end) -> Sum, of which operator+= adds two
+/// Computes a sum over [0, n) that does not depend on the number of cores. It sums parts
+/// of `size` items in parallel and adds the partial sums in order.
+/// @param part function (begin, end) -> Sum; Sum has operator+=
 template <class Part>
 auto sum_parallel(std::size_t n, std::size_t size, const Part& part) {
     using Sum = decltype(part(std::size_t{}, std::size_t{}));
@@ -60,11 +61,11 @@ auto sum_parallel(std::size_t n, std::size_t size, const Part& part) {
     return std::move(sums[0]);
 }
 
-/// Sorts on all cores: stretches, which are then merged by twos. The order does not
-/// depend on the number of cores where `less` tells elements apart that are not the same.
+/// Sorts on all cores: sorts sections and then merges them in pairs. The order does not
+/// depend on the number of cores if `less` distinguishes all different elements.
 template <class T, class Less>
 void sort_parallel(std::vector<T>& values, const Less& less) {
-    constexpr std::size_t kLeast = 1 << 15;  // of a stretch
+    constexpr std::size_t kLeast = 1 << 15;  // Minimum number of elements in a section.
     std::size_t n = 1;
     while (n < n_cores() && values.size() / (2 * n) >= kLeast) n *= 2;
     const auto at = [&](std::size_t k) {

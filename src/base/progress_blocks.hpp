@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loops over many independent items that say how far they are.
+// Parallel loops over independent items that report their progress.
 #pragma once
 
 #include <algorithm>
@@ -13,9 +13,9 @@
 
 namespace relidar {
 
-/// run_parallel. The calling thread tells how many of the items are done: first, before
-/// each that it takes itself, and 1 at the end, since other threads may take all of the
-/// last ones. What `progress` throws ends it.
+/// Runs a loop with run_parallel() and reports progress from the calling thread. It
+/// reports before each item that the calling thread processes, and 1 at the end, because
+/// other threads may process the last items. An exception from `progress` ends the loop.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     if (progress) progress(what, 0.0);
@@ -36,7 +36,7 @@ void for_each_told(std::size_t n, const Progress& progress, std::string_view wha
     if (progress) progress(what, 1.0);
 }
 
-/// As for_each_told, in blocks.
+/// Runs a loop in blocks and reports progress, like for_each_told().
 template <class Task>
 void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     const std::size_t size = block_size(n);

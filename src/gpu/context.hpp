@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan objects behind relidar::Device: instance, device and one compute queue. Converts
-// failed Vulkan calls to DeviceError.
+// Vulkan objects behind relidar::Device: the instance, the device and one compute queue.
+// Converts failures of Vulkan calls to DeviceError.
 #pragma once
 
 #include <array>
@@ -25,20 +25,19 @@ class MemoryPools;
 class PipelineCache;
 class Transfers;
 
-/// Throws a DeviceError with the name of the call and the VkResult if `result` is a
-/// failure.
+/// Throws a DeviceError that names the call and the VkResult if `result` is a failure.
 void check(VkResult result, const char* call);
-/// Throws the error of a failed call.
+/// Throws an error for a failed Vulkan call.
 /// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
 [[noreturn]] void fail(VkResult result, const std::string& message);
 std::string result_name(VkResult result);
 
-/// A Vulkan instance, with a messenger if validation is enabled.
+/// Vulkan instance with its optional validation messenger.
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// Function of this instance. An instance without the debug extension does not have
-    /// it.
+    /// Function pointer of this instance. It is stored here because an instance that is
+    /// opened later without the extension replaces the global pointer by null.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -50,10 +49,10 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
-/// Returns true if a device offers the extension.
+/// Returns true if a device supports an extension.
 bool has_extension(VkPhysicalDevice physical, const char* name);
 
-/// Collects the names of missing features for an error message.
+/// Collects the names of missing features for a message.
 struct Missing {
     std::string text;
     void need(bool present, const char* name) {
@@ -61,37 +60,36 @@ struct Missing {
     }
 };
 
-/// Optional features that make kernels correct or safer on some devices.
+/// Optional features that make kernels correct or more robust on devices that do not
+/// guarantee this behaviour otherwise.
 struct OptionalFeatures {
-    /// A kernel can request DeviceInfo::subgroup_size lanes although the subgroup size
-    /// varies.
+    /// Subgroup sizes vary, and a kernel can request DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
-    bool full_subgroups = false;  ///< A kernel can request subgroups without missing lanes.
+    bool full_subgroups = false;  ///< A kernel can request full subgroups, without inactive lanes.
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 
-/// Returns true if kernels run in complete subgroups of DeviceInfo::subgroup_size lanes.
+/// Returns true if kernels run in full subgroups of DeviceInfo::subgroup_size lanes.
 bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                      const OptionalFeatures& optional);
-/// Returns the features that the software traversal needs and the device lacks. Empty if
-/// it lacks none.
+/// Lists the features that software traversal lacks; empty if it lacks none.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Returns the features that network layers need and the device lacks. Empty if it lacks
-/// none.
+/// Lists the features that the layers of networks lack; empty if they lack none.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Cache of pipelines, by kernel name, specialisation constants and subgroup
-/// requirements. Equal kernels of a device share one pipeline until the device is closed,
-/// because lavapipe needs 10 ms for each pipeline even with a warm cache. On a GPU a
-/// separate thread starts to compile each pipeline when its kernel is created, because a
-/// GPU's compiler can take seconds.
+/// Pipelines by kernel name, specialisation constants and subgroup requirements. Equal
+/// kernels share one pipeline, which is kept until the device is closed. Sharing is
+/// needed because trainings and renderers create dozens of kernels, and lavapipe needs 10
+/// ms for each pipeline even if its code is cached. A GPU's driver compiles for seconds
+/// without a cache. Therefore a separate thread starts to compile a pipeline as soon as
+/// its kernel is created.
 struct Pipelines {
     struct Made {
         VkResult result;
@@ -99,11 +97,11 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    /// limits the number of threads that compile simultaneously
+    /// Limits the number of threads that compile simultaneously.
     std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};
 };
 
-/// Returns what relidar can do on a physical device. Names every missing feature.
+/// Describes the features of a physical device, with the names of all missing ones.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
 }  // namespace relidar::gpu
@@ -117,13 +115,13 @@ struct Device::Impl {
     VkQueue queue = VK_NULL_HANDLE;
     std::uint32_t queue_family = 0;
     DeviceInfo info;
-    std::vector<const char*> extensions;  ///< enabled extensions
-    gpu::OptionalFeatures optional;       ///< enabled optional features
+    std::vector<const char*> extensions;  ///< Enabled extensions.
+    gpu::OptionalFeatures optional;       ///< Enabled optional features.
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// Largest size of one array in bytes, and the name of the limit that defines it.
+    /// Maximum size of one array, and the name of the limit that determines it.
     struct {
         std::uint64_t n_bytes;
         const char* name;
@@ -133,37 +131,36 @@ struct Device::Impl {
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
     std::mutex queue_mutex;
-    /// Layout of all kernels: two addresses as push constants.
+    /// Pipeline layout of all kernels: two addresses as push constants.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// Buffer of zeros. A kernel gets its address instead of an array that a launch
-    /// leaves out.
+    /// Zeros that kernels receive in place of an array that a launch omits.
     std::unique_ptr<Buffer::Impl> nothing;
-    std::uint64_t memory_limit_bytes = 0;  ///< limit for all arrays together in bytes, 0 = no limit
+    std::uint64_t memory_limit_bytes = 0;  ///< Limit for device memory; 0 = no limit.
     bool compile_only = false;
-    ForcedWays forced;  ///< set by tests only
-    /// True if pipelines are compiled when their kernels are created (GPU). False if they
-    /// are compiled at their first launch (CPU).
+    ForcedWays forced;  ///< Behaviour that tests have forced.
+    /// If true, pipelines are compiled when their kernels are created. A CPU compiles a
+    /// pipeline when it first runs it.
     bool compiles_ahead = false;
-    bool pipeline_statistics = false;  ///< true if VK_KHR_pipeline_executable_properties is enabled
-    /// statistics of the compiled pipelines, filled if `compile_only` is set
+    bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
+    /// Statistics of compiled pipelines; used only with compile_only.
     std::vector<PipelineStatistics> compiled;
-    std::atomic<std::uint64_t> allocated{0};  ///< bytes that are allocated for arrays now
+    std::atomic<std::uint64_t> allocated{0};  ///< Bytes allocated by arrays.
     std::atomic<std::uint64_t> peak{0};
-    /// Number of buffers created so far, and number of times the host waited for all
-    /// submitted work.
+    /// Number of buffers created so far, and number of times that the host waited for all
+    /// submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();
     /// Opens the device.
-    /// @param cache_folder  folder of the pipeline cache, or empty
+    /// @param cache_folder folder of the pipeline cache, or empty
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();
     void make_pipeline_layout();
-    /// Submits work to the queue. Can be called from several threads, because a mutex
-    /// protects the queue.
+    /// Submits work to the queue. A mutex ensures that only one thread accesses the queue
+    /// at a time.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 

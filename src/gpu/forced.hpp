@@ -9,23 +9,21 @@
 
 namespace relidar {
 
-/// Returns the number of validation warnings and errors of a device so far. Returns 0 if
-/// validation is disabled.
+/// Returns the number of validation messages of severity warning or error so far (0
+/// without validation).
 std::size_t validation_messages(const Device& device);
 
-/// Settings that replace the choices made for the device.
+/// Device behaviour that a test forces instead of the default.
 struct ForcedWays {
-    bool brute_force = false;  ///< rays test every surfel instead of using the acceleration structure
-    /// If set, decides whether neighbouring threads read neighbouring floats, as on a
-    /// GPU.
+    bool brute_force = false;  ///< If true, rays test every surfel instead of searching a tree.
+    /// If true, neighbouring threads read neighbouring floats, as on GPUs.
     std::optional<bool> coalesces = std::nullopt;
-    /// if set, the number of scans rendered simultaneously, see
-    /// ScanRenderer::side_by_side()
+    /// Number of scans that a renderer processes concurrently; see
+    /// ScanRenderer::side_by_side().
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// Applies the settings to everything that is created on a device during the lifetime of
-/// this object.
+/// Scope in which objects created on a device use the forced behaviour.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

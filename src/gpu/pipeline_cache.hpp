@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores compiled pipelines on disk, in one file per device and driver, because a GPU's
-// compiler takes seconds for the largest kernels. Ignores a file that is damaged or of
-// another driver. A folder that cannot be written is not an error.
+// Pipeline cache on disk, because a GPU's compiler needs seconds for the largest kernels.
+// There is one file per device and driver. A file that is damaged or from another driver
+// is ignored. An unwritable folder is not an error.
 #pragma once
 
 #include <filesystem>
@@ -13,18 +13,18 @@ namespace relidar::gpu {
 
 class PipelineCache {
 public:
-    /// Reads the cache file.
-    /// @param folder  folder of the file; if it is empty, nothing is stored
+    /// Opens the cache.
+    /// @param folder folder of the file; empty = no file
     PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
-    /// Writes the file if the cache has grown.
+    /// Writes the file if the cache has grown since it was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;
 
     VkPipelineCache handle() const { return handle_; }
-    /// Path of the file. Empty if nothing is stored.
+    /// Path of the file; empty without a file.
     const std::filesystem::path& path() const { return path_; }
-    /// Number of bytes that were read from the file, 0 if there was no file.
+    /// Number of driver bytes read from the file; 0 if it was missing.
     std::size_t read_bytes() const { return read_bytes_; }
 
 private:

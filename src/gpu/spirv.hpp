@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and changes SPIR-V modules when they are loaded. Adds execution modes, because
-// only the device decides which ones are available and glslang may not support their GLSL
-// extensions. Marks the parameters as read-only, because the GLSL qualifier would affect
-// too much (shaders/base/kernel.glsl).
+// Reads SPIR-V modules and edits them when they are loaded. Execution modes are added
+// here, because only then is it known which modes the device supports, and glslang may
+// not know their GLSL extensions. Parameters are marked read-only here, because the GLSL
+// qualifier applies to too much (shaders/base/kernel.glsl).
 #pragma once
 
 #include <cstdint>
@@ -14,43 +14,43 @@
 
 namespace relidar::gpu {
 
-/// An execution mode without operands, and the extension that defines it.
+/// Execution mode without operands, and the extension that defines it.
 struct ExecutionMode {
     std::uint32_t mode;
     std::string_view extension;
 };
 
-/// Lanes of a subgroup reconverge after a branch if all lanes of the subgroup entered it.
+/// Lanes that diverge at a branch reconverge after it, if the full subgroup entered the
+/// branch.
 inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgroup_uniform_control_flow"};
-/// Any set of lanes reconverges after a branch or loop.
+/// Any set of lanes that diverges reconverges, also in loops.
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
 
-/// Returns the module with the execution mode on each entry point.
-/// @param words  a module with at least one entry point
+/// Returns the module with the execution mode added to each entry point.
+/// @param words module with at least one entry point
 std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words,
                                                const ExecutionMode& mode);
 
 /// Returns the module with its parameter block (RELIDAR_PARAMS) decorated as NonWritable.
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
 
-/// Returns the module with all parameters copied to private variables at its start. This
-/// is for Mesa's lavapipe: inside a branch or loop it loads a uniform address once per
-/// lane, which took two fifths of Adam's time. A GPU chooses a better time for these
-/// loads.
+/// Returns the module with its parameters copied to private variables at the start. For
+/// Mesa's lavapipe, which otherwise performs a uniform load lane by lane behind a branch
+/// or in a loop. A GPU chooses better when to read parameters.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
 
-/// Returns the module with array indices that the compiler treats as different in each
-/// lane. After version 25.0, Mesa's lavapipe executes a load with a uniform address even
-/// in a branch that no lane takes. The index may then be invalid and the load may crash.
-/// A load with one address per lane only runs for active lanes. Call this function before
+/// Returns the module with array indices that the compiler cannot prove uniform. For
+/// Mesa's lavapipe after 25.0, which executes a uniform load even in a branch that no
+/// lane takes. The index is then arbitrary, and the load may crash. A load with an
+/// address per lane is executed only for active lanes. Use it before
 /// with_parameters_first(), which moves parameters.
 std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
 
-/// Returns the module with constant branches: branches that specialisation constants
-/// decide become unconditional. Unreachable blocks stay in the module. Drivers remove
-/// them too, but only after inlining; with this change Mesa's lavapipe compiles
-/// diff/forward/trace in half the time.
-/// @param constants  values by id; the module's defaults are used for the others
+/// Returns the module with branches that its specialisation constants decide made
+/// unconditional. Unreachable blocks stay in the module. A driver removes them too, but
+/// only after inlining all functions. Mesa's lavapipe compiles diff/forward/trace in half
+/// the time if they are unreachable from the start.
+/// @param constants values by id; other constants keep the default of the module
 std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
                                                const std::map<std::uint32_t, std::uint32_t>& constants);
 

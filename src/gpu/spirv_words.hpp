@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Walks through the words of a SPIR-V module: a header, then instructions. The first word
-// of an instruction holds its length and opcode.
+// SPIR-V as words: a header, followed by instructions. The first word of an instruction
+// contains its length and opcode.
 #pragma once
 
 #include <cstddef>

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every loss term, a line each: the only list of them, read by C++ and GLSL. From it come
-// the weights (LossWeights), the settings `loss.*`, the names in logs and reports
-// (kLossTermNames), where kernels and tests find a term in a row of terms, and which
-// losses a training has.
+// List of all loss terms, one per line, read by C++ and GLSL. It defines the weights
+// (LossWeights), the settings `loss.*`, the names in logs and reports (kLossTermNames),
+// the index of a term in a row of terms for kernels and tests, and the losses of a
+// training.
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 #define RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 
-/// TERM(place in a row of terms, name, setting of its weight, the loss that computes it,
-/// default, what the setting accepts, what it means) A loss computes one term or several.
-/// It is made, once, where a weight of its terms is above 0 (make_losses).
+/// TERM(index in a row of terms, name, setting of its weight, loss that computes it,
+/// default, accepted values, explanation). A loss computes one or several terms. It is
+/// created once if the weight of one of its terms is above 0 (make_losses).
 #define RELIDAR_LOSS_TERMS(TERM)                                                                          \
     TERM(0u, depth, depth, image, 0.1f, at_least(0), "weight of the range term, L1 on returned rays")     \
     TERM(1u, intensity, intensity, image, 0.1f, at_least(0),                                              \
