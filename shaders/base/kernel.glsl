@@ -34,7 +34,7 @@ layout(push_constant, scalar) uniform Push {
 
 /// Whether the host passed no such array. The host then passes the address of a few zeros
 /// instead of address 0, because some drivers execute loads of branches that no lane
-/// takes (docs/platform.md). So every pointer of the parameters can be read at its first
+/// takes (docs/debugging.md). So every pointer of the parameters can be read at its first
 /// entries.
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 

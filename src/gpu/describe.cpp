@@ -104,7 +104,7 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
 }
 
 /// Lavapipe before 24.1 cannot compile our kernels on every processor: its code generator
-/// ends the process (docs/platform.md).
+/// ends the process (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&

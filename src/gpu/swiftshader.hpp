@@ -5,7 +5,7 @@
 
 namespace relidar::gpu {
 
-/// SwiftShader's compiler ends the process on kernels that trace (docs/platform.md).
+/// SwiftShader's compiler ends the process on kernels that trace (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
 
 }  // namespace relidar::gpu
