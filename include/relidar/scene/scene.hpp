@@ -61,7 +61,7 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
 }
 
 /// How a surfel of an actor that walks takes part in its gait, at a phase of p turns
-/// (InstancePose::phase, docs/method.md M10):
+/// (InstancePose::phase, docs/method.md M14):
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
 /// All zero: a surfel that is always there and rests.
 struct Gait {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How a surfel of an actor that walks takes part in its gait (docs/method.md M10): at a
+// How a surfel of an actor that walks takes part in its gait (docs/method.md M14): at a
 // phase p of the gait it is there by exp(sharpness^2 (cos 2 pi (p - phase) - 1)) and has
 // moved by swing sin 2 pi (p - phase). Include after shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
