@@ -206,7 +206,7 @@ Traversal find_traversal(const std::string& name) {
 }
 
 Traversal best_traversal(const DeviceInfo& info) {
-    // measured: docs/debugging.md
+    // measured: docs/performance.md
     if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;
 }
