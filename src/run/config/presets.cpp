@@ -34,7 +34,7 @@ Config paper() {
 /// The settings that the paper's authors released, where docs/method.md section 5 says
 /// that they differ from the text: their intensity loss has a share of SSIM, which wants
 /// whole images; their Chamfer distance is computed without a gradient, so training is
-/// without it; and surfels that leave their box cost something. What section 4 and 7 call
+/// without it; and surfels that leave their box cost something. What section 10 calls
 /// faults of their program is in no setting.
 Config released() {
     Config config = paper();
