@@ -35,7 +35,7 @@ layout(push_constant, scalar) uniform Push {
 
 /// Returns true if the host passed no array. The host then passes the address of a few
 /// zeros instead of address 0, because some drivers execute loads in branches that no
-/// lane takes (docs/platform.md). Therefore the first entries of every pointer in the
+/// lane takes (docs/debugging.md). Therefore the first entries of every pointer in the
 /// parameters can be read.
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 

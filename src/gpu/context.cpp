@@ -207,7 +207,7 @@ Traversal find_traversal(const std::string& name) {
 }
 
 Traversal best_traversal(const DeviceInfo& info) {
-    // docs/platform.md has the measurements.
+    // docs/performance.md has the measurements.
     if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;
 }

@@ -104,7 +104,7 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
 }
 
 /// Returns true for lavapipe before 24.1. Its code generator terminates the process on
-/// some CPUs when it compiles our kernels (docs/platform.md).
+/// some CPUs when it compiles our kernels (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&

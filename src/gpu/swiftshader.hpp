@@ -6,7 +6,7 @@
 namespace relidar::gpu {
 
 /// Returns true for SwiftShader, whose compiler terminates the process on tracing kernels
-/// (docs/platform.md).
+/// (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
 
 }  // namespace relidar::gpu

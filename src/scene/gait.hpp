@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // People and cyclists that walk: how far they have come, how long a stride is, and
-// surfels that take part in it (docs/method.md M10). Private to scene.
+// surfels that take part in it (docs/method.md M14). Private to scene.
 #pragma once
 
 #include <optional>

@@ -75,7 +75,7 @@ using DoubleRecord = Record<double>;
 
 /// Computed in double; the float record is rounded at the end.
 DoubleRecord make_record(const Surfel& surfel);
-/// The surfel at a phase of its gait (M10): where its mean has moved to, and with the
+/// The surfel at a phase of its gait (M14): where its mean has moved to, and with the
 /// opacity it is left with.
 Surfel at_phase(const Surfel& surfel, double turns);
 FloatRecord make_float_record(const Surfel& surfel);

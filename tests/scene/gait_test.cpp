@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that walk (docs/method.md M10): how far they have come, strides found in exact
+// Actors that walk (docs/method.md M14): how far they have come, strides found in exact
 // walkers and not in what is rigid, and walkers rendered at moments that were not learned
 // from, also where they walk at another speed, against the exact street.
 #include <algorithm>

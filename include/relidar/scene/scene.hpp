@@ -62,7 +62,7 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
 }
 
 /// Motion of a surfel of a walking actor with the gait phase p, in turns
-/// (InstancePose::phase, docs/method.md M10):
+/// (InstancePose::phase, docs/method.md M14):
 ///
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
 ///

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Normals of hits, for the kernels that are built for the geometric losses
-// (docs/method.md section 5). Include after includes.glsl.
+// (docs/method.md section 3, M11). Include after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_FACING_NORMAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_FACING_NORMAL_GLSL
 RELIDAR_CONSTANT(uint, GEOMETRY, 0u);

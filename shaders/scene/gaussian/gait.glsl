@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Motion of a surfel of a walking actor (docs/method.md M10). At a phase p of the gait,
+// Motion of a surfel of a walking actor (docs/method.md M14). At a phase p of the gait,
 // its opacity is multiplied by exp(sharpness^2 (cos 2 pi (p - phase) - 1)), and it is
 // moved by swing sin 2 pi (p - phase). Include after shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL

@@ -66,7 +66,7 @@ inline KernelVariant traversal_variant(const Device& device) {
 }
 
 /// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree
-/// together. Measured: 1.2 times as fast on lavapipe (docs/platform.md). On a GPU lanes
+/// together. This is faster on lavapipe (docs/performance.md). On a GPU lanes
 /// are free to part; on a CPU they are those of one vector, and load surfels for each
 /// other.
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {

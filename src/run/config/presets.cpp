@@ -37,7 +37,7 @@ Config paper() {
 /// text (docs/method.md section 5). The intensity loss includes SSIM, which needs full
 /// images. The Chamfer distance is computed without a gradient, so it is not used for
 /// training. Surfels outside their box are penalised. The errors of the released program
-/// (sections 4 and 7) are not reproduced.
+/// (section 10) are not reproduced.
 Config released() {
     Config config = paper();
     config.preset = "released";
