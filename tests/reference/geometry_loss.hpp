@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals of a rendered range image and the disagreement of blended surfel normals with
-// them (docs/method.md M11), in double.
+// Computes the normals of a rendered range image, and their difference from blended
+// surfel normals (docs/method.md M11), in double.
 #pragma once
 
 #include <optional>
@@ -10,22 +10,22 @@
 
 namespace relidar::reference {
 
-/// Rendered rays as an image, row by row.
+/// Image of rendered rays, row by row.
 struct RangeImage {
     int rows = 0;
     int columns = 0;
-    bool circular = false;       ///< the first column follows the last one
-    bool normalised = false;     ///< the range is D / W, else D
+    bool circular = false;       ///< the first column is next to the last one
+    bool normalised = false;     ///< true: the range is D / W; false: D
     std::vector<Ray> rays;       ///< [rows,columns]
     std::vector<Pixel> pixels;   ///< [rows,columns] depth, weight and normal are used
-    std::vector<bool> returned;  ///< [rows,columns] others take no part
+    std::vector<bool> returned;  ///< [rows,columns] pixels without a return are ignored
 };
 
-/// N of each pixel that has one: unit, facing the sensor.
+/// Returns the normal N of each pixel that has one: unit length, facing the sensor.
 std::vector<std::optional<glm::dvec3>> image_normals(const RangeImage& image);
 
-/// W - B . N of each pixel with a normal, 0 elsewhere, over the number of returned rays:
-/// the terms of a mean over them.
+/// Returns (W - B . N) / (number of returned rays) for each pixel with a normal, and 0
+/// for others. The sum of these terms is a mean over the returned rays.
 std::vector<double> normal_terms(const RangeImage& image,
                                  const std::vector<std::optional<glm::dvec3>>& normals);
 

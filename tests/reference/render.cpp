@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward half of the oracle: shading of a hit (M1, M2, SH) and blending nearest first
-// (M4, M5), in chunks as a GPU does it and over the complete list. The two differ only in
-// how hits are fetched.
+// Implements the forward pass of the reference: shading of a hit (M1, M2, SH) and
+// blending from near to far (M4, M5). Blends in chunks like a GPU, or over the complete
+// list. The two differ only in how hits are fetched.
 #include "render.hpp"
 
 #include <algorithm>
@@ -15,7 +15,8 @@ public:
     Blend(const Settings& settings, const Ray& ray)
         : settings_(settings), ray_(ray), transmittance_min_(double(settings.image.transmittance_min)) {}
 
-    /// Adds a surfel; false, without adding it, where it would take T under T_min.
+    /// Adds a surfel. If the surfel would reduce T below T_min, returns false and does
+    /// not add it.
     bool add(const ShadedHit& s) {
         const double next = pixel_.transmittance * (1.0 - s.alpha);
         if (next < transmittance_min_) return false;
@@ -40,7 +41,8 @@ public:
         return true;
     }
 
-    /// M5: the background (0, 0, 1) seen through what is left.
+    /// Returns the pixel with the background (0, 0, 1) added behind the blended surfels
+    /// (M5).
     Pixel finish() const {
         Pixel result = pixel_;
         result.drop_logit = drop_sum_ + pixel_.transmittance;

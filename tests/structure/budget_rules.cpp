@@ -15,7 +15,7 @@ constexpr std::size_t kCommentColumns = 90;
 
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
-/// Longest allowed length of a file, or 0 where there is no limit.
+/// Returns the maximum number of lines of a file, or 0 if there is no limit.
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
     if (path.starts_with("include/relidar/")) return 400;
@@ -25,7 +25,7 @@ int line_limit(const std::string& path) {
     return 0;
 }
 
-/// Characters of a line in UTF-8.
+/// Returns the number of UTF-8 characters in a line.
 std::size_t columns_of(const std::string& line) {
     return static_cast<std::size_t>(std::count_if(
         line.begin(), line.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rules of rules.hpp hold for this checkout.
+// Tests that this checkout satisfies the rules of rules.hpp.
 #include <gtest/gtest.h>
 
 #include "rules.hpp"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random gradients of what rays render.
+// Makes random gradients of rendered values.
 #pragma once
 
 #include <cstdint>
@@ -10,10 +10,11 @@
 
 namespace relidar::test {
 
-/// Which outputs of a ray have a gradient.
+/// Outputs of a ray that have a gradient.
 enum class Outputs { image, normal, distortion, likelihood, all };
 
-/// Rounded to float, so that a kernel can be given exactly the same.
+/// Returns random gradients of n rays, rounded to float, so that a kernel can receive the
+/// same values.
 inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed,
                                                              Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);

@@ -15,14 +15,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kSmallest_m = 2.5;   // length of a box; shorter actors are people and cyclists, who bend
+constexpr double kSmallest_m = 2.5;      // length of a box; shorter actors are people and cyclists, who bend
 constexpr double kAboveGround_m = 0.25;  // points below are returns of the ground
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-constexpr double kGain = 0.02;           // smallest increase of the share of points on planes
+constexpr double kGain = 0.02;  // smallest increase of the share of points on planes
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;  // corrections beyond are errors
-constexpr double kStanding_m = 3.0;      // a box that moves farther cannot stand
-constexpr int kNeighbours = 3;           // poses on each side from which a pose is interpolated
+constexpr double kStanding_m = 3.0;  // a box that moves farther cannot stand
+constexpr int kNeighbours = 3;       // poses on each side from which a pose is interpolated
 constexpr double kLongestGap_s = 1.0;
 
 /// Prior of corrections, in units of the weight of one point. The error of a point is 0.05 m
@@ -39,8 +39,8 @@ CorrectionPrior correction_prior() {
 
 /// The points of a track, in the frame of its labelled box.
 struct ActorPoints {
-    std::vector<ThinPoint> points;        ///< pose: index into the track
-    std::vector<std::size_t> n_of_pose;   ///< [poses] number of points
+    std::vector<ThinPoint> points;       ///< pose: index into the track
+    std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
 /// Collects the returns of training frames that lie in the box.
@@ -168,11 +168,12 @@ double median_of(std::vector<double> values) {
 void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
                     std::vector<double>& moved_m) {
     std::vector<bool> has_points(actor.n_of_pose.size());
-    for (std::size_t k = 0; k < has_points.size(); ++k) has_points[k] = actor.n_of_pose[k] >= kFewestPosePoints;
-    if (actor.points.size() < kFewestActorPoints || std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
+    for (std::size_t k = 0; k < has_points.size(); ++k)
+        has_points[k] = actor.n_of_pose[k] >= kFewestPosePoints;
+    if (actor.points.size() < kFewestActorPoints ||
+        std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlaneAdjustment adjustment =
-        adjustment_of(identity_track(box.world_from_box), actor.points, has_points);
+    PlaneAdjustment adjustment = adjustment_of(identity_track(box.world_from_box), actor.points, has_points);
     const double labelled_share = share_on_planes(adjustment, actor.points);
     adjustment.run(kFirstActorRound, kLastActorRound, [](double) { return true; });
     const double registered_share = share_on_planes(adjustment, actor.points);
@@ -180,7 +181,9 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = twist_between(Pose{}, adjustment.track().pose[k]);
         const double length_m = glm::length(glm::dvec3(twist[0], twist[1], twist[2]));
-        if (length_m > kLargestCorrection_m || glm::length(glm::dvec3(twist[3], twist[4], twist[5])) > kLargestCorrection_rad) return;
+        if (length_m > kLargestCorrection_m ||
+            glm::length(glm::dvec3(twist[3], twist[4], twist[5])) > kLargestCorrection_rad)
+            return;
         if (has_points[k]) lengths_m.push_back(length_m);
     }
     if (is_standing(box, actor, has_points, std::max(labelled_share, registered_share))) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each ray goes down the tree and takes one of the intensities of its leaf. It asks what
-// was drawn before it, along its beam and above. Rows are drawn at the same time, each so
-// far behind the one above that all is there: the result is that of one row after the
-// other.
+// Draws intensities. Each ray descends the tree and draws one of the intensities in its
+// leaf. The features include intensities drawn earlier along the beam and above. Rows are
+// drawn in parallel; each row stays behind the row above, so that the result equals
+// drawing the rows one after the other.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
@@ -17,7 +17,8 @@
 namespace relidar {
 namespace {
 
-constexpr int kColumnsTogether = 64;  // between two looks at the row above
+// number of columns that are drawn before the row above is checked again
+constexpr int kColumnsTogether = 64;
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,
                                       int row, int column) {
@@ -38,7 +39,7 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
     RELIDAR_ASSERT_EQ(returns.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(returns.size(), kNoIntensity);
     const scatter_detail::Context context(rendered, drawn);
-    // of each row so far
+    // number of columns drawn in each row
     std::vector<std::atomic<int>> drawn_columns(static_cast<std::size_t>(rendered.rows));
     run_parallel(rendered.rows, [&](int row) {
         for (int first = 0; first < rendered.columns; first += kColumnsTogether) {
