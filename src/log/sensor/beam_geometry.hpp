@@ -25,18 +25,17 @@ public:
         const double ce = cos_elevation_, se = sin_elevation_;
         const double forward = -beam_.origin_up_m * se, left = beam_.origin_left_m;
         BeamRay ray;
-        ray.origin_m =
-            glm::dvec3(beam_.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
-                       beam_.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c,
-                       beam_.origin_up_m * ce);
+        ray.origin_m = glm::dvec3(beam_.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
+                                  beam_.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c,
+                                  beam_.origin_up_m * ce);
         ray.direction = glm::dvec3(ce * c, ce * s, se);
         return ray;
     }
 
     double head_azimuth(const glm::dvec3& point_m) const {
         const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
-        return std::atan2(point_m.y, point_m.x) -
-               std::asin(glm::clamp(left_of_axis_m_ / reach, -1.0, 1.0)) - beam_.azimuth_offset_rad;
+        return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left_of_axis_m_ / reach, -1.0, 1.0)) -
+               beam_.azimuth_offset_rad;
     }
 
 private:

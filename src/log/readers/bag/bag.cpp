@@ -140,7 +140,7 @@ void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress)
     }
 }
 
-std::string Bag::read(const Place& place) const {
+SharedBytes Bag::read(const Place& place) const {
     try {
         return files_.at(place.file)->read(place);
     } catch (const DataError& error) {

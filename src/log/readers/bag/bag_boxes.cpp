@@ -136,7 +136,7 @@ BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& pl
     LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
     for (const BoxEntry& entry : boxes.lists)
         if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))
-            reader.take(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place)), entry.log_ns);
+            reader.take(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place).bytes), entry.log_ns);
     return reader.tracks();
 }
 

@@ -196,7 +196,7 @@ private:
             const CloudTopic& clouds = topic_of(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s / double(n_parts))});
+            lidars_.push_back(sample_topic(bag_, clouds, step_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
             if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty())
