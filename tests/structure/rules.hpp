@@ -39,6 +39,9 @@ Violations check_primitive_questions(const SourceTree& tree);
 /// Lengths of files, functions and lines, numbers of arguments.
 Violations check_budgets(const SourceTree& tree);
 
+/// No two sources in different rooms of src/ have the same name.
+Violations check_file_names(const SourceTree& tree);
+
 /// Vulkan's names occur in src/gpu and src/diff/accel only.
 Violations check_vulkan_names(const SourceTree& tree);
 /// Functions declared in include/relidar say what they do.

@@ -27,6 +27,16 @@ struct FrameRange {
 /// "./none".
 inline constexpr const char* kNoPoses = "none";
 
+/// Options that only the reader of ROS bags uses.
+struct BagOptions {
+    std::string poses_from = {};  ///< frame or topic of the poses; empty: the reader chooses
+};
+
+/// Options that only the reader of Waymo Open uses.
+struct WaymoOptions {
+    bool clamp_intensity = false;  ///< cut intensities at 1; false: take their tanh
+};
+
 /// What to read of a log.
 struct DatasetOptions {
     /// which drive of a dataset that holds several, by its own name; empty: the only one,
@@ -36,8 +46,6 @@ struct DatasetOptions {
     /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world;
     /// empty = the dataset's own; kNoPoses
     std::filesystem::path poses_file;
-    /// of a ROS bag: the frame, or the topic, that poses are taken from; empty: guessed
-    std::string poses_from = {};
     /// leave frames without a scan out; false: a missing scan is an error
     bool allow_missing_scans = true;
     /// leave scans that cannot be read out, with a note each; false: the first is an
@@ -46,13 +54,14 @@ struct DatasetOptions {
     bool rolling_shutter = true;           ///< false: take all rays of a sweep as fired at its reference time
     double max_range_m = 80.0;             ///< returns beyond are treated as dropped
     double min_range_m = 0.0;              ///< and so are those nearer than this
-    bool clamp_intensity = false;          ///< of Waymo Open: cut at 1; false: its tanh
     std::vector<std::string> lidars = {};  ///< names of those that are read; none: all
     /// For a look at a long log: of each LiDAR so many scans, spread over its frames, are
     /// read, and other frames stay without rays; 0: all. Logs of KITTI, Argoverse 2 and
     /// Waymo, and nuScenes' own HDL-32E, are read whole all the same.
     int most_scans = 0;
     Progress progress = {};  ///< of reading
+    BagOptions bag = {};
+    WaymoOptions waymo = {};
 };
 
 /// Reads a log. @param dataset a path (format recognised) or "kind:path" with a kind that

@@ -13,8 +13,8 @@
 #include <relidar/log/clouds.hpp>
 
 #include "base/files.hpp"
-#include "log/clouds/sweeps_beside.hpp"
-#include "log/readers/bag/describe.hpp"
+#include "log/clouds/match_sweeps.hpp"
+#include "log/readers/bag/recording_notes.hpp"
 
 namespace relidar::bag {
 namespace {

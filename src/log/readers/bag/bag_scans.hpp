@@ -10,7 +10,7 @@
 
 #include "log/clouds/cloud_units.hpp"
 #include "log/clouds/folder_points.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/survey.hpp"
 
 namespace relidar::bag {

@@ -11,7 +11,7 @@
 #include <zlib.h>
 
 #include "base/codecs/byte_reader.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {

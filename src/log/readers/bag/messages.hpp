@@ -12,7 +12,7 @@
 #include <relidar/base/math.hpp>
 
 #include "log/clouds/point_table.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 
 namespace relidar::bag {
 

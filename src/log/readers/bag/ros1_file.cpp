@@ -9,7 +9,7 @@
 
 #include "base/codecs/byte_reader.hpp"
 #include "base/files.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {

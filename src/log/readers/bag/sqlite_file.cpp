@@ -13,7 +13,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {

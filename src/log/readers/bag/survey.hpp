@@ -10,7 +10,7 @@
 
 #include <relidar/base/progress.hpp>
 
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/frame_tree.hpp"
 #include "log/readers/bag/messages.hpp"
 #include "log/readers/bag/packets/packet_log.hpp"

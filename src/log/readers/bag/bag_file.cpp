@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 
 #include <algorithm>
 #include <array>
