@@ -26,12 +26,12 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
     options.lidars = words_of(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
-    options.poses_from = config.dataset.poses_from;
     options.skip_broken = config.dataset.skip_broken;
     options.rolling_shutter = config.sensor.rolling_shutter != RollingShutter::no;
     options.max_range_m = config.dataset.max_range_m > 0.0 ? config.dataset.max_range_m : INFINITY;
     options.min_range_m = config.dataset.min_range_m;
-    options.clamp_intensity = config.dataset.waymo_intensity == "clamp";
+    options.bag.poses_from = config.dataset.poses_from;
+    options.waymo.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
     options.most_scans = most_scans;
     std::error_code failed;

@@ -14,6 +14,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/dataset.hpp>
 
+#include "log/clouds/folder_points.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/clouds/point_writers.hpp"
 
@@ -55,7 +56,7 @@ void read_points(std::string_view input, const fs::path& folder) {
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
     if (ending == kEndings[3]) columns.push_back("timestamp");
-    folder::read_point_file(file, columns);
+    folder::points_of(folder::read_point_file(file, columns), {}, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {

@@ -2,6 +2,7 @@
 #include "rules.hpp"
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <sstream>
 
@@ -75,6 +76,20 @@ Violations check_budgets(const SourceTree& tree) {
                                      " arguments, at most " + std::to_string(kArguments) + ", then a struct");
             }
         }
+    }
+    return violations;
+}
+
+Violations check_file_names(const SourceTree& tree) {
+    Violations violations;
+    std::map<std::string, std::string> rooms;  // of the first file of each name
+    for (const auto& [path, file] : tree) {
+        if (!path.starts_with("src/") || !has_extension(path, {".cpp", ".hpp"})) continue;
+        const std::string room = path.substr(4, path.find('/', 4) - 4);
+        const std::string name = path.substr(path.rfind('/') + 1);
+        const auto [first, is_new] = rooms.try_emplace(name, room);
+        if (!is_new && first->second != room)
+            violations.push_back(path + ":1: the room " + first->second + " has a file of this name, too");
     }
     return violations;
 }

@@ -42,6 +42,9 @@ Violations check_primitive_questions(const SourceTree& tree);
 /// Checks the lengths of files, functions and lines, and the numbers of arguments.
 Violations check_budgets(const SourceTree& tree);
 
+/// Checks that no two sources in different rooms of src/ have the same name.
+Violations check_file_names(const SourceTree& tree);
+
 /// Checks that names of Vulkan occur only in src/gpu and src/diff/accel.
 Violations check_vulkan_names(const SourceTree& tree);
 /// Checks that functions declared in include/relidar have comments.

@@ -179,6 +179,14 @@ TEST(Rules, BudgetsAreCounted) {
     EXPECT_EQ(check_budgets(tree).size(), 5u);
 }
 
+TEST(Rules, FileNameInTwoRoomsIsFound) {
+    const SourceTree tree = make_tree({{"src/gpu/describe.cpp", ""},
+                                       {"src/log/readers/describe.cpp", ""},
+                                       {"src/log/describe.hpp", ""},
+                                       {"tests/gpu/describe.cpp", ""}});
+    EXPECT_THAT(check_file_names(tree), ElementsAre(HasSubstr("src/log/readers/describe.cpp:1")));
+}
+
 TEST(Rules, VulkanNameIsFound) {
     const SourceTree tree =
         make_tree({{"src/forward/a.cpp", "// VkBuffer\nVkBuffer b;\n"}, {"src/gpu/a.cpp", "VkBuffer b;\n"}});

@@ -27,6 +27,16 @@ struct FrameRange {
 /// vehicle. To read a file that has the name "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
 
+/// Options that only the reader of ROS bags uses.
+struct BagOptions {
+    std::string poses_from = {};  ///< frame or topic of the poses; empty: the reader chooses
+};
+
+/// Options that only the reader of Waymo Open uses.
+struct WaymoOptions {
+    bool clamp_intensity = false;  ///< cut intensities at 1; false: take their tanh
+};
+
 /// Options for reading a log.
 struct DatasetOptions {
     /// Name of the drive, for a dataset that has several. Empty: the only drive, or the
@@ -37,9 +47,6 @@ struct DatasetOptions {
     /// in the dataset's world frame. Empty: use the poses of the dataset. kNoPoses: read
     /// no poses.
     std::filesystem::path poses_file;
-    /// For a ROS bag: the tf frame or the topic from which poses are read. Empty: relidar
-    /// guesses it.
-    std::string poses_from = {};
     /// true: skip frames without a scan. false: a missing scan is an error.
     bool allow_missing_scans = true;
     /// true: skip scans that cannot be read and add a note for each. false: the first
@@ -47,10 +54,8 @@ struct DatasetOptions {
     bool skip_broken = false;
     /// false: treat all rays of a sweep as if they were fired at its reference time
     bool rolling_shutter = true;
-    double max_range_m = 80.0;  ///< returns farther away are treated as dropped
-    double min_range_m = 0.0;   ///< returns nearer than this are treated as dropped
-    /// for Waymo Open: true clamps intensities at 1; false applies tanh to them
-    bool clamp_intensity = false;
+    double max_range_m = 80.0;             ///< returns farther away are treated as dropped
+    double min_range_m = 0.0;              ///< returns nearer than this are treated as dropped
     std::vector<std::string> lidars = {};  ///< names of the LiDARs to read; empty: all
     /// For a preview of a long log: the maximum number of scans to read from each LiDAR.
     /// The scans are spread over its frames, and the other frames have no rays. 0: read
@@ -58,6 +63,8 @@ struct DatasetOptions {
     /// HDL-32E, are always read completely.
     int most_scans = 0;
     Progress progress = {};  ///< receives the progress of reading
+    BagOptions bag = {};
+    WaymoOptions waymo = {};
 };
 
 /// Reads a log.

@@ -16,7 +16,7 @@
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/readers/argoverse2/argoverse2.hpp"
-#include "log/readers/bag/ros_bag.hpp"
+#include "log/readers/bag/load_ros_bag.hpp"
 #include "log/readers/boreas/boreas.hpp"
 #include "log/readers/folder/plain_folder.hpp"
 #include "log/readers/kitti/kitti_360.hpp"

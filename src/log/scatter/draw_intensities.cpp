@@ -12,7 +12,7 @@
 #include "base/assert.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
-#include "log/scatter/context.hpp"
+#include "log/scatter/ray_features.hpp"
 
 namespace relidar {
 namespace {

@@ -13,7 +13,7 @@
 #include <relidar/log/scatter.hpp>
 
 #include "base/random.hpp"
-#include "log/scatter/context.hpp"
+#include "log/scatter/ray_features.hpp"
 
 namespace relidar {
 namespace {

@@ -13,6 +13,7 @@
 
 #include <relidar/base/math.hpp>
 #include "base/parallel.hpp"
+#include "log/sensor/beam_geometry.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -137,10 +138,13 @@ using Ticks = std::vector<std::vector<int>>;  ///< of each beam in one scan, bef
 
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     Ticks ticks(kRings);
+    std::vector<BeamGeometry> beams;
+    for (std::size_t k = 0; k < kRings; ++k)
+        beams.emplace_back(
+            Beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]});
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        const Beam beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]};
-        ticks[k].push_back(lattice.head.tick(head_azimuth(beam, glm::dvec3(scan.points[i]))));
+        ticks[k].push_back(lattice.head.tick(beams[k].head_azimuth(glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }

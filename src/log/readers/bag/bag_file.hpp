@@ -4,6 +4,7 @@
 // here.
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -14,6 +15,8 @@
 #include <vector>
 
 #include <relidar/base/progress.hpp>
+
+#include "base/shared_bytes.hpp"
 
 namespace relidar::bag {
 
@@ -32,6 +35,8 @@ struct Place {
     std::uint64_t at = 0;
     std::uint64_t in_chunk = kNoChunk;  ///< byte of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< of the recording
+
+    auto operator<=>(const Place&) const = default;
 };
 
 struct Message {
@@ -70,7 +75,7 @@ public:
     /// which byte
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
     /// One message again; from any thread.
-    virtual std::string read(const Place& place) const = 0;
+    virtual SharedBytes read(const Place& place) const = 0;
     /// Frame of the points as relidar's own recordings say it, after a pass; empty for
     /// other recordings.
     virtual std::string points_in() const { return ""; }
@@ -101,7 +106,7 @@ public:
     /// A pass over all files. Messages come in the order in which they lie there.
     void each(const Wanted& wanted, const Take& take, const Progress& progress = {});
     /// One message again; from any thread.
-    std::string read(const Place& place) const;
+    SharedBytes read(const Place& place) const;
 
 private:
     std::vector<std::filesystem::path> paths_;

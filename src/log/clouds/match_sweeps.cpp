@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/clouds/sweeps_beside.hpp"
+#include "log/clouds/match_sweeps.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -16,8 +16,8 @@ double usual_step_s(std::vector<double> times_s) {
     return *middle > 1e-3 ? *middle : 0.1;
 }
 
-std::vector<std::optional<std::size_t>> sweeps_beside(const std::vector<double>& main_s,
-                                                      const std::vector<double>& other_s, double most_s) {
+std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,
+                                                     const std::vector<double>& other_s, double most_s) {
     std::vector<std::optional<std::size_t>> beside(main_s.size());
     for (std::size_t i = 0; i < other_s.size(); ++i) {
         const auto distance_s = [&](std::size_t k, std::size_t other) {

@@ -2,7 +2,7 @@
 // Two passes: one that surveys the recording, in bounded memory, and one that reads the
 // clouds of the wanted frames where they lie. What is made of them then is what is made
 // of a plain folder of clouds.
-#include "log/readers/bag/ros_bag.hpp"
+#include "log/readers/bag/load_ros_bag.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -13,12 +13,12 @@
 
 #include "base/files.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/match_sweeps.hpp"
 #include "log/clouds/sweep_poses.hpp"
-#include "log/clouds/sweeps_beside.hpp"
 #include "log/readers/bag/bag_boxes.hpp"
 #include "log/readers/bag/bag_scans.hpp"
 #include "log/readers/bag/choose.hpp"
-#include "log/readers/bag/describe.hpp"
+#include "log/readers/bag/recording_notes.hpp"
 
 namespace relidar {
 namespace {
@@ -36,7 +36,7 @@ public:
           bag_(path, options.skip_broken),
           survey_(take_survey(bag_, options.progress)),
           clouds_(choose_clouds(bag_, survey_, options.lidars)),
-          poses_(choose_poses(bag_, survey_, main(), options.poses_from)),
+          poses_(choose_poses(bag_, survey_, main(), options.bag.poses_from)),
           boxes_(choose_boxes(bag_, survey_)) {
         sequence_.name = path.lexically_normal().filename().empty()
                              ? path.lexically_normal().parent_path().filename().string()
@@ -155,7 +155,7 @@ private:
         std::vector<double> main_s, other_s;
         for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
         for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
-        const auto beside = sweeps_beside(main_s, other_s, most_s);
+        const auto beside = match_sweeps(main_s, other_s, most_s);
         std::size_t n_left = clouds.size();
         for (std::size_t k = 0; k < sweeps.size(); ++k) {
             if (!beside[k]) continue;
@@ -196,7 +196,7 @@ private:
             const CloudTopic& clouds = topic_of(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back({&clouds, units_of_topic(bag_, clouds, step_s / double(n_parts))});
+            lidars_.push_back(sample_topic(bag_, clouds, step_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
             if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty())

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/describe.hpp"
+#include "log/readers/bag/recording_notes.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 
 #include <algorithm>
 #include <array>
@@ -140,7 +140,7 @@ void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress)
     }
 }
 
-std::string Bag::read(const Place& place) const {
+SharedBytes Bag::read(const Place& place) const {
     try {
         return files_.at(place.file)->read(place);
     } catch (const DataError& error) {

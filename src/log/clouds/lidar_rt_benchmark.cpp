@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Names of the paper's parts as drives and frames.
-#include "log/clouds/paper_parts.hpp"
+#include "log/clouds/lidar_rt_benchmark.hpp"
 
 #include <algorithm>
 
@@ -10,9 +10,9 @@
 
 namespace relidar {
 
-ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart> parts) {
+ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts) {
     const auto part = std::find_if(parts.begin(), parts.end(),
-                                   [&](const PaperPart& p) { return options.sequence == p.name; });
+                                   [&](const BenchmarkSequence& p) { return options.sequence == p.name; });
     if (part == parts.end()) return {options.sequence, options.frames};
     const int begin = std::max(options.frames.begin, part->first);
     const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
@@ -20,7 +20,7 @@ ChosenPart choose_part(const DatasetOptions& options, std::span<const PaperPart>
         throw UsageError(fmt::format("frames {}:{}: none of {}, which has {} to {}", options.frames.begin,
                                      options.frames.end, part->name, part->first, part->last));
     std::vector<int> test_frames;
-    for (int k = 0, frame = part->test_first; k < kPaperTestFrames; ++k, frame += part->test_every)
+    for (int k = 0, frame = part->test_first; k < kBenchmarkTestFrames; ++k, frame += part->test_every)
         if (frame >= begin && frame < end) test_frames.push_back(frame);
     return {part->drive, {begin, end}, true, test_frames};
 }
