@@ -21,7 +21,7 @@ using Shared = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<Shared> share_out(std::span<const std::uint64_t> key) {
     std::vector<Shared> stretches((key.size() + kStretch - 1) / kStretch);
-    run_parallel(static_cast<int>(stretches.size()), [&](int s) {
+    parallel_for(static_cast<int>(stretches.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kStretch;
         for (std::size_t i = begin; i < std::min(key.size(), begin + kStretch); ++i)
             stretches[std::size_t(s)][hash64(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
@@ -35,7 +35,7 @@ CellNumbers number_cells(std::span<const std::uint64_t> key) {
     const std::vector<Shared> stretches = share_out(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
     std::vector<std::uint32_t>& first = numbers.of;  // of the item's cell; then its number
-    run_parallel(kParts, [&](int part) {
+    parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;
         for (const Shared& stretch : stretches)
             for (const std::uint32_t i : stretch[std::size_t(part)])

@@ -92,7 +92,8 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};  ///< threads that may work at a time
+    std::counting_semaphore<> compilers{
+        std::ptrdiff_t(max_concurrency())};  ///< threads that may work at a time
 };
 
 /// What relidar can do on a physical device, with every missing piece named.

@@ -140,7 +140,7 @@ Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_s
 /// The log of a stretch: its frames with the rays that are near actors.
 Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         const SightedFrame& sighted = stretch.frames[std::size_t(i)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];

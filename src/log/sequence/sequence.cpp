@@ -279,7 +279,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const HeadTurn turn = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {
+    const HeadTurn turn = parallel_reduce(n, 256, [&](std::size_t begin, std::size_t end) {
         HeadTurn part;
         const std::size_t last = std::min(end * step, rays.size());
         for (std::size_t i = begin * step; i < last; i += step) {

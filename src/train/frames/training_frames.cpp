@@ -105,7 +105,7 @@ TrainingFrames::~TrainingFrames() = default;
 void TrainingFrames::keep_on_device(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrame> some(std::min(kPreparedAtOnce, n_staying_ - first));
-        run_parallel(static_cast<int>(some.size()),
+        parallel_for(static_cast<int>(some.size()),
                      [&](int k) { some[std::size_t(k)] = prepare(first + std::size_t(k)); });
         for (std::size_t k = 0; k < some.size(); ++k) {
             FrameData& frame = frames_[first + k];

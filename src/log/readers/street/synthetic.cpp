@@ -231,7 +231,7 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
                       street::sensor_pose(options, street::frame_time_s(frame)), int(l));
     sequence.boxes = boxes_of(street, sequence.world_from_vehicle.time_s);
     recentre(sequence, origin_of(options));
-    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
         Frame& frame = sequence.frames[static_cast<std::size_t>(i)];
         const std::size_t l = std::size_t(frame.lidar);
         const bool is_rosette = std::holds_alternative<Rosette>(rig[l].sensor.pattern);
