@@ -34,6 +34,8 @@ public:
     std::string text() const;
     std::string text(std::size_t most) const;  ///< of at most so many bytes, all in one line
     std::vector<double> numbers() const;
+    /// The numbers of lists, of at most so many lists in one another, in their order.
+    std::vector<double> nested_numbers(int depth) const;
     /// Exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
@@ -44,6 +46,7 @@ public:
         std::copy(all.begin(), all.end(), result.begin());
         return result;
     }
+    std::string where() const;  ///< "file: field", for messages
     /// @throws DataError "file: field: found, expected"
     [[noreturn]] void fail(const std::string& found, const std::string& expected) const;
 

@@ -39,7 +39,8 @@ void parallel_for(int n, const std::function<void(int)>& task) {
     if (n_threads == 1) {
         run_tasks();
     } else {
-        // isolated: neither a waiting thread nor a cancelled loop of the caller interferes
+        // Isolated: a waiting thread runs no other loop, and a cancelled task group of
+        // the caller does not cancel this loop.
         tbb::task_group_context context(tbb::task_group_context::isolated);
         tbb::this_task_arena::isolate([&] {
             tbb::parallel_for(

@@ -282,28 +282,44 @@ struct ScanningWindow {
 /// UsageError as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
-/// What makes the rays of a LiDAR that does not spin.
-using FixedPattern = std::variant<ScanningWindow, Rosette, RayTable>;
-/// Rays of the scan at a time; only a Rosette has others at another time. @throws
-/// UsageError as make_rays() of what it holds
-RayTable make_rays(const FixedPattern& pattern, double time_s);
-/// Time of one scan; 0 for a table, which does not say.
-double period_of(const FixedPattern& pattern);
+/// What makes the rays of a sensor: one of the kinds of the table in
+/// src/log/sensor/pattern_kinds.cpp.
+using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
+
+/// Rays of the scan at a time. @throws UsageError as make_rays() of the kind it holds
+RayTable make_rays(const SensorPattern& pattern, double time_s);
+
+/// A sweep at even speed over columns of rays, each fired together.
+struct AzimuthSweep {
+    double first_rad, last_rad;  ///< azimuths of the first and last column
+    int columns;
+};
+
+/// What is known of a pattern without making its rays.
+struct PatternSummary {
+    std::size_t n_rays = 0;         ///< of a scan
+    double period_s = 0.0;          ///< time of one scan; 0: it follows from the time offsets of the rays
+    bool has_rays_by_time = false;  ///< scans at different times have different rays
+    std::optional<AzimuthSweep> sweep = {};  ///< unless it spins or fires in another order
+};
+/// The summary of a pattern, from the row of its kind.
+PatternSummary describe_pattern(const SensorPattern& pattern);
+/// PatternSummary::period_s.
+double period_of(const SensorPattern& pattern);
 
 /// A sensor to simulate: what makes its rays, and between which ranges they see.
 struct SensorModel {
     std::string name;
     std::string about = {};  ///< what it is and where its figures are from, one line; empty for a file
     RangeLimits limits = {};
-    std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable> pattern;
+    SensorPattern pattern;
 };
 
-/// Rays of the scan at a time; only a Rosette has others at another time. @throws
-/// UsageError as make_rays() of the pattern
+/// Rays of the scan at a time. @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// What makes the rays of one that does not spin.
-std::optional<FixedPattern> fixed_pattern(const SensorModel& sensor);
+/// The pattern of a sensor that does not spin; nothing for one that spins.
+std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
 
 /// Names known_sensor() knows.
 std::vector<std::string> sensor_names();

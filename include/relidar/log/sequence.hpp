@@ -122,12 +122,17 @@ struct Lidar {
     Pose vehicle_from_sensor;
     /// nominal, of one that does not spin; not given: it spins, or is known by its scans
     /// alone
-    std::optional<FixedPattern> pattern = {};
+    std::optional<SensorPattern> pattern = {};
     RangeNoise range_noise = {};  ///< none unless measured
 
     /// Time of one sweep; 0 where it is not known.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
 };
+
+/// Sets the nominal sensor of a LiDAR.
+void set_sensor(Lidar& lidar, const SensorModel& sensor);
+/// The nominal sensor of a LiDAR. One that is known by its scans alone has no beams.
+SensorModel sensor_of(const Lidar& lidar);
 
 /// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one
 /// that is known by its scans alone.

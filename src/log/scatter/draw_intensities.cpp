@@ -15,9 +15,9 @@ namespace relidar {
 namespace {
 
 constexpr int kTileColumns = 64;  // of one row
-/// A tile needs the tile to its left and, of the rows above, the columns up to kAhead to
-/// its right: tile t of row r needs tile t + 1 of row r - 1. Tiles of equal 2 r + t do not
-/// need each other.
+/// A tile needs the tile to its left. From the rows above it needs up to kAhead columns
+/// to its right: tile t of row r needs tile t + 1 of row r - 1. So tiles with the same
+/// 2 r + t do not need each other.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,
