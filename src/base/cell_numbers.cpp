@@ -22,7 +22,7 @@ using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
     std::vector<ItemsByPart> blocks((key.size() + kItemsPerBlock - 1) / kItemsPerBlock);
-    run_parallel(static_cast<int>(blocks.size()), [&](int s) {
+    parallel_for(static_cast<int>(blocks.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kItemsPerBlock;
         for (std::size_t i = begin; i < std::min(key.size(), begin + kItemsPerBlock); ++i)
             blocks[std::size_t(s)][hash64(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
@@ -37,7 +37,7 @@ CellNumbers number_cells(std::span<const std::uint64_t> key) {
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
     // First item of the item's cell; later the number of the cell.
     std::vector<std::uint32_t>& first = numbers.of;
-    run_parallel(kParts, [&](int part) {
+    parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;
         for (const ItemsByPart& items : blocks)
             for (const std::uint32_t i : items[std::size_t(part)])

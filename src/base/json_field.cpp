@@ -22,10 +22,25 @@ std::string describe_value(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
+/// Appends the numbers of nested lists. @return what is neither a number nor a list, or
+/// nests too deep; null if nothing
+const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, std::vector<double>& numbers) {
+    if (value.is_number()) {
+        numbers.push_back(value.get<double>());
+        return nullptr;
+    }
+    if (!value.is_array() || depth == 0) return &value;
+    for (const nlohmann::json& item : value)
+        if (const nlohmann::json* wrong = collect_numbers(item, depth - 1, numbers)) return wrong;
+    return nullptr;
+}
+
 }  // namespace
 
+std::string JsonField::where() const { return name_.empty() ? *file_ : *file_ + ": " + name_; }
+
 void JsonField::fail(const std::string& found, const std::string& expected) const {
-    throw DataError(fmt::format("{}: {}{}{}, {}", *file_, name_, name_.empty() ? "" : ": ", found, expected));
+    throw DataError(fmt::format("{}: {}, {}", where(), found, expected));
 }
 
 bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
@@ -45,6 +60,14 @@ JsonField JsonField::at(std::size_t index) const {
 std::size_t JsonField::size() const {
     if (!value_->is_array()) fail(describe_value(*value_), "expected an array");
     return value_->size();
+}
+
+std::vector<double> JsonField::nested_numbers(int depth) const {
+    std::vector<double> numbers;
+    if (const nlohmann::json* wrong = collect_numbers(*value_, depth, numbers))
+        fail(wrong->is_array() ? "found lists nested too deep" : fmt::format("found {}", wrong->type_name()),
+             "expected numbers");
+    return numbers;
 }
 
 bool JsonField::is_text() const { return value_->is_string(); }

@@ -37,7 +37,9 @@ public:
     std::string text() const;
     std::string text(std::size_t most) const;  ///< Returns a text of at most `most` bytes in one line.
     std::vector<double> numbers() const;
-    /// Returns an array of exactly n numbers.
+    /// The numbers of lists, of at most so many lists in one another, in their order.
+    std::vector<double> nested_numbers(int depth) const;
+    /// Exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
         const std::vector<double> all = numbers();
@@ -47,7 +49,8 @@ public:
         std::copy(all.begin(), all.end(), result.begin());
         return result;
     }
-    /// Throws a DataError with the message "file: field: found, expected".
+    std::string where() const;  ///< "file: field", for messages
+    /// @throws DataError "file: field: found, expected"
     [[noreturn]] void fail(const std::string& found, const std::string& expected) const;
 
 private:

@@ -13,16 +13,16 @@
 
 namespace relidar {
 
-/// Runs a loop with run_parallel() and reports progress from the calling thread. It
-/// reports before each item that the calling thread processes, and 1 at the end, because
-/// other threads may process the last items. An exception from `progress` ends the loop.
+/// parallel_for. The calling thread tells how many of the items are done: first, before
+/// each that it takes itself, and 1 at the end, since other threads may take all of the
+/// last ones. What `progress` throws ends it.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     if (progress) progress(what, 0.0);
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
     std::atomic<bool> is_ended{false};
-    run_parallel(static_cast<int>(n), [&](int i) {
+    parallel_for(static_cast<int>(n), [&](int i) {
         if (is_ended) return;
         if (progress && std::this_thread::get_id() == caller) try {
                 progress(what, double(done) / double(n));

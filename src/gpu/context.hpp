@@ -97,8 +97,8 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    /// Limits the number of threads that compile simultaneously.
-    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};
+    std::counting_semaphore<> compilers{
+        std::ptrdiff_t(max_concurrency())};  ///< threads that may work at a time
 };
 
 /// Describes the features of a physical device, with the names of all missing ones.

@@ -46,9 +46,10 @@ TimeSpan sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
 /// azimuths in order.
 double seconds_per_radian(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
-    const auto* window = std::get_if<ScanningWindow>(&*lidar.pattern);
-    return window && window->columns > 1 ? window->period_s / std::abs(window->right_rad - window->left_rad)
-                                         : 0.0;
+    const PatternSummary summary = describe_pattern(*lidar.pattern);
+    const std::optional<AzimuthSweep>& sweep = summary.sweep;
+    return sweep && sweep->columns > 1 ? summary.period_s / std::abs(sweep->last_rad - sweep->first_rad)
+                                       : 0.0;
 }
 
 /// Returns half the angle of azimuth that a box spans. Returns pi if the sensor is inside

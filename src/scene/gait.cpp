@@ -132,7 +132,7 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     const std::size_t step = samples.size() / kMost + 1;
     for (std::size_t i = 0; i < samples.size(); i += step) gaps.frame.push_back(place[samples[i].frame]);
     gaps.distance_m.resize(gaps.frame.size());
-    run_parallel(int(gaps.frame.size()), [&](int k) {
+    parallel_for(int(gaps.frame.size()), [&](int k) {
         for (const std::unique_ptr<Index>& frame : frames)
             gaps.distance_m[std::size_t(k)].push_back(
                 float(frame->distance_m(samples[std::size_t(k) * step].position, kNearSurface_m)));
@@ -196,7 +196,7 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
     std::vector<double> shares(strides.size()), smooth;
-    run_parallel(int(strides.size()),
+    parallel_for(int(strides.size()),
                  [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
     // averages over neighbouring strides, because a single good stride can be chance
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
@@ -292,7 +292,7 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
     for_each_block_told(wanted.size(), progress, "steps of actors", [&](std::size_t i) {
         if (wanted[i]) each[i] = velocity_at(phases, i);
     });
-    run_parallel(n, [&](int number) {
+    parallel_for(n, [&](int number) {
         const std::size_t i = std::size_t(number);
         if (!wanted[i]) return;
         const int bin = Phases::bin(phases.of(i));
@@ -330,7 +330,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
                           const Progress& progress) {
     const Phases phases(samples, stride_m);
     std::vector<char> at_rest(samples.size());
-    run_parallel(int(samples.size()),
+    parallel_for(int(samples.size()),
                  [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
     std::vector<char> moves(at_rest);
     for (char& one : moves) one = !one;

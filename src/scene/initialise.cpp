@@ -16,6 +16,7 @@
 
 #include "base/nearest_place.hpp"
 #include "base/parallel.hpp"
+#include "base/parallel_sort.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 #include "scene/point_surfels.hpp"
@@ -144,12 +145,12 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {
         if (progress) progress("points of the background", double(begin) / double(train.size()));
         std::vector<PlacedByPart> frames(std::min(kFrames, train.size() - begin));
-        run_parallel(static_cast<int>(frames.size()), [&](int i) {
+        parallel_for(static_cast<int>(frames.size()), [&](int i) {
             frames[std::size_t(i)] =
                 placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])],
                                separate, sensors, options);
         });
-        run_parallel(kParts, [&](int part) {
+        parallel_for(kParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
                 for (const Placed& placed : frames[i][std::size_t(part)])
                     parts[std::size_t(part)].add(placed, begin + i);
@@ -161,7 +162,7 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
         voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());
         part = {};
     }
-    sort_parallel(voxels, [](const Voxel& a, const Voxel& b) { return a.first < b.first; });
+    parallel_sort(voxels, [](const Voxel& a, const Voxel& b) { return a.first < b.first; });
     std::vector<Sample> means;
     for (const Voxel& v : voxels)
         means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),

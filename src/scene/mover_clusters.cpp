@@ -220,7 +220,7 @@ using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
 /// Returns the clusters of some consecutive frames.
 Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility) {
     std::vector<Returns> frames(positions.size());
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+    parallel_for(static_cast<int>(positions.size()), [&](int i) {
         frames[std::size_t(i)] =
             returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
     });
@@ -234,7 +234,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
                                                              : Motion::rests;
     });
     Clusters clusters(frames.size());
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         Returns& frame = frames[std::size_t(i)];
         for (Return& r : frame.others) r.motion = motion[r.cell];
         std::erase_if(frame.others, [](const Return& r) { return r.motion == Motion::rests; });

@@ -151,7 +151,7 @@ void Visibility::want(const glm::dvec3& point_m) {
 void Visibility::make_wanted() {
     std::sort(wanted_.begin(), wanted_.end());
     wanted_.erase(std::unique(wanted_.begin(), wanted_.end()), wanted_.end());
-    run_parallel(static_cast<int>(wanted_.size()), [&](int i) {
+    parallel_for(static_cast<int>(wanted_.size()), [&](int i) {
         const std::uint32_t view = wanted_[std::size_t(i)];
         make(views_[view], sequence_.frames[std::size_t(positions_[view])]);
     });

@@ -148,7 +148,7 @@ Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_s
 /// Returns the log of a section: its frames, with the rays near actors.
 Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         const SightedFrame& sighted = stretch.frames[std::size_t(i)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];

@@ -38,6 +38,8 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries =
     {"toml++/", {"src/log/", "src/run/"}},
     {"nlohmann/", {"src/base/", "src/log/", "src/run/", "src/simulate/"}},
     {"nanoflann.hpp", {"src/base/", "src/scene/", "src/score/"}},
+    {"tbb/", {"src/base/"}},
+    {"oneapi/tbb", {"src/base/"}},
     {"Eigen/", {"src/base/", "src/log/", "src/scene/", "src/score/"}},
 };
 

@@ -302,13 +302,30 @@ struct ScanningWindow {
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
-/// Scan pattern of a LiDAR that does not spin.
-using FixedPattern = std::variant<ScanningWindow, Rosette, RayTable>;
-/// Returns the rays of the scan at a time. Only the rays of a Rosette depend on the time.
-/// @throws UsageError like make_rays() of the pattern's type
-RayTable make_rays(const FixedPattern& pattern, double time_s);
-/// Returns the duration of a scan, or 0 for a RayTable, whose duration is unknown.
-double period_of(const FixedPattern& pattern);
+/// What makes the rays of a sensor: one of the kinds of the table in
+/// src/log/sensor/pattern_kinds.cpp.
+using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
+
+/// Rays of the scan at a time. @throws UsageError as make_rays() of the kind it holds
+RayTable make_rays(const SensorPattern& pattern, double time_s);
+
+/// A sweep at even speed over columns of rays, each fired together.
+struct AzimuthSweep {
+    double first_rad, last_rad;  ///< azimuths of the first and last column
+    int columns;
+};
+
+/// What is known of a pattern without making its rays.
+struct PatternSummary {
+    std::size_t n_rays = 0;         ///< of a scan
+    double period_s = 0.0;          ///< time of one scan; 0: it follows from the time offsets of the rays
+    bool has_rays_by_time = false;  ///< scans at different times have different rays
+    std::optional<AzimuthSweep> sweep = {};  ///< unless it spins or fires in another order
+};
+/// The summary of a pattern, from the row of its kind.
+PatternSummary describe_pattern(const SensorPattern& pattern);
+/// PatternSummary::period_s.
+double period_of(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
@@ -317,16 +334,14 @@ struct SensorModel {
     /// sensor file
     std::string about = {};
     RangeLimits limits = {};
-    std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable> pattern;
+    SensorPattern pattern;
 };
 
-/// Returns the rays of the scan at a time. Only the rays of a Rosette depend on the time.
-/// @throws UsageError like make_rays() of the pattern's type
+/// Rays of the scan at a time. @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// Returns the scan pattern of a sensor that does not spin, or nothing for a spinning
-/// sensor.
-std::optional<FixedPattern> fixed_pattern(const SensorModel& sensor);
+/// The pattern of a sensor that does not spin; nothing for one that spins.
+std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
 
 /// Returns the names that known_sensor() accepts.
 std::vector<std::string> sensor_names();

@@ -132,17 +132,22 @@ struct Lidar {
     /// Mounting. Identity if the log has a single LiDAR, because the vehicle frame is
     /// then the sensor frame.
     Pose vehicle_from_sensor;
-    /// Nominal pattern of a LiDAR that does not spin. Empty if it spins or if only its
-    /// scans are known.
-    std::optional<FixedPattern> pattern = {};
-    RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
+    /// nominal, of one that does not spin; not given: it spins, or is known by its scans
+    /// alone
+    std::optional<SensorPattern> pattern = {};
+    RangeNoise range_noise = {};  ///< none unless measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
 };
 
-/// Returns the nominal rays of a LiDAR's scan at a time, for frames without a scan.
-/// Returns an empty table if only the scans of the LiDAR are known.
+/// Sets the nominal sensor of a LiDAR.
+void set_sensor(Lidar& lidar, const SensorModel& sensor);
+/// The nominal sensor of a LiDAR. One that is known by its scans alone has no beams.
+SensorModel sensor_of(const Lidar& lidar);
+
+/// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one
+/// that is known by its scans alone.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures how far the head of a spinning LiDAR deviated from its nominal azimuth at

@@ -89,7 +89,7 @@ Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_veh
         world_from_sensor.push_back(moved_track(world_from_vehicle, lidar.vehicle_from_sensor));
     Coverage all;
     std::mutex mutex;
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+    parallel_for(static_cast<int>(positions.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(i)])];
         const Coverage one =
             coverage_of(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);

@@ -24,7 +24,7 @@ public:
     RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
     /// Adds points to the maps of all levels, like VoxelPlanes::add().
     void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
-        run_parallel(kLevels, [&](int level) {
+        parallel_for(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
         });
     }

@@ -153,7 +153,7 @@ private:
             return Pose{about.rotation, about.translation + kGrid_m * offsets[i]};
         };
         std::vector<double> scores(offsets.size());
-        run_parallel(static_cast<int>(offsets.size()), [&](int i) {
+        parallel_for(static_cast<int>(offsets.size()), [&](int i) {
             scores[std::size_t(i)] = coarse_share(points, start_at(std::size_t(i))) -
                                      kGridPenalty * glm::length(offsets[std::size_t(i)]);
         });
@@ -165,7 +165,7 @@ private:
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
         const RigidEquations equations =
-            sum_parallel(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
                     const glm::dvec3 p = at * point.point_m;

@@ -169,7 +169,7 @@ private:
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
         const RigidEquations equations =
-            sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_reduce(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
                     const PlacedPoint at = place(track_, point);
@@ -265,7 +265,7 @@ PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<Thi
         return !ended;
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
-    run_parallel(static_cast<int>(parts.size()), [&](int i) {
+    parallel_for(static_cast<int>(parts.size()), [&](int i) {
         parts[std::size_t(i)] =
             followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
     });

@@ -57,7 +57,7 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
         RigidEquations equations;
         for (const FrameRays& f : frames) {
             const std::vector<SeenSurface> seen = view(f.position, f.rays, track);
-            equations += sum_parallel(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            equations += parallel_reduce(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (std::size_t k = begin; k < end; ++k) {
                     const ThinPoint& point = f.points[k];

@@ -25,7 +25,7 @@ constexpr double kFewestOnPlanes = 0.05;
 template <class Task>
 void in_chunks(std::size_t n, const Task& task) {
     const std::size_t size = n / kChunks + 1;
-    run_parallel(kChunks, [&](int c) {
+    parallel_for(kChunks, [&](int c) {
         task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c));
     });
 }
@@ -223,7 +223,7 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
         scans[k] = std::span(points_).subspan(begin, end - begin);
     }
     std::vector<double> shares(scans.size());
-    run_parallel(static_cast<int>(scans.size()), [&](int k) {
+    parallel_for(static_cast<int>(scans.size()), [&](int k) {
         shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], scale_m);
     });
     std::vector<std::size_t> lost;
@@ -242,7 +242,7 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
 void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own,
                                  double scale_m) {
     const RigidEquations equations =
-        sum_parallel(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        parallel_reduce(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
             RigidEquations part;
             for (const ThinPoint& point : std::span(own).subspan(begin, end - begin)) {
                 const PlacedPoint placed = place(track_, point);

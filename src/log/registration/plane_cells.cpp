@@ -86,7 +86,7 @@ PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, do
     for_each_block(points.size(), [&](std::size_t i) {
         keyed[i] = {key_of(points[i].point_m), static_cast<std::uint32_t>(i)};
     });
-    sort_parallel(keyed, std::less<>());
+    parallel_sort(keyed, std::less<>());
     for (std::size_t i = 0; i < keyed.size(); ++i) {
         order_[i] = keyed[i].second;
         if (i > 0 && keyed[i].first == keyed[i - 1].first) continue;

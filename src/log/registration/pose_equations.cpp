@@ -181,7 +181,7 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
     if (n_planes_ == 0) return y;
-    y -= sum_parallel(
+    y -= parallel_reduce(
         n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
             for (std::size_t plane = first; plane < last; ++plane) {

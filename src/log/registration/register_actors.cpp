@@ -49,7 +49,7 @@ ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& tra
     const PoseTrack& track = box.world_from_box;
     std::vector<std::vector<ThinPoint>> of_frame(train_positions.size());
     const double reach_m = 0.5 * glm::length(box.size_m) + kMoverMargin_m;
-    run_parallel(static_cast<int>(train_positions.size()), [&](int i) {
+    parallel_for(static_cast<int>(train_positions.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(train_positions[std::size_t(i)])];
         if (!box.present(frame.time_s)) return;
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {

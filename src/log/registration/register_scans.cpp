@@ -93,7 +93,7 @@ std::vector<bool> middle_of(const std::vector<bool>& some) {
 double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                     const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {
     std::vector<double> all(scans.size()), shares;
-    run_parallel(static_cast<int>(scans.size()), [&](int i) {
+    parallel_for(static_cast<int>(scans.size()), [&](int i) {
         all[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)

@@ -15,6 +15,7 @@
 
 #include "base/joined.hpp"
 #include "base/parallel.hpp"
+#include "base/parallel_sort.hpp"
 #include "base/random.hpp"
 #include "log/scatter/ray_features.hpp"
 
@@ -49,7 +50,7 @@ struct Returns {
 
 /// Returns the values that divide a list into n parts of equal size, without duplicates.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     std::vector<float> cuts;
     for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
     cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
@@ -77,7 +78,7 @@ std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images,
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
     const double share = double(most) / double(std::max<std::size_t>(n, 1));
     std::vector<std::vector<ReturnPlace>> of_images(images.size());
-    run_parallel(int(images.size()), [&](int image) {
+    parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
             if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
@@ -97,7 +98,7 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     const std::size_t stride = places.size() / kQuantileReturns + 1;
     std::vector<Features> some((places.size() + stride - 1) / stride);
     for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
-    run_parallel(int(kFeatures), [&](int f) {
+    parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
         for (const Features& features : some) values.push_back(features[std::size_t(f)]);
         result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
@@ -217,10 +218,10 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     const auto part = [&](std::size_t k) {
         return std::span(returns.all).subspan(nodes[k].first, nodes[k].count);
     };
-    run_parallel(int(nodes.size()), [&](int k) {
+    parallel_for(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
-            if (is_large) return run_parallel(n, task);
+            if (is_large) return parallel_for(n, task);
             for (int i = 0; i < n; ++i) task(i);
         });
     });
@@ -233,7 +234,7 @@ void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatt
                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
-    run_parallel(int(cuts.size()), [&](int k) {
+    parallel_for(int(cuts.size()), [&](int k) {
         const Cut& cut = cuts[std::size_t(k)];
         if (cut.feature < 0) return;
         const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
@@ -282,7 +283,7 @@ double common_divisor(double a, double b, double error) {
 double find_step(std::vector<float> values) {
     constexpr double kError = 1e-6, kFinest = 1e-5;  // relative to the largest value
     constexpr std::size_t kFewestLevels = 8;
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
     if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
     const double largest = double(values.back());

@@ -91,7 +91,7 @@ RayTable make_rays(const SpinningSensor& sensor) {
     const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
     RayTable rays = empty_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
-    run_parallel(rows, [&](int row) {
+    parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
         const BeamGeometry geometry(beam);
         const int shift = column_shift(beam, columns);

@@ -38,7 +38,7 @@ auto read_frames(const Sequence& sequence, const std::vector<int>& positions, st
     for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
     const std::size_t stride = rays / most_rays + 1;
     std::vector<decltype(read(sequence.frames.front()))> frames((positions.size() + stride - 1) / stride);
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         frames[std::size_t(i)] = read(sequence.frames[std::size_t(positions[std::size_t(i) * stride])]);
     });
     return frames;

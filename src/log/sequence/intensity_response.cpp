@@ -77,7 +77,7 @@ std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
 template <class Task>
 void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
     const std::vector<std::size_t> bounds = chunk_bounds(seen);
-    run_parallel(static_cast<int>(kChunks), [&](int chunk) {
+    parallel_for(static_cast<int>(kChunks), [&](int chunk) {
         const std::size_t last = bounds[std::size_t(chunk) + 1];
         for (std::size_t begin = bounds[std::size_t(chunk)], end = begin; begin < last; begin = end) {
             while (end < last && seen[end].place == seen[begin].place) ++end;

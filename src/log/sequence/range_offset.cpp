@@ -141,7 +141,7 @@ struct Residuals {
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
-    all += sum_parallel(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
+    all += parallel_reduce(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
         Residuals block{.fits = std::vector<OffsetFit>(offset_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
             const std::span<const Observation> seen = cells.of(cell);

@@ -284,7 +284,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const HeadTurn turn = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {
+    const HeadTurn turn = parallel_reduce(n, 256, [&](std::size_t begin, std::size_t end) {
         HeadTurn part;
         const std::size_t last = std::min(end * step, rays.size());
         for (std::size_t i = begin * step; i < last; i += step) {
@@ -315,6 +315,22 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     return SweepStart{0.0, first_s};
 }
 
+void set_sensor(Lidar& lidar, const SensorModel& sensor) {
+    lidar.pattern = fixed_pattern(sensor);
+    if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
+        lidar.sensor = *spinning;
+    } else {
+        lidar.sensor = {.name = sensor.name, .beams = {}, .columns = 0, .period_s = 0.0};
+        lidar.sensor.min_range_m = sensor.limits.min_m;
+        lidar.sensor.max_range_m = sensor.limits.max_m;
+    }
+}
+
+SensorModel sensor_of(const Lidar& lidar) {
+    const SpinningSensor& sensor = lidar.sensor;
+    return {sensor.name, "", sensor.range_limits(), lidar.pattern ? *lidar.pattern : SensorPattern(sensor)};
+}
+
 RayTable nominal_rays(const Lidar& lidar, double time_s) {
     if (lidar.pattern) return make_rays(*lidar.pattern, time_s);
     return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
@@ -322,15 +338,14 @@ RayTable nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// Returns the time after the frame's time at which a LiDAR that does not spin faces an
-/// azimuth.
-double facing_offset(const FixedPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
-    const double period_s = period_of(pattern), middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
-    const auto* window = std::get_if<ScanningWindow>(&pattern);
-    if (!window || window->columns < 2) return middle_s;
+/// How long after the frame's time a LiDAR that does not spin faces an azimuth.
+double facing_offset(const SensorPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
+    const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);
+    const double middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
+    if (!sweep || sweep->columns < 2) return middle_s;
     const double share =
-        glm::clamp((azimuth - window->left_rad) / (window->right_rad - window->left_rad), 0.0, 1.0);
-    return middle_s + (share - 0.5) * period_s * (window->columns - 1) / window->columns;
+        glm::clamp((azimuth - sweep->first_rad) / (sweep->last_rad - sweep->first_rad), 0.0, 1.0);
+    return middle_s + (share - 0.5) * period_s * (sweep->columns - 1) / sweep->columns;
 }
 
 }  // namespace

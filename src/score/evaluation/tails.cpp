@@ -62,7 +62,7 @@ double share(const RangeImage& image, const Sequence& sequence, const std::vecto
              const SweepMoment& seen) {
     constexpr std::size_t kRays = 2048;  // rays per work item
     const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
-    const Tail all = sum_parallel(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
+    const Tail all = parallel_reduce(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;
         for (std::size_t i = begin; i < end; ++i) {
             if (!returned(image.drop_prob[i], image.range_m[i])) continue;

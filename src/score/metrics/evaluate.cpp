@@ -199,7 +199,7 @@ MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, co
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
                                     const MetricOptions& options) {
     std::vector<MetricRow> rows(comparisons.size());
-    run_parallel(static_cast<int>(comparisons.size()), [&](int i) {
+    parallel_for(static_cast<int>(comparisons.size()), [&](int i) {
         const Comparison& c = comparisons[static_cast<std::size_t>(i)];
         MetricRow& row = rows[static_cast<std::size_t>(i)];
         row = evaluate(*c.rendered, *c.real, options);

@@ -224,7 +224,7 @@ std::string timings(const Report& report) {
 
 std::string figure(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
-    run_parallel(static_cast<int>(urls.size()), [&](int i) {
+    parallel_for(static_cast<int>(urls.size()), [&](int i) {
         urls[std::size_t(i)] = export_detail::png_data_url(figure.images[std::size_t(i)].second);
     });
     std::string body;
@@ -248,7 +248,7 @@ std::string page(const Report& report) {
     for (const ReportView& view : report.views)
         html += section(view.title, export_detail::view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
-    run_parallel(static_cast<int>(figures.size()),
+    parallel_for(static_cast<int>(figures.size()),
                  [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
     for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
     html += section("Curves", curves(report));

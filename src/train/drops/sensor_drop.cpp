@@ -87,7 +87,7 @@ DropTable DropCounts::shrunk() const {
 
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
     DropCounts counts(sequence);
-    run_parallel(static_cast<int>(positions.size()), [&](int k) {
+    parallel_for(static_cast<int>(positions.size()), [&](int k) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(k)])];
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
     });

@@ -106,7 +106,7 @@ TrainingFrames::~TrainingFrames() = default;
 void TrainingFrames::keep_on_device(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrame> batch(std::min(kPreparedAtOnce, n_staying_ - first));
-        run_parallel(static_cast<int>(batch.size()),
+        parallel_for(static_cast<int>(batch.size()),
                      [&](int k) { batch[std::size_t(k)] = prepare(first + std::size_t(k)); });
         for (std::size_t k = 0; k < batch.size(); ++k) {
             FrameData& frame = frames_[first + k];

@@ -281,7 +281,7 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
 /// digits, the most of some draws.
 std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
     std::vector<Rows> draws(5);  // the first is the problem itself
-    run_parallel(int(draws.size()), [&](int i) {
+    parallel_for(int(draws.size()), [&](int i) {
         WallProblem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
         draws[std::size_t(i)] = expected_rows(drawn);
     });

@@ -109,7 +109,7 @@ std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std
 
 void check_surfels(const Problem& p, const Gradients& gradients, GradientTable& table) {
     std::vector<std::vector<Row>> surfels(p.scene.world.surfels.size());
-    run_parallel(int(surfels.size()),
+    parallel_for(int(surfels.size()),
                  [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
     for (const std::vector<Row>& rows : surfels)
         for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);

@@ -98,7 +98,7 @@ struct Phases {
 
 Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     Phases phases;
-    run_parallel(kRings, [&](int k) {
+    parallel_for(kRings, [&](int k) {
         const std::size_t at = static_cast<std::size_t>(k);
         phases.ring[at] = find_phase(polar[at], tick_rad);
     });
@@ -206,7 +206,7 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     std::vector<int> shift(kRings, 0);
     auto pattern = fired(reference, shift, n_ticks, 1);
     for (int pass = 0; pass < 2; ++pass) {  // against the fullest beam, then against all
-        run_parallel(kRings, [&](int k) {
+        parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
                 best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
